@@ -1,0 +1,1 @@
+"""From a recording to the calibration file, and back."""

@@ -1,0 +1,184 @@
+"""``altd.toml`` as pydantic models: frozen, unknown keys refused, units in the keys."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from altd.errors import BadInputError
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+TcpPort = Annotated[int, Field(ge=0, le=65535)]
+
+
+class Table(BaseModel):
+    """A table of the file: its keys are all known, its values do not change."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Unit(Table):
+    """Which unit this is."""
+
+    serial: Annotated[str, Field(min_length=1, max_length=64)]
+    """Serial number; the calibration file must carry the same."""
+    calibration: Path
+    """The calibration file, relative to the config file."""
+
+
+class Target(Table):
+    """One target that the beam meets, in beam order."""
+
+    name: Name
+    z_mm: float
+    """Distance from the front target's printed face along the beam."""
+    camera: Name
+    """The camera that looks at it: a name under ``[cameras]``."""
+
+
+class RecordingCamera(Table):
+    """A camera that plays a recording; every output then says ``playback``."""
+
+    driver: Literal["recording"]
+    path: Path
+    """The recording's folder, relative to the config file."""
+    pace: Literal["realtime", "fast"] = "realtime"
+    """``realtime`` keeps the recording's times, ``fast`` delivers as soon as a frame was taken."""
+    repeat: bool = False
+    """Start again at the end."""
+
+
+class Measuring(Table):
+    """How exposures become measurements."""
+
+    window: Annotated[int, Field(ge=1, le=1000)] = 20
+    """Exposures that are averaged."""
+    every: Annotated[int, Field(ge=1, le=1000)] = 1
+    """A measurement after this many exposures: 1 is the sliding mean."""
+    pair_by: Literal["sequence", "time"] = "sequence"
+    """What makes one exposure of two frames: triggered cameras count together, free ones do not."""
+    max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
+    """Largest difference in time between the frames of one exposure."""
+    silent_after_s: Annotated[float, Field(gt=0, le=60)] = 0.4
+    """A camera is silent when no frame came for this long."""
+    stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    """A value that was not followed by a new one for this long is not shown any more."""
+
+
+class Installation(Table):
+    """How the controller wants the numbers: sign first, then offset."""
+
+    reference_plane_mm: float = 0.0
+    """The plane z in which the displacement is given."""
+    sign_x: Literal[-1, 1] = 1
+    sign_y: Literal[-1, 1] = 1
+    sign_yaw: Literal[-1, 1] = 1
+    sign_pitch: Literal[-1, 1] = 1
+    offset_x_mm: float = 0.0
+    offset_y_mm: float = 0.0
+    offset_yaw_deg: float = 0.0
+    offset_pitch_deg: float = 0.0
+
+
+class ModbusTcp(Table):
+    """Modbus TCP server."""
+
+    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    port: TcpPort = 502
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+
+
+class Http(Table):
+    """HTTP server: measurement, status and a stream."""
+
+    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    port: TcpPort = 8080
+
+
+class SerialPort(Table):
+    """One serial port and what it speaks."""
+
+    device: Path
+    speaks: Literal["telegram", "console", "modbus_rtu"]
+    baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus RTU only."""
+    interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
+    """Telegram only: time from one telegram to the next."""
+
+
+class Config(Table):
+    """The whole of ``altd.toml``."""
+
+    unit: Unit
+    targets: Annotated[tuple[Target, ...], Field(min_length=2)]
+    cameras: dict[Name, RecordingCamera] = {}
+    measuring: Measuring = Measuring()
+    installation: Installation = Installation()
+    modbus_tcp: ModbusTcp | None = None
+    http: Http | None = None
+    serial: tuple[SerialPort, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        for what, names in (
+            ("name", [target.name for target in self.targets]),
+            ("camera", [target.camera for target in self.targets]),
+            ("z_mm", [target.z_mm for target in self.targets]),
+        ):
+            if len(set(names)) < len(names):
+                raise ValueError(f"targets: two targets have the same {what}")
+        missing = [target.camera for target in self.targets if target.camera not in self.cameras]
+        if self.cameras and missing:
+            raise ValueError(f"targets: no [cameras.{missing[0]}] for camera {missing[0]!r}")
+        devices = [port.device for port in self.serial]
+        if len(set(devices)) < len(devices):
+            raise ValueError("serial: two ports have the same device")
+        return self
+
+
+def load_config(path: Path) -> Config:
+    """Read and check a config file; paths in it become relative to its folder.
+
+    Raises BadInputError that names the file and the key.
+    """
+    try:
+        text = path.read_bytes().decode()
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    except UnicodeDecodeError as error:
+        raise BadInputError(path, "is not UTF-8 text") from error
+    try:
+        return Config.model_validate(_anchored(tomllib.loads(text), path.parent))
+    except tomllib.TOMLDecodeError as error:
+        raise BadInputError(path, f"not TOML: {error}") from error
+    except ValidationError as error:
+        raise BadInputError(path, _first_fault(error)) from error
+
+
+def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The document with the paths of its files relative to ``folder``; wrong types are left to the models."""
+    tables: list[tuple[Any, str]] = [(document.get("unit"), "calibration")]
+    cameras = document.get("cameras")
+    if isinstance(cameras, dict):
+        tables += [(camera, "path") for camera in cameras.values()]
+    for table, key in tables:
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
+    return document
+
+
+def _first_fault(error: ValidationError) -> str:
+    faults = error.errors(include_url=False, include_context=False)
+    first = faults[0]
+    place = ".".join(str(part) for part in first["loc"])
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "extra_forbidden":
+        message = "unknown key"
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return f"{place}: {message}{more}" if place else f"{message}{more}"

@@ -1,0 +1,62 @@
+"""The measurement object: one line of ``altd replay``, the body of HTTP and, later, MQTT (DESIGN §4)."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from typing import Any
+
+from altd.records import Measurement
+
+MM_DIGITS = 4
+DEG_DIGITS = 5
+
+
+def utc_text(time: datetime) -> str:
+    """ISO 8601 in UTC with milliseconds and ``Z``."""
+    return time.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def as_object(measurement: Measurement) -> dict[str, Any]:
+    """The measurement as plain JSON types; what is not known is None, never a number."""
+
+    def rounded(value: float | None, digits: int) -> float | None:
+        return None if value is None else round(value, digits)
+
+    def of_beam(attribute: str) -> float | None:
+        digits = DEG_DIGITS if attribute.endswith("_deg") else MM_DIGITS
+        return rounded(getattr(measurement.beam, attribute, None), digits)
+
+    return {
+        "sequence": measurement.sequence,
+        "time": None if measurement.time is None else utc_text(measurement.time),
+        "t_s": round(measurement.t_ns * 1e-9, 6),
+        "frames": measurement.frames,
+        "valid": measurement.valid,
+        "status": [str(fault) for fault in measurement.status],
+        "x_mm": of_beam("x_mm"),
+        "y_mm": of_beam("y_mm"),
+        "yaw_deg": of_beam("yaw_deg"),
+        "pitch_deg": of_beam("pitch_deg"),
+        "yaw_mm_per_m": of_beam("yaw_mm_per_m"),
+        "pitch_mm_per_m": of_beam("pitch_mm_per_m"),
+        "roll_deg": rounded(measurement.roll_deg, DEG_DIGITS),
+        "sigma": {
+            "x_mm": of_beam("sigma_x_mm"),
+            "y_mm": of_beam("sigma_y_mm"),
+            "yaw_deg": of_beam("sigma_yaw_deg"),
+            "pitch_deg": of_beam("sigma_pitch_deg"),
+        },
+        **{
+            target: {
+                "x_mm": None if point is None else round(point[0], MM_DIGITS),
+                "y_mm": None if point is None else round(point[1], MM_DIGITS),
+            }
+            for target, point in measurement.points_mm.items()
+        },
+    }
+
+
+def as_line(measurement: Measurement) -> str:
+    """The measurement as one line of JSON, without the line end; NaN is refused, not written."""
+    return json.dumps(as_object(measurement), allow_nan=False)

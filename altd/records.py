@@ -1,0 +1,189 @@
+"""The nouns that travel from camera to publisher: frozen, slotted, units in their names.
+
+Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/conventions.md``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+"""Vectors, matrices and covariances of the measuring chain."""
+
+PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+"""A frame's grey values, (rows, columns)."""
+
+
+class Origin(StrEnum):
+    """Where frames come from; anything but a camera is said in every output."""
+
+    CAMERA = "camera"
+    PLAYBACK = "playback"
+    SIMULATED = "simulated"
+
+
+class Reason(StrEnum):
+    """Why a measurement is invalid, or what a valid one warns of.
+
+    The first group concerns one target and is published with its name in front
+    (``front_spot_missing``), the others concern the whole unit.
+    """
+
+    SPOT_MISSING = "spot_missing"
+    AMBIGUOUS = "ambiguous"
+    SATURATED = "saturated"
+    CUT_BY_EDGE = "cut_by_edge"
+    WRONG_SIZE = "wrong_size"
+    WRONG_SHAPE = "wrong_shape"
+    CAMERA_SILENT = "camera_silent"
+
+    OUT_OF_STEP = "out_of_step"
+    OUT_OF_RANGE = "out_of_range"
+    UNSTEADY = "unsteady"
+    WARMING_UP = "warming_up"
+    STALE = "stale"
+
+    EXPOSURES_LOST = "exposures_lost"
+    PLAYBACK = "playback"
+    SIMULATED = "simulated"
+
+    @property
+    def is_warning(self) -> bool:
+        """Whether a measurement that carries this reason may still be valid."""
+        return self in _WARNINGS
+
+
+_WARNINGS = frozenset({Reason.EXPOSURES_LOST, Reason.PLAYBACK, Reason.SIMULATED})
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One reason with the target it concerns (None: the whole unit) and a sentence for people."""
+
+    reason: Reason
+    target: str | None = None
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """The code that travels on the wires, such as ``front_spot_missing``."""
+        return f"{self.target}_{self.reason}" if self.target else str(self.reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure of one camera.
+
+    ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
+    ``t_ns`` is the middle of the exposure on the monotonic clock.
+    """
+
+    camera: str
+    sequence: int
+    t_ns: int
+    pixels: PixelArray
+    bits: int = 8
+    leds_on: bool = False
+
+    @property
+    def full_scale(self) -> int:
+        """The largest grey value that a pixel can take."""
+        return (1 << self.bits) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts."""
+
+    u_px: float
+    v_px: float
+    sigma_px: float
+    diameter_px: float
+    peak: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoSpot:
+    """Why a frame gives no spot."""
+
+    reason: Reason
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanSpot:
+    """The mean spot of one target over a window: position in px."""
+
+    target: str
+    u_px: float
+    v_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetPoint:
+    """Where the beam meets one target, mm in the unit frame.
+
+    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what the map itself
+    leaves uncertain, without the scatter of the spot.
+    """
+
+    target: str
+    x_mm: float
+    y_mm: float
+    jacobian_mm_per_px: FloatArray
+    covariance_mm2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """The beam in the unit frame at the reference plane, with standard deviations (1 sigma)."""
+
+    x_mm: float
+    y_mm: float
+    yaw_deg: float
+    pitch_deg: float
+    sigma_x_mm: float
+    sigma_y_mm: float
+    sigma_yaw_deg: float
+    sigma_pitch_deg: float
+
+    @property
+    def yaw_mm_per_m(self) -> float:
+        """Yaw as a slope, 1000 · tan(yaw)."""
+        return 1000.0 * math.tan(math.radians(self.yaw_deg))
+
+    @property
+    def pitch_mm_per_m(self) -> float:
+        """Pitch as a slope, 1000 · tan(pitch)."""
+        return 1000.0 * math.tan(math.radians(self.pitch_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What the unit says about one window of exposures.
+
+    ``sequence`` is that of the window's last exposure, ``t_ns`` the middle of the exposures that were
+    averaged and ``time`` the same instant in UTC (None where the source of the frames does not know it).
+    ``beam`` is None when the measurement is invalid; ``status`` then holds at least one reason that is
+    not a warning. ``points_mm`` holds (x, y) per target of the unit, None where not known.
+    """
+
+    sequence: int
+    t_ns: int
+    time: datetime | None
+    frames: int
+    beam: Beam | None
+    points_mm: Mapping[str, tuple[float, float] | None]
+    status: tuple[Fault, ...] = ()
+    roll_deg: float | None = None
+
+    @property
+    def valid(self) -> bool:
+        """Whether the numbers may be used."""
+        return self.beam is not None

@@ -1,0 +1,1 @@
+"""The real-time flow on asyncio: cameras, measuring chain, board, health, supervision."""

@@ -1,0 +1,78 @@
+"""The board: the latest measurement, for any number of readers that never delay the writer."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+from altd.ports import Clock
+from altd.records import Fault, Measurement, Reason
+
+
+class Board:
+    """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped."""
+
+    def __init__(self, clock: Clock, stale_after_s: float) -> None:
+        self._clock = clock
+        self._stale_after_ns = round(stale_after_s * 1e9)
+        self._latest: Measurement | None = None
+        self._put_up_ns = 0
+        self._count = 0
+        self._changed = asyncio.Event()
+
+    @property
+    def published(self) -> int:
+        """How many measurements were put up so far."""
+        return self._count
+
+    def publish(self, measurement: Measurement) -> None:
+        """Put up a measurement and wake every reader that waits."""
+        self._latest = measurement
+        self._put_up_ns = self._clock.monotonic_ns()
+        self._count += 1
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def age_s(self) -> float | None:
+        """Seconds since the middle of the latest measurement's window; None before the first."""
+        if self._latest is None:
+            return None
+        return (self._clock.monotonic_ns() - self._latest.t_ns) * 1e-9
+
+    def read(self) -> Measurement | None:
+        """The latest measurement; without its numbers and with ``stale`` once nothing follows it."""
+        latest = self._latest
+        if latest is None or self._clock.monotonic_ns() - self._put_up_ns <= self._stale_after_ns:
+            return latest
+        return replace(
+            latest,
+            beam=None,
+            roll_deg=None,
+            points_mm=dict.fromkeys(latest.points_mm),
+            status=(*latest.status, Fault(Reason.STALE)),
+        )
+
+    def cursor(self) -> Cursor:
+        """A reader's own place: what is on the board now counts as not yet seen."""
+        return Cursor(self)
+
+
+class Cursor:
+    """One reader's place on the board."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self._seen = max(board.published - 1, 0)
+        self.skipped = 0
+        """Measurements that were replaced before this reader took them."""
+
+    async def next(self) -> Measurement:
+        """The latest measurement not yet seen, waiting for one if need be."""
+        board = self._board
+        while board._count == self._seen:
+            await board._changed.wait()
+        self.skipped += board._count - self._seen - 1
+        self._seen = board._count
+        measurement = board.read()
+        assert measurement is not None  # noqa: S101  the count is above zero
+        return measurement

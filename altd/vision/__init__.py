@@ -1,0 +1,1 @@
+"""Pure: frame → spot, or the reason why there is none."""
