@@ -60,6 +60,17 @@ class Reason(StrEnum):
         return self in _WARNINGS
 
 
+_OF_ONE_TARGET = frozenset(
+    {
+        Reason.SPOT_MISSING,
+        Reason.AMBIGUOUS,
+        Reason.SATURATED,
+        Reason.CUT_BY_EDGE,
+        Reason.WRONG_SIZE,
+        Reason.WRONG_SHAPE,
+        Reason.CAMERA_SILENT,
+    }
+)
 _WARNINGS = frozenset({Reason.EXPOSURES_LOST, Reason.PLAYBACK, Reason.SIMULATED})
 
 
@@ -115,25 +126,52 @@ class NoSpot:
     reason: Reason
     detail: str = ""
 
+    def fault(self, target: str) -> Fault:
+        """The reason as a fault of the target, or of the whole unit where it concerns all of it."""
+        return Fault(self.reason, target if self.reason in _OF_ONE_TARGET else None, self.detail)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeanSpot:
-    """The mean spot of one target over a window: position in px."""
+class Exposure:
+    """What the cameras saw at one instant: a spot, or the reason why there is none, per target.
 
-    target: str
-    u_px: float
-    v_px: float
+    ``t_ns`` is the mean of the frames' times.
+    """
+
+    sequence: int
+    t_ns: int
+    spots: Mapping[str, Spot | NoSpot]
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Why this exposure cannot be used; empty when every target has its spot."""
+        return tuple(spot.fault(target) for target, spot in self.spots.items() if isinstance(spot, NoSpot))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanSpots:
+    """The mean spots of a window of exposures.
+
+    ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
+    is that of the means, u and v of one target after the other: vibration moves all spots together.
+    ``t_ns`` is the mean time of the ``frames`` exposures that were averaged; ``lost`` were not usable.
+    """
+
+    targets: tuple[str, ...]
+    px: FloatArray
+    covariance_px2: FloatArray
+    t_ns: int
+    frames: int
+    lost: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPoint:
     """Where the beam meets one target, mm in the unit frame.
 
-    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what the map itself
-    leaves uncertain, without the scatter of the spot.
+    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what print, speckle and
+    the map leave uncertain, without the scatter of the spot.
     """
 
-    target: str
     x_mm: float
     y_mm: float
     jacobian_mm_per_px: FloatArray

@@ -1,0 +1,218 @@
+"""The composition root: cameras, chain, board and publishers become one daemon."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import cv2
+
+from altd import __version__
+from altd.calibration.file import check_image_size, load_calibration
+from altd.calibration.model import Calibration
+from altd.config import Config, SerialPort
+from altd.devices.playback import Playback, PlaybackCamera
+from altd.errors import BadInputError
+from altd.ports import Camera, Clock
+from altd.recording import Recording, UnitHeader, open_recording, refuse_used_folder
+from altd.records import Measurement
+from altd.service.board import Board
+from altd.service.chain import MeasuringChain, View
+from altd.service.clock import SystemClock
+from altd.service.grabbing import grab
+from altd.service.health import Health, State
+from altd.service.inbox import Inbox
+from altd.service.notify import notify
+from altd.service.pipeline import Pipeline
+from altd.service.record import record
+from altd.service.supervision import Publisher, keep_running
+
+log = logging.getLogger("altd")
+
+_WATCHDOG_WORD_EVERY_S = 0.2
+
+
+class Daemon:
+    """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them."""
+
+    def __init__(
+        self,
+        config: Config,
+        calibration: Calibration,
+        cameras: Mapping[str, Camera],
+        clock: Clock | None = None,
+    ) -> None:
+        self.config = config
+        self.clock = clock or SystemClock()
+        self.board = Board(self.clock, config.measuring.stale_after_s)
+        self.health = Health(self.clock)
+        self.health.facts |= {
+            "version": __version__,
+            "serial": config.unit.serial,
+            "calibration": f"{calibration.created:%Y-%m-%d}, {calibration.recording_note}".rstrip(", "),
+        }
+        views = [View(target.name, target.camera) for target in config.targets]
+        self._cameras = {view.camera: cameras[view.camera] for view in views}
+        self.chain = MeasuringChain(
+            views,
+            calibration,
+            config.measuring,
+            config.installation,
+            (camera.origin for camera in self._cameras.values()),
+            self.clock.utc,
+        )
+        self._manager = _ServiceManager(self.board)
+
+    async def run(self) -> None:
+        """Measure and publish until cancelled.
+
+        Raises BadInputError for an address that is taken; any other failure of the pipeline ends the
+        daemon with that failure. A publisher's failure never does.
+        """
+        cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
+        inbox = Inbox(self._cameras)
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                for place, publisher in self._publishers():
+                    component = self.health.component(place)
+                    tasks.create_task(keep_running(place, publisher, component, self.clock), name=place)
+                for name, camera in self._cameras.items():
+                    component = self.health.component(f"camera {name}")
+                    tasks.create_task(grab(camera, inbox, component), name=f"camera {name}")
+                pipeline = Pipeline(
+                    inbox,
+                    self.chain,
+                    self.board,
+                    self.health.component("measuring"),
+                    self.clock,
+                    self.config.measuring.silent_after_s,
+                    self._manager.progress,
+                )
+                tasks.create_task(pipeline.run(), name="pipeline")
+        except* BadInputError as group:
+            raise _first(group) from None
+
+    def _publishers(self) -> Iterator[tuple[str, Publisher]]:
+        """The faces that the config asks for, with their places in it. Imported only when wanted."""
+        config, board, health = self.config, self.board, self.health
+        if config.modbus_tcp is not None:
+            from altd.publish.modbus.server import ModbusTcpPublisher
+
+            place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
+            yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place))
+        if config.http is not None:
+            from altd.publish.http.publisher import HttpPublisher
+
+            place = f"http {config.http.host}:{config.http.port}"
+            yield place, HttpPublisher(config.http, board, health, health.component(place))
+        for port in config.serial:
+            place = f"serial {port.device}"
+            yield place, self._serial_publisher(port, place)
+
+    def _serial_publisher(self, port: SerialPort, place: str) -> Publisher:
+        component = self.health.component(place)
+        if port.speaks == "modbus_rtu":
+            from altd.publish.modbus.server import ModbusRtuPublisher
+
+            return ModbusRtuPublisher(port, self.board, component)
+        from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
+
+        if port.speaks == "telegram":
+            return TelegramPublisher(port, self.board, component, self.clock)
+        return ConsolePublisher(port, self.board, self.health, component, self.clock)
+
+
+class _ServiceManager:
+    """Tells systemd what is true: ready with the first word on the board, alive by progress only."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self._last_word_s = -1.0
+        self._ready = False
+
+    def progress(self) -> None:
+        """The pipeline put something on the board."""
+        now_s = time.monotonic()
+        if self._ready and now_s - self._last_word_s < _WATCHDOG_WORD_EVERY_S:
+            return
+        self._last_word_s = now_s
+        latest = self._board.read()
+        words = [f"STATUS={status_line(latest)}", "WATCHDOG=1"]
+        notify(*(words if self._ready else ["READY=1", *words]))
+        self._ready = True
+
+
+def status_line(measurement: Measurement | None) -> str:
+    """One line for people: measuring, or why not."""
+    if measurement is None:
+        return "starting"
+    reasons = ", ".join(str(fault) for fault in measurement.status)
+    if measurement.valid:
+        return f"measuring ({reasons})" if reasons else "measuring"
+    return f"not measuring: {reasons}"
+
+
+def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
+    """The cameras that a config asks for; raises BadInputError that names ``place`` or the recording."""
+    if not config.cameras:
+        raise BadInputError(place, "cameras: no [cameras.…] table")
+    recordings: dict[Path, tuple[Recording, Playback]] = {}
+    cameras: dict[str, Camera] = {}
+    for target in config.targets:
+        settings = config.cameras[target.camera]
+        if settings.path not in recordings:
+            recording = open_recording(settings.path)
+            playback = Playback(recording, settings.pace == "realtime", settings.repeat)
+            recordings[settings.path] = recording, playback
+        cameras[target.camera] = PlaybackCamera(target.camera, recordings[settings.path][1])
+    return cameras
+
+
+def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
+    """The config's calibration, checked against its unit, targets and cameras; raises BadInputError."""
+    path = config.unit.calibration
+    calibration = load_calibration(path, config.unit.serial)
+    for target in config.targets:
+        known = calibration.target(target.name)
+        if known is None:
+            raise BadInputError(path, f"does not know target {target.name!r}")
+        if abs(known.z_mm - target.z_mm) > 1e-3:
+            raise BadInputError(
+                path, f"target {target.name!r} was calibrated at z {known.z_mm:g} mm, not {target.z_mm:g}"
+            )
+        camera = cameras.get(target.camera)
+        if isinstance(camera, PlaybackCamera):
+            check_image_size(calibration, path, target.name, camera.width, camera.height)
+    return calibration
+
+
+def daemon_of(config: Config, place: Path) -> Daemon:
+    """The daemon that a config file describes; raises BadInputError that names the file and the place."""
+    cameras = cameras_of(config, place)
+    daemon = Daemon(config, calibration_of(config, cameras), cameras)
+    for component in ("measuring", *(f"camera {name}" for name in cameras)):
+        daemon.health.component(component).say(State.STARTING)
+    return daemon
+
+
+async def record_of(config: Config, place: Path, folder: Path, seconds: float) -> int:
+    """Record from the config's cameras into ``folder``; returns the number of exposures."""
+    refuse_used_folder(folder)
+    cameras = cameras_of(config, place)
+    clock = SystemClock()
+    distance_mm = max(target.z_mm for target in config.targets) - min(t.z_mm for t in config.targets)
+    unit = UnitHeader(serial=config.unit.serial, target_distance_mm=distance_mm)
+    return await record(
+        list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds
+    )
+
+
+def _first(group: BaseExceptionGroup[BadInputError]) -> BadInputError:
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, BadInputError)  # noqa: S101  the group holds nothing else
+    return error

@@ -1,0 +1,112 @@
+"""The robust mean over a window of exposures, and when there is none."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot
+
+_MAD_TO_SIGMA = 1.4826
+_OUTLIER_SIGMAS = 6.0
+_LARGEST_OUTLIER_SHARE = 0.3
+_GONE_AFTER = 3
+"""So many unusable exposures at the end of a window: the spot is gone, whatever came before."""
+_PRIOR_EXPOSURES = 2.0
+"""Weight of the spots' own noise estimate against the observed scatter."""
+
+
+class ExposureWindow:
+    """The last exposures, and their mean after every so many: 1 is the sliding mean."""
+
+    def __init__(self, targets: tuple[str, ...], window: int, every: int) -> None:
+        self._targets = targets
+        self._window = window
+        self._every = every
+        self._exposures: deque[Exposure] = deque(maxlen=window)
+        self._since_mean = 0
+
+    def add(self, exposure: Exposure) -> MeanSpots | tuple[Fault, ...] | None:
+        """Take an exposure; returns the mean, or why there is none, or None when it is not time yet."""
+        self._exposures.append(exposure)
+        self._since_mean += 1
+        if self._since_mean < self._every:
+            return None
+        self._since_mean = 0
+        return mean_spots(tuple(self._exposures), self._targets, self._window)
+
+    def forget(self) -> None:
+        """Drop the exposures that came before a gap; the count to the next mean goes on."""
+        self._exposures.clear()
+
+
+def mean_spots(
+    exposures: Sequence[Exposure], targets: tuple[str, ...], window: int
+) -> MeanSpots | tuple[Fault, ...]:
+    """Mean of the usable exposures of a window, without outliers.
+
+    An exposure is usable when every target has its spot. At least half a window must be usable, and the
+    last three must not all be bad. An exposure that lies six robust sigmas off the median in any
+    coordinate counts for none; when that is true of more than 30 %, the beam moved: ``unsteady``.
+    """
+    usable = [exposure for exposure in exposures if not exposure.faults()]
+    gone = len(exposures) >= _GONE_AFTER and all(e.faults() for e in exposures[-_GONE_AFTER:])
+    if gone or len(usable) < math.ceil(window / 2):
+        return _why_not(exposures)
+    spots = [[_spot(exposure, target) for target in targets] for exposure in usable]
+    px = np.array([[c for spot in row for c in (spot.u_px, spot.v_px)] for row in spots])
+    noise = np.array([[spot.sigma_px for spot in row for _ in range(2)] for row in spots])
+    typical_noise = np.median(noise, axis=0)
+    kept = _without_outliers(px, typical_noise)
+    if np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable):
+        return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
+    mean = px[kept].mean(axis=0)
+    return MeanSpots(
+        targets=targets,
+        px=mean.reshape(len(targets), 2),
+        covariance_px2=_covariance_of_mean(px[kept] - mean, typical_noise),
+        t_ns=round(np.mean([e.t_ns - usable[0].t_ns for e, k in zip(usable, kept, strict=True) if k]))
+        + usable[0].t_ns,
+        frames=int(np.count_nonzero(kept)),
+        lost=len(exposures) - len(usable),
+    )
+
+
+def _spot(exposure: Exposure, target: str) -> Spot:
+    spot = exposure.spots[target]
+    assert isinstance(spot, Spot)  # noqa: S101  a usable exposure has nothing else
+    return spot
+
+
+def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which rows of (n, coordinates) lie near the median in every coordinate."""
+    count = len(px)
+    if count < 3:
+        return np.ones(count, bool)
+    distance = np.abs(px - np.median(px, axis=0))
+    # n / (n − 0.8) takes out most of the MAD's bias in small samples
+    scale = _MAD_TO_SIGMA * np.median(distance, axis=0) * count / (count - 0.8)
+    near: np.ndarray[tuple[int], np.dtype[np.bool_]] = np.all(
+        distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1
+    )
+    return near
+
+
+def _covariance_of_mean(deviations: FloatArray, noise: FloatArray) -> FloatArray:
+    """Observed scatter of n exposures over n, drawn towards the spots' own noise while n is small."""
+    count = len(deviations)
+    scatter = deviations.T @ deviations + _PRIOR_EXPOSURES * np.diag(np.square(noise))
+    covariance: FloatArray = scatter / (count - 1 + _PRIOR_EXPOSURES) / count
+    return covariance
+
+
+def _why_not(exposures: Sequence[Exposure]) -> tuple[Fault, ...]:
+    """The reasons of the unusable exposures, most frequent first, each with its latest detail."""
+    latest = {str(fault): fault for exposure in exposures for fault in exposure.faults()}
+    counts = Counter(str(fault) for exposure in exposures for fault in dict.fromkeys(exposure.faults()))
+    if not counts:
+        return (Fault(Reason.WARMING_UP, detail="half a window of exposures is needed first"),)
+    return tuple(latest[code] for code, _ in counts.most_common())

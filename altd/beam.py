@@ -1,0 +1,58 @@
+"""Points on the targets become a beam: displacement, yaw, pitch and their sigma."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.records import Beam, FloatArray, MeanSpots, TargetPoint
+
+
+def joint_covariance_mm2(spots: MeanSpots, points: Sequence[TargetPoint]) -> FloatArray:
+    """Covariance (2 T, 2 T) of x and y of T points, one target after the other.
+
+    The scatter of the mean spots goes through the maps' Jacobians with all its correlations (vibration
+    moves the spots of all targets together); print, speckle and map add to it, each target on its own.
+    """
+    size = 2 * len(points)
+    jacobian, of_maps = np.zeros((size, size)), np.zeros((size, size))
+    for index, point in enumerate(points):
+        block = slice(2 * index, 2 * index + 2)
+        jacobian[block, block] = point.jacobian_mm_per_px
+        of_maps[block, block] = point.covariance_mm2
+    covariance: FloatArray = jacobian @ spots.covariance_px2 @ jacobian.T + of_maps
+    return covariance
+
+
+def fit_beam(
+    z_mm: Sequence[float],
+    points: Sequence[TargetPoint],
+    covariance_mm2: FloatArray,
+    reference_plane_mm: float = 0.0,
+) -> Beam:
+    """The straight line through T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
+
+    x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (DESIGN §1). Two points
+    are met exactly.
+    """
+    lever = np.asarray(z_mm, dtype=np.float64) - reference_plane_mm
+    design = np.zeros((2 * len(lever), 4))
+    design[0::2, 0] = design[1::2, 2] = 1.0
+    design[0::2, 1] = design[1::2, 3] = lever
+    measured = np.array([c for point in points for c in (point.x_mm, point.y_mm)])
+    weighted = np.linalg.solve(covariance_mm2, design)
+    covariance = np.linalg.inv(design.T @ weighted)
+    x, slope_x, y, slope_y = (float(value) for value in covariance @ weighted.T @ measured)
+    sigma = np.sqrt(np.diag(covariance))
+    return Beam(
+        x_mm=x,
+        y_mm=y,
+        yaw_deg=math.degrees(math.atan(slope_x)),
+        pitch_deg=math.degrees(math.atan(slope_y)),
+        sigma_x_mm=float(sigma[0]),
+        sigma_y_mm=float(sigma[2]),
+        sigma_yaw_deg=math.degrees(float(sigma[1]) / (1 + slope_x**2)),
+        sigma_pitch_deg=math.degrees(float(sigma[3]) / (1 + slope_y**2)),
+    )

@@ -1,0 +1,256 @@
+"""The calibration file: one JSON document for one unit, checked by its own checksum."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.errors import BadInputError
+from altd.mapping.grid import Axis
+from altd.mapping.tensor_map import TensorMap
+from altd.measurement_json import utc_text
+from altd.records import FloatArray
+from altd.vision.settings import SpotSettings
+
+FORMAT = "altd-calibration/1"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Axis(_Table):
+    first_mm: float
+    step_mm: Annotated[float, Field(gt=0)]
+    nodes: Annotated[int, Field(ge=2)]
+
+
+class _Map(_Table):
+    basis: Literal["gram"]
+    x_axis: _Axis
+    y_axis: _Axis
+    degree: tuple[int, int]
+    spectrum_u_px: list[list[float]]
+    spectrum_v_px: list[list[float]]
+    unit_covariance: list[list[float]]
+    noise_px: tuple[float, float]
+    hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
+
+
+class _Residuals(_Table):
+    mean_mm: float
+    std_mm: float
+    max_mm: float
+
+
+class _Localiser(_Table):
+    smoothing_px: float
+    threshold: float
+    power: float
+    min_diameter_px: float
+    max_diameter_px: float | None
+    max_aspect: float
+    min_fill: float
+    like_size: float
+    max_saturated: float
+    full_well_electrons: float
+
+
+class _Target(_Table):
+    name: str
+    z_mm: float
+    camera_serial: str | None
+    width: int
+    height: int
+    localiser: _Localiser
+    map: _Map
+    residuals: _Residuals
+    repeatability_px: tuple[float, float]
+    leds_px: list[tuple[float, float]]
+
+
+class _Unit(_Table):
+    serial: str
+
+
+class _Source(_Table):
+    note: str
+    sha256: str
+
+
+class _File(_Table):
+    format: Literal["altd-calibration/1"]
+    unit: _Unit
+    created: datetime
+    recording: _Source
+    targets: Annotated[list[_Target], Field(min_length=2)]
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the file whole or not at all; raises BadInputError when it cannot be written."""
+    document = _as_document(calibration)
+    document["checksum"] = _checksum(document)
+    text = json.dumps(document, indent=1) + "\n"
+    try:
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be written") from error
+
+
+def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
+    """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
+    try:
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    except ValueError as error:
+        raise BadInputError(path, f"is not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise BadInputError(path, "is not a calibration: no JSON object")
+    if document.get("format") != FORMAT:
+        raise BadInputError(path, f"format is {document.get('format')!r}, this altd reads {FORMAT!r}")
+    checksum = document.pop("checksum", None)
+    if checksum != _checksum(document):
+        raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
+    try:
+        content = _File.model_validate(document)
+        calibration = _from_content(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise BadInputError(path, f"{place}: {first['msg']}") from error
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error
+    if unit_serial is not None and calibration.unit_serial != unit_serial:
+        raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
+    return calibration
+
+
+def check_image_size(calibration: Calibration, path: Path, target: str, width: int, height: int) -> None:
+    """Refuse frames of another size than the calibration was made with, or of a target it does not know."""
+    known = calibration.target(target)
+    if known is None:
+        raise BadInputError(path, f"does not know target {target!r}")
+    if (known.width, known.height) != (width, height):
+        raise BadInputError(
+            path,
+            f"target {target!r} was calibrated at {known.width} × {known.height}, not {width} × {height}",
+        )
+
+
+def _checksum(document: dict[str, Any]) -> str:
+    """SHA-256 over the document without its checksum, keys sorted, no spaces."""
+    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _as_document(calibration: Calibration) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "unit": {"serial": calibration.unit_serial},
+        "created": utc_text(calibration.created),
+        "recording": {"note": calibration.recording_note, "sha256": calibration.recording_sha256},
+        "targets": [_target_document(target) for target in calibration.targets],
+    }
+
+
+def _target_document(target: TargetCalibration) -> dict[str, Any]:
+    fitted = target.map
+    return {
+        "name": target.name,
+        "z_mm": target.z_mm,
+        "camera_serial": None,
+        "width": target.width,
+        "height": target.height,
+        "localiser": asdict(target.localiser),
+        "map": {
+            "basis": "gram",
+            "x_axis": asdict(fitted.x_axis),
+            "y_axis": asdict(fitted.y_axis),
+            "degree": list(fitted.degree),
+            "spectrum_u_px": fitted.spectra[0].tolist(),
+            "spectrum_v_px": fitted.spectra[1].tolist(),
+            "unit_covariance": fitted.unit_covariance.tolist(),
+            "noise_px": fitted.noise_px.tolist(),
+            "hull_mm": fitted.hull_mm.tolist(),
+        },
+        "residuals": {
+            "mean_mm": target.residual_mean_mm,
+            "std_mm": target.residual_std_mm,
+            "max_mm": target.residual_max_mm,
+        },
+        "repeatability_px": target.repeatability_px.tolist(),
+        "leds_px": target.leds_px.tolist(),
+    }
+
+
+def _from_content(content: _File) -> Calibration:
+    return Calibration(
+        unit_serial=content.unit.serial,
+        created=content.created,
+        recording_note=content.recording.note,
+        recording_sha256=content.recording.sha256,
+        targets=tuple(_from_target(target) for target in content.targets),
+    )
+
+
+def _from_target(target: _Target) -> TargetCalibration:
+    return TargetCalibration(
+        name=target.name,
+        z_mm=target.z_mm,
+        width=target.width,
+        height=target.height,
+        localiser=SpotSettings(**target.localiser.model_dump()),
+        map=_from_map(target.name, target.map),
+        residual_mean_mm=target.residuals.mean_mm,
+        residual_std_mm=target.residuals.std_mm,
+        residual_max_mm=target.residuals.max_mm,
+        repeatability_px=np.array(target.repeatability_px),
+        leds_px=np.array(target.leds_px).reshape(-1, 2),
+    )
+
+
+def _from_map(name: str, content: _Map) -> TensorMap:
+    columns, rows = content.degree[0] + 1, content.degree[1] + 1
+    return TensorMap(
+        x_axis=Axis(**content.x_axis.model_dump()),
+        y_axis=Axis(**content.y_axis.model_dump()),
+        spectra=_array(
+            f"targets.{name}.map.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
+        ),
+        unit_covariance=_array(
+            f"targets.{name}.map.unit_covariance", content.unit_covariance, (rows * columns,) * 2
+        ),
+        noise_px=np.array(content.noise_px),
+        hull_mm=np.array(content.hull_mm),
+    )
+
+
+def _array(place: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except ValueError:
+        array = np.empty(0)
+    if array.shape != shape:
+        raise ValueError(f"{place}: expected {' × '.join(map(str, shape))} numbers")
+    return array

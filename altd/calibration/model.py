@@ -1,0 +1,68 @@
+"""What a calibration knows of a unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+
+import numpy as np
+
+from altd.mapping.inverse import InverseMap
+from altd.mapping.tensor_map import TensorMap
+from altd.records import FloatArray, TargetPoint
+from altd.vision.settings import SpotSettings
+
+
+@dataclass(frozen=True)
+class TargetCalibration:
+    """One target: how its spot is localised, the map, and how well it fits.
+
+    ``residual_mean_mm``, ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the
+    map; ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v;
+    ``leds_px`` (n, 2) are the frame LEDs' reference positions.
+    """
+
+    name: str
+    z_mm: float
+    width: int
+    height: int
+    localiser: SpotSettings
+    map: TensorMap
+    residual_mean_mm: float
+    residual_std_mm: float
+    residual_max_mm: float
+    repeatability_px: FloatArray
+    leds_px: FloatArray
+
+    @cached_property
+    def inverse(self) -> InverseMap:
+        """The map from px to mm."""
+        return InverseMap.of(self.map)
+
+    def point(self, u_px: float, v_px: float) -> TargetPoint | None:
+        """Where the beam meets the target; None outside what was calibrated."""
+        point, jacobian, covariance = self.inverse.to_mm(np.array([[u_px, v_px]]))
+        if not np.isfinite(point).all():
+            return None
+        return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One unit's targets in beam order, and where the knowledge comes from."""
+
+    unit_serial: str
+    created: datetime
+    recording_note: str
+    recording_sha256: str
+    targets: tuple[TargetCalibration, ...]
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The targets' names in beam order."""
+        return tuple(target.name for target in self.targets)
+
+    def target(self, name: str) -> TargetCalibration | None:
+        """The target of that name, or None."""
+        return next((target for target in self.targets if target.name == name), None)

@@ -1,0 +1,181 @@
+"""A scan recording becomes a calibration: localise every node, fit every target's map (thesis 3.5.7)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.errors import BadInputError
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.inverse import InverseMap
+from altd.mapping.tensor_map import Fit, fit_tensor_map
+from altd.recording import Recording, Row
+from altd.records import FloatArray, Frame, NoSpot, Reason
+from altd.vision.leds import locate_leds
+from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
+
+Progress = Callable[[int, int], None]
+"""Told how many of how many frames are done."""
+
+_LARGEST_MISSING_SHARE = 0.2
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What a target's camera saw during the scan."""
+
+    nodes: dict[tuple[float, float], list[tuple[float, float]]] = field(default_factory=dict)
+    refused: dict[tuple[float, float], str] = field(default_factory=dict)
+    leds: list[FloatArray] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResult:
+    """A calibration and, per target, the nodes that gave no spot, in words."""
+
+    calibration: Calibration
+    refused: tuple[str, ...]
+
+
+def calibrate_scan(
+    recording: Recording,
+    localiser: SpotSettings | None = None,
+    degree: tuple[int, int] = (3, 3),
+    progress: Progress = lambda done, total: None,
+) -> ScanResult:
+    """Fit the maps of every target of a recording of kind ``scan``.
+
+    Raises BadInputError when it is no scan, when too few nodes have a spot, or when the nodes are no grid.
+    """
+    header = recording.header
+    if header.kind != "scan":
+        raise BadInputError(recording.path, f"is of kind {header.kind!r}; a calibration needs a 'scan'")
+    distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
+    if set(header.cameras) != set(distances):
+        raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")
+    localiser = localiser or SpotSettings()
+    seen = _look(recording, localiser, progress)
+    targets = tuple(
+        _target(recording, name, z_mm, seen[name], localiser, degree)
+        for name, z_mm in sorted(distances.items(), key=lambda item: item[1])
+    )
+    calibration = Calibration(
+        unit_serial=header.unit.serial,
+        created=datetime.now(UTC),
+        recording_note=header.note,
+        recording_sha256=recording.sha256(),
+        targets=targets,
+    )
+    refused = [
+        f"{name} node x {x:g} y {y:g} mm: {why}"
+        for name, of_target in seen.items()
+        for (x, y), why in of_target.refused.items()
+    ]
+    return ScanResult(calibration, tuple(refused))
+
+
+def _look(recording: Recording, localiser: SpotSettings, progress: Progress) -> dict[str, _Seen]:
+    """Localise the spots of all nodes and the LEDs of all reference pairs."""
+    seen = {camera: _Seen() for camera in recording.header.cameras}
+    dark: dict[str, Frame] = {}
+    for done, row in enumerate(recording.rows):
+        progress(done, len(recording.rows))
+        frame = recording.frame(row)
+        if row.position_mm is None:
+            _take_reference(seen[row.camera], frame, dark)
+        elif not row.leds_on:
+            _take_node(seen[row.camera], frame, row, localiser)
+    progress(len(recording.rows), len(recording.rows))
+    for of_camera in seen.values():
+        for node in of_camera.refused:
+            of_camera.nodes.pop(node, None)
+    return seen
+
+
+def _take_reference(seen: _Seen, frame: Frame, dark: dict[str, Frame]) -> None:
+    """LED reference exposures come in pairs: off, then on."""
+    if not frame.leds_on:
+        dark[frame.camera] = frame
+    elif frame.camera in dark:
+        spots = locate_leds(frame, dark[frame.camera])
+        seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
+
+
+def _take_node(seen: _Seen, frame: Frame, row: Row, localiser: SpotSettings) -> None:
+    assert row.position_mm is not None  # noqa: S101  the caller looked
+    spot = locate(frame, localiser)
+    if isinstance(spot, NoSpot):
+        seen.refused[row.position_mm] = f"{spot.reason} in {row.file}" + (
+            f" ({spot.detail})" if spot.detail else ""
+        )
+    else:
+        seen.nodes.setdefault(row.position_mm, []).append((spot.u_px, spot.v_px))
+
+
+def _target(
+    recording: Recording,
+    name: str,
+    z_mm: float,
+    seen: _Seen,
+    localiser: SpotSettings,
+    degree: tuple[int, int],
+) -> TargetCalibration:
+    total = len(seen.nodes) + len(seen.refused)
+    if len(seen.refused) > _LARGEST_MISSING_SHARE * total or not seen.nodes:
+        why = next(iter(seen.refused.values()), str(Reason.SPOT_MISSING))
+        raise BadInputError(
+            recording.path, f"{name}: {len(seen.refused)} of {total} nodes have no spot: {why}"
+        )
+    nodes_mm = np.array(list(seen.nodes), dtype=np.float64)
+    nodes_px = np.array([np.mean(spots, axis=0) for spots in seen.nodes.values()])
+    try:
+        fit = fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree)
+    except ValueError as error:
+        raise BadInputError(recording.path, f"{name}: {error}") from error
+    distance_mm = _residual_distances_mm(fit, nodes_mm)
+    camera = recording.header.cameras[name]
+    return TargetCalibration(
+        name=name,
+        z_mm=z_mm,
+        width=camera.width,
+        height=camera.height,
+        localiser=localiser,
+        map=fit.map,
+        residual_mean_mm=float(distance_mm.mean()),
+        residual_std_mm=float(distance_mm.std(ddof=1)),
+        residual_max_mm=float(distance_mm.max()),
+        repeatability_px=_repeatability_px(list(seen.nodes.values())),
+        leds_px=_mean_leds_px(seen.leds),
+    )
+
+
+def _residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
+    """Eq. 3.1 for the nodes themselves: how far from its known place the map puts each one."""
+    nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px
+    _, jacobian, _ = InverseMap.of(fit.map).to_mm(nodes_px)
+    offsets: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, fit.residuals_px), axis=1)
+    return offsets
+
+
+def _repeatability_px(exposures: list[list[tuple[float, float]]]) -> FloatArray:
+    """Pooled standard deviation of single exposures at the same node, u and v; 0 when each has but one."""
+    deviations = [np.array(spots) - np.mean(spots, axis=0) for spots in exposures]
+    freedom = sum(len(spots) - 1 for spots in exposures)
+    if freedom == 0:
+        return np.zeros(2)
+    pooled: FloatArray = np.sqrt(sum(np.square(d).sum(axis=0) for d in deviations) / freedom)
+    return pooled
+
+
+def _mean_leds_px(pairs: list[FloatArray]) -> FloatArray:
+    """Mean LED positions over the reference pairs that show the usual number of LEDs."""
+    if not pairs:
+        return np.empty((0, 2))
+    usual = int(np.median([len(pair) for pair in pairs]))
+    same = [pair for pair in pairs if len(pair) == usual]
+    return np.mean(same, axis=0) if same and usual else np.empty((0, 2))

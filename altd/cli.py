@@ -1,0 +1,86 @@
+"""The command line: ``altd COMMAND``. Exit status 0 good, 2 bad arguments or bad file, 1 anything else."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from altd import __version__
+from altd.errors import BadInputError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse and run; the return value is the process' exit status."""
+    options = _parser().parse_args(arguments)
+    from altd import commands
+
+    try:
+        return commands.run(options)
+    except BadInputError as error:
+        print(f"altd {options.command}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output went away; there is nobody to tell
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="altd", description="The measuring daemon of an Active Laser Target."
+    )
+    parser.add_argument("--version", action="version", version=f"altd {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="the daemon")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE")
+
+    calibrate = commands.add_parser("calibrate", help="fit the maps from a scan; prints the residuals")
+    calibrate.add_argument("recording", type=Path, metavar="RECORDING")
+    calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+
+    replay = commands.add_parser("replay", help="measure a recording; one JSON object a line")
+    replay.add_argument("recording", type=Path, metavar="RECORDING")
+    replay.add_argument("--calibration", type=Path, required=True, metavar="FILE")
+    replay.add_argument("--window", type=_count, default=20, metavar="N", help="exposures averaged (20)")
+    replay.add_argument("--every", type=_count, default=1, metavar="N", help="a line after so many (1)")
+
+    record = commands.add_parser("record", help="keep frames for replay")
+    record.add_argument("--config", type=Path, required=True, metavar="FILE")
+    record.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    record.add_argument("--seconds", type=_seconds, required=True, metavar="S")
+
+    locate = commands.add_parser("locate", help="find the spot in images; one JSON object an image")
+    locate.add_argument("images", type=Path, nargs="+", metavar="IMAGE")
+
+    mapping = commands.add_parser("map", help="px to mm: reads 'u v' lines")
+    mapping.add_argument("--calibration", type=Path, required=True, metavar="FILE")
+    mapping.add_argument("--target", required=True, metavar="NAME")
+
+    check = commands.add_parser("check-config", help="say whether a config can be used")
+    check.add_argument("config", type=Path, metavar="FILE")
+    return parser
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isdecimal() else 0
+    if not 1 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
+    return value
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 < value <= 86_400:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds up to one day")
+    return value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

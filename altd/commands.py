@@ -1,0 +1,185 @@
+"""What the commands do; each takes the parsed arguments and returns the exit status."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import signal
+import sys
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+
+import cv2
+
+from altd.errors import BadInputError
+from altd.records import Frame, Spot
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command that ``options`` names."""
+    commands: dict[str, Callable[[argparse.Namespace], int]] = {
+        "run": _run,
+        "calibrate": _calibrate,
+        "replay": _replay,
+        "record": _record,
+        "locate": _locate,
+        "map": _map,
+        "check-config": _check_config,
+    }
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # an unreadable image is our own error line, not OpenCV's
+    cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
+    return commands[options.command](options)
+
+
+def _run(options: argparse.Namespace) -> int:
+    from altd.app import daemon_of
+    from altd.config import load_config
+
+    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
+    daemon = daemon_of(load_config(options.config), options.config)
+    asyncio.run(until_signal(daemon.run()))
+    return 0
+
+
+async def until_signal(work: Coroutine[None, None, object]) -> object | None:
+    """Run until done or until SIGINT or SIGTERM, which cancel it; returns its result, None when cancelled."""
+    loop = asyncio.get_running_loop()
+    task = asyncio.ensure_future(work)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, task.cancel)
+    try:
+        return await task
+    except asyncio.CancelledError:
+        return None
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from altd.calibration.file import save_calibration
+    from altd.calibration.scan import calibrate_scan
+    from altd.recording import open_recording
+
+    if not options.output.resolve().parent.is_dir():
+        raise BadInputError(options.output, "its folder does not exist")
+    result = calibrate_scan(open_recording(options.recording), progress=_progress("frames"))
+    save_calibration(result.calibration, options.output)
+    for line in result.refused:
+        print(f"altd calibrate: left out: {line}", file=sys.stderr)
+    print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+    print("target  degree  residual mean / std / max mm   repeatability u / v px   LEDs")
+    for target in result.calibration.targets:
+        print(
+            f"{target.name:<7} {target.map.degree[0]} × {target.map.degree[1]}   "
+            f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
+            f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
+            f"            {len(target.leds_px)}"
+        )
+    return 0
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from altd.replay import replay
+
+    for line in replay(options.recording, options.calibration, options.window, options.every):
+        print(line, flush=sys.stdout.isatty())
+    return 0
+
+
+def _record(options: argparse.Namespace) -> int:
+    from altd.app import record_of
+    from altd.config import load_config
+
+    config = load_config(options.config)
+    exposures = asyncio.run(until_signal(record_of(config, options.config, options.output, options.seconds)))
+    if exposures is not None:
+        print(f"{exposures} exposures in {options.output}", file=sys.stderr)
+    return 0
+
+
+def _locate(options: argparse.Namespace) -> int:
+    from altd.vision.localise import locate
+
+    frames = [(path, _image(path)) for path in options.images]
+    for path, frame in frames:
+        spot = locate(frame)
+        answer: dict[str, object] = {"image": str(path)}
+        if isinstance(spot, Spot):
+            answer |= {
+                "u_px": round(spot.u_px, 4),
+                "v_px": round(spot.v_px, 4),
+                "sigma_px": round(spot.sigma_px, 4),
+                "diameter_px": round(spot.diameter_px, 2),
+                "peak": round(spot.peak, 1),
+            }
+        else:
+            answer |= dict.fromkeys(("u_px", "v_px", "sigma_px", "diameter_px", "peak"))
+            answer |= {"reason": str(spot.reason), "detail": spot.detail}
+        print(json.dumps(answer))
+    return 0
+
+
+def _image(path: Path) -> Frame:
+    """Read an 8- or 16-bit grey image of any size that OpenCV reads."""
+    if not path.is_file():
+        raise BadInputError(path, "no such file")
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise BadInputError(path, "is not an image that can be read")
+    if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
+        raise BadInputError(path, "is not an 8- or 16-bit grey image")
+    if min(pixels.shape) < 32:
+        raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
+    return Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize)  # type: ignore[arg-type]
+
+
+def _map(options: argparse.Namespace) -> int:
+    from altd.calibration.file import load_calibration
+    from altd.records import Reason
+
+    target = load_calibration(options.calibration).target(options.target)
+    if target is None:
+        raise BadInputError(options.calibration, f"does not know target {options.target!r}")
+    for number, line in enumerate(sys.stdin, start=1):
+        fields = line.split()
+        if not fields:
+            continue
+        try:
+            u_px, v_px = (float(field) for field in fields)
+        except ValueError as error:
+            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {line.strip()!r}") from error
+        point = target.point(u_px, v_px)
+        if point is None:
+            print(f"invalid {Reason.OUT_OF_RANGE}")
+        else:
+            sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
+            print(f"{point.x_mm:.5f} {point.y_mm:.5f} {sigma_x_mm:.5f} {sigma_y_mm:.5f}")
+    return 0
+
+
+def _check_config(options: argparse.Namespace) -> int:
+    from altd.app import calibration_of, cameras_of
+    from altd.config import load_config
+
+    config = load_config(options.config)
+    calibration_of(config, cameras_of(config, options.config))
+    print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets")
+    return 0
+
+
+def _progress(what: str) -> Callable[[int, int], None]:
+    """A counter on a terminal's stderr; nothing in a pipe."""
+    if not sys.stderr.isatty():
+        return lambda done, total: None
+
+    def show(done: int, total: int) -> None:
+        if done == total:
+            sys.stderr.write("\r\033[K")
+        elif done % 8 == 0:
+            sys.stderr.write(f"\r{done}/{total} {what}")
+        sys.stderr.flush()
+
+    return show

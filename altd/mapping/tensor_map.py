@@ -1,0 +1,103 @@
+"""The map of one target: mm grid → px by a bivariate tensor polynomial (thesis 3.5.3–3.5.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.mapping.gram import gram_basis
+from altd.mapping.grid import Axis
+from altd.records import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TensorMap:
+    """A fitted map.
+
+    ``spectra`` (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``unit_covariance``
+    (K, K), K = (degree_x + 1)(degree_y + 1), is the covariance of either spectrum, stacked row by row, for
+    node noise of 1 px: the Kronecker product of Eq. 3.53, which is the identity on a complete grid.
+    ``noise_px`` (2,) is the standard deviation of the nodes about the map in u and v. ``hull_mm`` (n, 2) is
+    the convex polygon in which the map is valid, counter-clockwise.
+    """
+
+    x_axis: Axis
+    y_axis: Axis
+    spectra: FloatArray
+    unit_covariance: FloatArray
+    noise_px: FloatArray
+    hull_mm: FloatArray
+
+    @property
+    def degree(self) -> tuple[int, int]:
+        """Degrees along x and y."""
+        return self.spectra.shape[2] - 1, self.spectra.shape[1] - 1
+
+    def to_px(self, points_mm: FloatArray) -> FloatArray:
+        """Map points (n, 2) mm to (n, 2) px. Not limited to the hull: the inverse needs room to search."""
+        by, _, bx, _ = self._bases(points_mm)
+        px: FloatArray = np.einsum("ni,cij,nj->nc", by, self.spectra, bx)
+        return px
+
+    def to_px_with_jacobian(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Map points (n, 2) mm to (n, 2) px, and d(u, v)/d(x, y) as (n, 2, 2) px/mm."""
+        by, by_slope, bx, bx_slope = self._bases(points_mm)
+        along_x = np.einsum("cij,nj->nci", self.spectra, bx)
+        px = np.einsum("nci,ni->nc", along_x, by)
+        d_dx = np.einsum("cij,nj,ni->nc", self.spectra, bx_slope, by) * self.x_axis.unit_per_mm
+        d_dy = np.einsum("nci,ni->nc", along_x, by_slope) * self.y_axis.unit_per_mm
+        return px, np.stack([d_dx, d_dy], axis=-1)
+
+    def variance_px2(self, points_mm: FloatArray) -> FloatArray:
+        """Variance (n, 2) of the mapped u and v that the nodes' noise leaves in the map (Eq. 3.46)."""
+        by, _, bx, _ = self._bases(points_mm)
+        rows = np.einsum("ni,nj->nij", by, bx).reshape(len(points_mm), -1)
+        gain = np.einsum("nk,kl,nl->n", rows, self.unit_covariance, rows)
+        variance: FloatArray = gain[:, None] * np.square(self.noise_px)[None, :]
+        return variance
+
+    def _bases(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        degree_x, degree_y = self.degree
+        bx, bx_slope = gram_basis(self.x_axis.to_unit(points_mm[:, 0]), self.x_axis.nodes, degree_x)
+        by, by_slope = gram_basis(self.y_axis.to_unit(points_mm[:, 1]), self.y_axis.nodes, degree_y)
+        return by, by_slope, bx, bx_slope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A map and what was left over: residuals (n, 2) px of the nodes, measured minus mapped."""
+
+    map: TensorMap
+    residuals_px: FloatArray
+
+
+def fit_tensor_map(
+    nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, degree: Sequence[int] = (3, 3)
+) -> Fit:
+    """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
+
+    The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
+    Eq. 3.35 and 3.36. Raises ValueError when the nodes are no grid or too few for the degree.
+    """
+    x_axis, y_axis = Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1])
+    bx, _ = gram_basis(x_axis.to_unit(nodes_mm[:, 0]), x_axis.nodes, degree[0])
+    by, _ = gram_basis(y_axis.to_unit(nodes_mm[:, 1]), y_axis.nodes, degree[1])
+    design = np.einsum("ni,nj->nij", by, bx).reshape(len(nodes_mm), -1)
+    freedom = len(nodes_mm) - design.shape[1]
+    if freedom < 2:
+        raise ValueError(
+            f"{len(nodes_mm)} nodes are too few for degree {degree[0]} × {degree[1]}, "
+            f"which has {design.shape[1]} coefficients"
+        )
+    normal = design.T @ design
+    if np.linalg.cond(normal) > 1e8:
+        raise ValueError(f"the missing nodes leave degree {degree[0]} × {degree[1]} undetermined")
+    unit_covariance = np.linalg.inv(normal)
+    spectra = unit_covariance @ design.T @ nodes_px
+    residuals = nodes_px - design @ spectra
+    noise_px = np.sqrt(np.square(residuals).sum(axis=0) / freedom)
+    shape = (2, degree[1] + 1, degree[0] + 1)
+    fitted = TensorMap(x_axis, y_axis, spectra.T.reshape(shape), unit_covariance, noise_px, hull_mm)
+    return Fit(fitted, residuals)

@@ -1,0 +1,254 @@
+"""altd-recording/1: a folder of frames with their times (DESIGN §4); read and write."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal, TextIO
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from altd.errors import BadInputError
+from altd.measurement_json import utc_text
+from altd.records import Frame
+
+HEADER_FILE = "recording.json"
+FRAMES_FILE = "frames.csv"
+COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_GREY = 0
+
+
+class CameraHeader(BaseModel):
+    """Size and depth of one camera's frames."""
+
+    model_config = ConfigDict(frozen=True)
+
+    width: Annotated[int, Field(ge=16, le=20_000)]
+    height: Annotated[int, Field(ge=16, le=20_000)]
+    bits: Annotated[int, Field(ge=8, le=16)]
+
+
+class UnitHeader(BaseModel):
+    """The unit that was recorded."""
+
+    model_config = ConfigDict(frozen=True)
+
+    serial: str
+    target_distance_mm: Annotated[float, Field(gt=0)]
+
+
+class RecordingHeader(BaseModel):
+    """``recording.json``; unknown keys are ignored."""
+
+    model_config = ConfigDict(frozen=True)
+
+    format: Literal["altd-recording/1"]
+    kind: Literal["scan", "plate", "flat", "measurement", "self-check"]
+    fps: Annotated[float, Field(gt=0)]
+    cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
+    unit: UnitHeader
+    note: str = ""
+    start: datetime | None = None
+    """UTC of t_s = 0, where it is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of ``frames.csv``; ``position_mm`` is where the stage put the beam, in a scan."""
+
+    number: int
+    sequence: int
+    t_s: float
+    camera: str
+    file: str
+    leds_on: bool
+    position_mm: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording whose header, rows and frame sizes have been checked."""
+
+    path: Path
+    header: RecordingHeader
+    rows: tuple[Row, ...]
+
+    def frame(self, row: Row) -> Frame:
+        """Decode the frame of a row; raises BadInputError that names the file and the row."""
+        path = self.path / row.file
+        camera = self.header.cameras[row.camera]
+        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if pixels is None or pixels.shape != (camera.height, camera.width):
+            raise BadInputError(self._place(row), f"{row.file} cannot be decoded as a frame")
+        pixels.flags.writeable = False
+        t_ns = round(row.t_s * 1e9)
+        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)  # type: ignore[arg-type]
+
+    def sha256(self) -> str:
+        """Hash over header, rows and all frame files, in the rows' order."""
+        digest = hashlib.sha256()
+        for name in (HEADER_FILE, FRAMES_FILE, *(row.file for row in self.rows)):
+            digest.update((self.path / name).read_bytes())
+        return digest.hexdigest()
+
+    def _place(self, row: Row) -> str:
+        return f"{self.path / FRAMES_FILE}: row {row.number}"
+
+
+def open_recording(path: Path) -> Recording:
+    """Read header and rows and check every frame's file, size and depth without decoding it.
+
+    Raises BadInputError that names the file and, in ``frames.csv``, the row (the first frame is row 2).
+    """
+    header = _read_header(path / HEADER_FILE)
+    rows = tuple(_read_rows(path / FRAMES_FILE, header))
+    if not rows:
+        raise BadInputError(path / FRAMES_FILE, "has no frames")
+    recording = Recording(path, header, rows)
+    for row in rows:
+        _check_png(recording, row)
+    return recording
+
+
+def _read_header(path: Path) -> RecordingHeader:
+    try:
+        return RecordingHeader.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise BadInputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+
+
+def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file, strict=True)
+            absent = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+            if absent:
+                raise BadInputError(f"{path}: row 1", f"column {absent[0]!r} is missing")
+            last_t_s = -math.inf
+            for record in reader:
+                place = f"{path}: row {reader.line_num}"
+                row = _read_row(place, reader.line_num, record, header)
+                if row.t_s < last_t_s:
+                    raise BadInputError(place, f"t_s {row.t_s} is before the row above")
+                last_t_s = row.t_s
+                yield row
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise BadInputError(path, f"is no CSV text: {error}") from error
+
+
+def _read_row(place: str, number: int, record: Mapping[str, str | None], header: RecordingHeader) -> Row:
+    if any(record[column] is None for column in COLUMNS):
+        raise BadInputError(place, f"is torn: {sum(v is not None for v in record.values())} fields")
+    text = {column: str(record[column]).strip() for column in COLUMNS}
+    if text["camera"] not in header.cameras:
+        raise BadInputError(place, f"camera {text['camera']!r} is not in {HEADER_FILE}")
+    if text["leds"] not in ("on", "off"):
+        raise BadInputError(place, f"leds must be on or off, not {text['leds']!r}")
+    if not text["file"] or Path(text["file"]).is_absolute() or ".." in Path(text["file"]).parts:
+        raise BadInputError(place, f"file {text['file']!r} is not a path inside the recording")
+    if bool(text["x_mm"]) != bool(text["y_mm"]):
+        raise BadInputError(place, "x_mm and y_mm must both be given or both be empty")
+    position = None
+    if text["x_mm"]:
+        position = _number(place, "x_mm", text["x_mm"]), _number(place, "y_mm", text["y_mm"])
+    sequence = _number(place, "sequence", text["sequence"])
+    if sequence != int(sequence) or sequence < 0:
+        raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
+    t_s = _number(place, "t_s", text["t_s"])
+    return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position)
+
+
+def _number(place: str, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInputError(place, f"{column} {text!r} is not a number")
+    return value
+
+
+def _check_png(recording: Recording, row: Row) -> None:
+    """Signature, size, depth and colour from the PNG's first 26 bytes (PNG specification, 11.2.2)."""
+    place, path = recording._place(row), recording.path / row.file
+    try:
+        with path.open("rb") as file:
+            head = file.read(26)
+    except OSError as error:
+        raise BadInputError(place, f"{row.file}: {error.strerror or 'cannot be read'}") from error
+    if len(head) < 26 or not head.startswith(_PNG_SIGNATURE):
+        raise BadInputError(place, f"{row.file} is not a PNG")
+    width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
+    camera = recording.header.cameras[row.camera]
+    if (width, height) != (camera.width, camera.height):
+        raise BadInputError(
+            place, f"{row.file} is {width} × {height}, expected {camera.width} × {camera.height}"
+        )
+    if colour != _PNG_GREY or depth != (8 if camera.bits == 8 else 16):
+        raise BadInputError(place, f"{row.file} is not a grey PNG of {camera.bits} bits")
+
+
+def refuse_used_folder(path: Path) -> None:
+    """Raise BadInputError when ``path`` is something else than an empty or a new folder."""
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise BadInputError(path, "exists and is not an empty folder")
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+
+
+class RecordingWriter:
+    """Writes a recording frame by frame; what is on disk is readable after each frame.
+
+    Raises BadInputError when the folder exists and is not empty.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader) -> None:
+        refuse_used_folder(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            for camera in header.cameras:
+                (path / camera).mkdir()
+            document = header.model_dump(mode="json", exclude_none=True)
+            if header.start is not None:
+                document["start"] = utc_text(header.start)
+            (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
+            self._file: TextIO = (path / FRAMES_FILE).open("w", newline="", encoding="utf-8")
+        except OSError as error:
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+        self._path = path
+        self._rows = csv.writer(self._file, lineterminator="\n")
+        self._rows.writerow(COLUMNS)
+
+    def write(self, frame: Frame, sequence: int, t_s: float) -> None:
+        """Append one frame under the exposure's number and time; raises OSError when the disk refuses."""
+        name = f"{frame.camera}/{sequence:06d}.png"
+        done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        if not done:
+            raise OSError(f"{name} cannot be encoded")
+        (self._path / name).write_bytes(data.tobytes())
+        self._rows.writerow(
+            (sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", "", "")
+        )
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish; harmless when done twice."""
+        self._file.close()

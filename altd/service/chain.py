@@ -1,0 +1,171 @@
+"""The measuring chain: frames in, measurements out. ``run`` and ``replay`` use this very code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+from altd.averaging import ExposureWindow
+from altd.beam import fit_beam, joint_covariance_mm2
+from altd.calibration.model import Calibration
+from altd.config import Installation, Measuring
+from altd.pairing import Pair, Pairer
+from altd.records import (
+    Beam,
+    Exposure,
+    Fault,
+    Frame,
+    MeanSpots,
+    Measurement,
+    NoSpot,
+    Origin,
+    Reason,
+    Spot,
+    TargetPoint,
+)
+from altd.vision.localise import locate
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A target and the camera that looks at it."""
+
+    target: str
+    camera: str
+
+
+class MeasuringChain:
+    """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
+
+    ``origins`` are where the frames come from: what is not a camera is said in every measurement.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        calibration: Calibration,
+        measuring: Measuring,
+        installation: Installation,
+        origins: Iterable[Origin] = (),
+        utc: Callable[[int], datetime | None] = lambda t_ns: None,
+    ) -> None:
+        self._views = {view.camera: view for view in views}
+        self._targets = tuple(view.target for view in views)
+        self._calibration = {target.name: target for target in calibration.targets}
+        self._installation = installation
+        self._silent_after_ns = round(measuring.silent_after_s * 1e9)
+        self._pairer: Pairer[Spot | NoSpot] = Pairer(
+            tuple(self._views),
+            measuring.pair_by,
+            max_skew_ns=round(measuring.max_skew_ms * 1e6),
+            silent_after_ns=self._silent_after_ns,
+        )
+        self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
+        self._origin_faults = tuple(Fault(Reason(o)) for o in sorted(set(origins) - {Origin.CAMERA}))
+        self._utc = utc
+        self._last_exposure: Exposure | None = None
+        self.last_spots: dict[str, Spot | NoSpot] = {}
+        """The latest outcome per target, for the technician."""
+
+    @property
+    def late_frames(self) -> int:
+        """Frames that came after their exposure was given up."""
+        return self._pairer.late
+
+    def push(self, frame: Frame) -> list[Measurement]:
+        """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
+        if frame.leds_on:
+            return []
+        view = self._views[frame.camera]
+        spot = locate(frame, self._calibration[view.target].localiser)
+        self.last_spots[view.target] = spot
+        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, spot)
+        return self._measure(pairs)
+
+    def flush(self) -> list[Measurement]:
+        """Settle what still waits for a partner, at the end of a recording."""
+        return self._measure(self._pairer.flush())
+
+    def silence(self, t_ns: int) -> Measurement:
+        """The measurement of a moment at which no camera delivers."""
+        self._window.forget()
+        sequence = self._last_exposure.sequence if self._last_exposure else 0
+        faults = tuple(Fault(Reason.CAMERA_SILENT, target, "no frame comes") for target in self._targets)
+        return self._invalid(sequence, t_ns, faults)
+
+    def _measure(self, pairs: Sequence[Pair[Spot | NoSpot]]) -> list[Measurement]:
+        measurements = (self._after(self._exposure(pair)) for pair in pairs)
+        return [measurement for measurement in measurements if measurement is not None]
+
+    def _exposure(self, pair: Pair[Spot | NoSpot]) -> Exposure:
+        spots: dict[str, Spot | NoSpot] = {}
+        for camera, view in self._views.items():
+            if camera in pair.items:
+                spots[view.target] = pair.items[camera]
+            else:
+                spots[view.target] = NoSpot(pair.missing[camera], f"skew {pair.skew_ns * 1e-6:.1f} ms")
+        return Exposure(pair.sequence, pair.t_ns, spots)
+
+    def _after(self, exposure: Exposure) -> Measurement | None:
+        last = self._last_exposure
+        if last is not None and exposure.t_ns - last.t_ns > self._silent_after_ns:
+            self._window.forget()
+        self._last_exposure = exposure
+        mean = self._window.add(exposure)
+        if mean is None:
+            return None
+        if not isinstance(mean, MeanSpots):
+            return self._invalid(exposure.sequence, exposure.t_ns, mean)
+        points = self._points(mean)
+        if isinstance(points, Fault):
+            return self._invalid(exposure.sequence, mean.t_ns, (points,))
+        return self._valid(exposure.sequence, mean, points)
+
+    def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
+        points = []
+        for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
+            point = self._calibration[target].point(float(u_px), float(v_px))
+            if point is None:
+                detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
+                return Fault(Reason.OUT_OF_RANGE, detail=detail)
+            points.append(point)
+        return points
+
+    def _valid(self, sequence: int, mean: MeanSpots, points: Sequence[TargetPoint]) -> Measurement:
+        z_mm = [self._calibration[target].z_mm for target in mean.targets]
+        covariance = joint_covariance_mm2(mean, points)
+        beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
+        return Measurement(
+            sequence=sequence,
+            t_ns=mean.t_ns,
+            time=self._utc(mean.t_ns),
+            frames=mean.frames,
+            beam=installed(beam, self._installation),
+            points_mm={t: (p.x_mm, p.y_mm) for t, p in zip(mean.targets, points, strict=True)},
+            status=lost + self._origin_faults,
+        )
+
+    def _invalid(self, sequence: int, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
+        """No numbers at all, not even of a target whose own spot is good: nobody may steer by half a beam."""
+        return Measurement(
+            sequence=sequence,
+            t_ns=t_ns,
+            time=self._utc(t_ns),
+            frames=0,
+            beam=None,
+            points_mm=dict.fromkeys(self._targets),
+            status=faults + self._origin_faults,
+        )
+
+
+def installed(beam: Beam, installation: Installation) -> Beam:
+    """The beam as the controller wants it: sign first, then offset; sigmas do not change."""
+    return replace(
+        beam,
+        x_mm=installation.sign_x * beam.x_mm + installation.offset_x_mm,
+        y_mm=installation.sign_y * beam.y_mm + installation.offset_y_mm,
+        yaw_deg=installation.sign_yaw * beam.yaw_deg + installation.offset_yaw_deg,
+        pitch_deg=installation.sign_pitch * beam.pitch_deg + installation.offset_pitch_deg,
+    )

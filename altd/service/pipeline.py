@@ -1,0 +1,79 @@
+"""The pipeline task: frames from the inbox through the chain onto the board."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+
+from altd.ports import Clock
+from altd.records import Frame, Measurement
+from altd.service.board import Board
+from altd.service.chain import MeasuringChain
+from altd.service.health import Component, State
+from altd.service.inbox import Inbox
+
+
+class Pipeline:
+    """One daemon's pipeline.
+
+    When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time
+    something was put on the board, and only then: it feeds the watchdog.
+    """
+
+    def __init__(
+        self,
+        inbox: Inbox,
+        chain: MeasuringChain,
+        board: Board,
+        component: Component,
+        clock: Clock,
+        silent_after_s: float,
+        progress: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._inbox = inbox
+        self._chain = chain
+        self._board = board
+        self._component = component
+        self._clock = clock
+        self._silent_after_s = silent_after_s
+        self._progress = progress
+        self._heard_ns = clock.monotonic_ns()
+
+    async def run(self) -> None:
+        """Measure until cancelled; a failure here ends the daemon."""
+        ticking = asyncio.create_task(self._tick(), name="silence-tick")
+        try:
+            while True:
+                self._measure(await self._inbox.take())
+        finally:
+            ticking.cancel()
+
+    async def _tick(self) -> None:
+        while True:
+            await self._clock.sleep(self._silent_after_s / 2)
+            self._inbox.tick()
+
+    def _measure(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            for measurement in self._chain.push(frame):
+                self._put_up(measurement)
+        now_ns = self._clock.monotonic_ns()
+        if frames:
+            self._heard_ns = now_ns
+        elif now_ns - self._heard_ns >= self._silent_after_s * 1e9:
+            self._heard_ns = now_ns
+            self._put_up(self._chain.silence(now_ns))
+        self._component.counters["late_frames"] = self._chain.late_frames
+        for camera, dropped in self._inbox.dropped.items():
+            self._component.counters[f"dropped_{camera}"] = dropped
+
+    def _put_up(self, measurement: Measurement) -> None:
+        self._board.publish(measurement)
+        self._component.count("measurements")
+        if measurement.valid:
+            self._component.count("valid")
+            self._component.say(State.OK)
+        else:
+            reasons = (fault for fault in measurement.status if not fault.reason.is_warning)
+            self._component.say(State.DEGRADED, ", ".join(map(str, reasons)))
+        self._progress()

@@ -1,0 +1,115 @@
+"""Keep frames for replay: every exposure of all cameras, paired as the measurement would pair them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from altd.config import Measuring
+from altd.pairing import Pair, Pairer
+from altd.ports import Camera
+from altd.recording import CameraHeader, RecordingHeader, RecordingWriter, UnitHeader
+from altd.records import Frame, Origin
+from altd.service.grabbing import grab
+from altd.service.health import Health
+from altd.service.inbox import Inbox
+
+
+async def record(
+    cameras: Sequence[Camera],
+    path: Path,
+    unit: UnitHeader,
+    measuring: Measuring,
+    health: Health,
+    utc: Callable[[int], datetime | None],
+    seconds: float,
+    fps: float = 20.0,
+) -> int:
+    """Write a recording of kind ``measurement``; returns the number of exposures.
+
+    Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
+    written until then is whole. Raises BadInputError when the folder cannot be used.
+    """
+    names = tuple(camera.name for camera in cameras)
+    inbox = Inbox(names)
+    pairer: Pairer[Frame] = Pairer(
+        names,
+        measuring.pair_by,
+        max_skew_ns=round(measuring.max_skew_ms * 1e6),
+        silent_after_ns=round(measuring.silent_after_s * 1e9),
+    )
+    sink = _Sink(path, unit, cameras, fps, utc)
+    grabbers = [
+        asyncio.create_task(grab(camera, inbox, health.component(f"camera {camera.name}")))
+        for camera in cameras
+    ]
+    sources = asyncio.gather(*grabbers)
+    sources.add_done_callback(lambda _: inbox.tick())
+    try:
+        while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
+            for frame in await inbox.take():
+                for pair in pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
+                    if sink.length_s < seconds:
+                        sink.write(pair)
+        return sink.exposures
+    finally:
+        sink.close()
+        sources.cancel()
+        await asyncio.gather(*grabbers, return_exceptions=True)
+
+
+class _Sink:
+    """Opens the writer with the first exposure, when sizes and depths are known."""
+
+    def __init__(
+        self,
+        path: Path,
+        unit: UnitHeader,
+        cameras: Sequence[Camera],
+        fps: float,
+        utc: Callable[[int], datetime | None],
+    ) -> None:
+        self._path = path
+        self._unit = unit
+        self._fps = fps
+        self._utc = utc
+        origins = sorted({camera.origin for camera in cameras} - {Origin.CAMERA})
+        self._note = f"altd record, {', '.join(origins)}" if origins else "altd record"
+        self._cameras = len(cameras)
+        self._writer: RecordingWriter | None = None
+        self._first_ns = 0
+        self._first_sequence = 0
+        self.exposures = 0
+        self.length_s = 0.0
+
+    def write(self, pair: Pair[Frame]) -> None:
+        if self._writer is None:
+            if len(pair.items) < self._cameras:
+                return
+            self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
+            self._writer = RecordingWriter(self._path, self._header(pair))
+        t_s = (pair.t_ns - self._first_ns) * 1e-9
+        for frame in pair.items.values():
+            self._writer.write(frame, pair.sequence - self._first_sequence, t_s)
+        self.exposures += 1
+        self.length_s = t_s + 1 / self._fps
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def _header(self, pair: Pair[Frame]) -> RecordingHeader:
+        return RecordingHeader(
+            format="altd-recording/1",
+            kind="measurement",
+            fps=self._fps,
+            cameras={
+                name: CameraHeader(width=f.pixels.shape[1], height=f.pixels.shape[0], bits=f.bits)
+                for name, f in pair.items.items()
+            },
+            unit=self._unit,
+            note=self._note,
+            start=self._utc(self._first_ns),
+        )

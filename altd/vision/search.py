@@ -1,0 +1,78 @@
+"""Coarse search: the bright regions of the whole frame, the best one first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import PixelArray
+from altd.vision.background import CELL_PX, Plane, coarse_picture, excess_over, fit_plane, robust_sigma
+
+_DETECTION_SIGMAS = 8.0
+_DETECTION_COUNTS = 1.5
+_REGION_FRACTION = 0.1
+_EQUAL_PEAK = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A bright region: window in px (right and bottom are past the end), light and peak over background.
+
+    ``light`` is the sum over coarse cells, ``peak`` the brightest cell, both in counts.
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    light: float
+    peak: float
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What the coarse search saw: the background and the bright regions, most light first."""
+
+    plane: Plane
+    regions: tuple[Region, ...]
+
+
+def search(pixels: PixelArray) -> Search:
+    """Bright regions of a frame that no noise explains.
+
+    A region must stand out of the coarse picture's own noise by eight sigma (among 5 640 cells, four are
+    usual) and be no dimmer than a tenth of the brightest.
+    """
+    coarse = coarse_picture(pixels)
+    plane = fit_plane(coarse)
+    excess = excess_over(coarse, plane)
+    detection = max(_DETECTION_SIGMAS * robust_sigma(excess), _DETECTION_COUNTS)
+    brightest = float(excess.max())
+    if brightest < detection:
+        return Search(plane, ())
+    regions = _regions(excess, max(detection / 2, _REGION_FRACTION * brightest))
+    worthy = [region for region in regions if region.peak >= max(detection, _EQUAL_PEAK * brightest)]
+    return Search(plane, tuple(sorted(worthy, key=lambda region: -region.light)))
+
+
+def _regions(excess: npt.NDArray[np.float32], level: float) -> list[Region]:
+    mask = (excess > level).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    flat = np.asarray(labels, dtype=np.int64).ravel()
+    light = np.bincount(flat, weights=excess.ravel(), minlength=count)
+    peak = np.zeros(count)
+    np.maximum.at(peak, flat[mask.ravel() > 0], excess.ravel()[mask.ravel() > 0])
+    return [
+        Region(
+            left=int(stats[label, cv2.CC_STAT_LEFT]) * CELL_PX,
+            top=int(stats[label, cv2.CC_STAT_TOP]) * CELL_PX,
+            right=int(stats[label, cv2.CC_STAT_LEFT] + stats[label, cv2.CC_STAT_WIDTH]) * CELL_PX,
+            bottom=int(stats[label, cv2.CC_STAT_TOP] + stats[label, cv2.CC_STAT_HEIGHT]) * CELL_PX,
+            light=float(light[label]),
+            peak=float(peak[label]),
+        )
+        for label in range(1, count)
+    ]
