@@ -99,7 +99,7 @@ class Daemon:
         """The faces that the config asks for, with their places in it. Imported only when wanted."""
         config, board, health = self.config, self.board, self.health
         if config.modbus_tcp is not None:
-            from altd.publish.modbus.server import ModbusTcpPublisher
+            from altd.publish.modbus.tcp import ModbusTcpPublisher
 
             place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
             yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place))
@@ -115,7 +115,7 @@ class Daemon:
     def _serial_publisher(self, port: SerialPort, place: str) -> Publisher:
         component = self.health.component(place)
         if port.speaks == "modbus_rtu":
-            from altd.publish.modbus.server import ModbusRtuPublisher
+            from altd.publish.modbus.rtu import ModbusRtuPublisher
 
             return ModbusRtuPublisher(port, self.board, component)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher

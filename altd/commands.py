@@ -28,7 +28,9 @@ def run(options: argparse.Namespace) -> int:
         "map": _map,
         "check-config": _check_config,
     }
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # an unreadable image is our own error line, not OpenCV's
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # an unreadable image is our own error line, not OpenCV's
     cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
     return commands[options.command](options)
 

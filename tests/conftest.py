@@ -3,34 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import shutil
+import functools
+import inspect
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
-import pytest_asyncio
+from support.foreign import need
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-
-
-def need(available: bool, reason: str) -> None:
-    """Skip a test for a missing foreign part on a bare machine; in CI a missing part is a failure."""
-    if available:
-        return
-    if os.environ.get("CI"):
-        pytest.fail(f"CI must have it: {reason}")
-    pytest.skip(reason)
-
-
-def need_program(name: str) -> str:
-    """The path of a foreign program, or a skip with the name of the Debian package that has it."""
-    path = shutil.which(name)
-    need(path is not None, f"{name} is not installed (Debian package {name})")
-    assert path is not None
-    return path
 
 
 @pytest.fixture(scope="session")
@@ -54,12 +37,21 @@ def no_thread_is_left() -> Iterator[None]:
         time.sleep(0.01)
 
 
-@pytest_asyncio.fixture(autouse=True)
-async def no_task_is_left() -> AsyncIterator[None]:
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A test that leaks a task fails."""
-    before = asyncio.all_tasks()
-    yield
-    await asyncio.sleep(0)
-    leaked = [task for task in asyncio.all_tasks() - before if not task.done()]
-    if leaked:
-        pytest.fail(f"tasks left behind: {[task.get_name() for task in leaked]}")
+    for item in items:
+        if isinstance(item, pytest.Function) and inspect.iscoroutinefunction(item.obj):
+            item.obj = _leaving_no_task(item.obj)
+
+
+def _leaving_no_task(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    @functools.wraps(test)
+    async def checked(*arguments: object, **named: object) -> None:
+        before = asyncio.all_tasks()
+        await test(*arguments, **named)
+        await asyncio.sleep(0)
+        leaked = [task for task in asyncio.all_tasks() - before if not task.done()]
+        if leaked:
+            pytest.fail(f"tasks left behind: {[task.get_name() for task in leaked]}")
+
+    return checked

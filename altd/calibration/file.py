@@ -43,7 +43,8 @@ class _Map(_Table):
     spectrum_u_px: list[list[float]]
     spectrum_v_px: list[list[float]]
     unit_covariance: list[list[float]]
-    noise_px: tuple[float, float]
+    noise_px: Annotated[float, Field(gt=0)]
+    pattern_px: Annotated[float, Field(gt=0)]
     hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
 
 
@@ -191,7 +192,8 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
             "spectrum_u_px": fitted.spectra[0].tolist(),
             "spectrum_v_px": fitted.spectra[1].tolist(),
             "unit_covariance": fitted.unit_covariance.tolist(),
-            "noise_px": fitted.noise_px.tolist(),
+            "noise_px": fitted.noise_px,
+            "pattern_px": fitted.pattern_px,
             "hull_mm": fitted.hull_mm.tolist(),
         },
         "residuals": {
@@ -241,7 +243,8 @@ def _from_map(name: str, content: _Map) -> TensorMap:
         unit_covariance=_array(
             f"targets.{name}.map.unit_covariance", content.unit_covariance, (rows * columns,) * 2
         ),
-        noise_px=np.array(content.noise_px),
+        noise_px=content.noise_px,
+        pattern_px=content.pattern_px,
         hull_mm=np.array(content.hull_mm),
     )
 

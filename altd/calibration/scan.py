@@ -45,7 +45,7 @@ class ScanResult:
 def calibrate_scan(
     recording: Recording,
     localiser: SpotSettings | None = None,
-    degree: tuple[int, int] = (3, 3),
+    degree: tuple[int, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> ScanResult:
     """Fit the maps of every target of a recording of kind ``scan``.
@@ -123,7 +123,7 @@ def _target(
     z_mm: float,
     seen: _Seen,
     localiser: SpotSettings,
-    degree: tuple[int, int],
+    degree: tuple[int, int] | None,
 ) -> TargetCalibration:
     total = len(seen.nodes) + len(seen.refused)
     if len(seen.refused) > _LARGEST_MISSING_SHARE * total or not seen.nodes:
@@ -133,8 +133,11 @@ def _target(
         )
     nodes_mm = np.array(list(seen.nodes), dtype=np.float64)
     nodes_px = np.array([np.mean(spots, axis=0) for spots in seen.nodes.values()])
+    repeatability_px = _repeatability_px(list(seen.nodes.values()))
+    exposures = np.mean([len(spots) for spots in seen.nodes.values()])
+    exposure_noise_px = float(np.sqrt(np.mean(np.square(repeatability_px)) / exposures))
     try:
-        fit = fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree)
+        fit = fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree, exposure_noise_px)
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
     distance_mm = _residual_distances_mm(fit, nodes_mm)
@@ -149,7 +152,7 @@ def _target(
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px(list(seen.nodes.values())),
+        repeatability_px=repeatability_px,
         leds_px=_mean_leds_px(seen.leds),
     )
 

@@ -15,6 +15,9 @@ def gram_basis(x: FloatArray, nodes: int, degree: int) -> tuple[FloatArray, Floa
     ``x`` (n,) is in the units of Eq. 3.22, where the nodes lie at −1 + (2k − 1)/nodes; between the nodes the
     polynomials interpolate. Returns two arrays (n, degree + 1). On the nodes the columns are orthonormal
     (the √m scaling below Eq. 3.22). Raises ValueError for a degree that the nodes cannot carry.
+
+    Eq. 3.20 is printed with n² − 1/2, with which they are not; n² − 1/4 is what R. W. Barnard et al., "Gram
+    polynomials and the Kummer function", J. Approx. Theory 94 (1998), have.
     """
     if not 0 <= degree < nodes:
         raise ValueError(f"degree {degree} needs at least {degree + 1} nodes, there are {nodes}")
@@ -23,7 +26,7 @@ def gram_basis(x: FloatArray, nodes: int, degree: int) -> tuple[FloatArray, Floa
     value[:, 0] = 1 / math.sqrt(nodes)
     alpha_before = 1.0
     for n in range(1, degree + 1):  # Eq. 3.19–3.21, and its derivative
-        alpha = nodes / n * math.sqrt((n * n - 0.5) / (nodes * nodes - n * n))
+        alpha = nodes / n * math.sqrt((n * n - 0.25) / (nodes * nodes - n * n))
         value[:, n] = 2 * alpha * x * value[:, n - 1]
         slope[:, n] = 2 * alpha * (value[:, n - 1] + x * slope[:, n - 1])
         if n > 1:

@@ -64,8 +64,8 @@ class InverseMap:
                 break
             step = np.einsum("nij,nj->ni", inverse_jacobian, miss)
             guess = guess + np.clip(np.nan_to_num(step), -span / 4, span / 4)
-        variance = np.square(self.forward.noise_px)[None, :] + self.forward.variance_px2(guess)
-        covariance = np.einsum("nij,nj,nkj->nik", inverse_jacobian, variance, inverse_jacobian)
+        variance = self.forward.pattern_px**2 + self.forward.variance_px2(guess)
+        covariance = np.einsum("nij,n,nkj->nik", inverse_jacobian, variance, inverse_jacobian)
         sigma_mm = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
         outside = distance_outside_mm(guess, self.forward.hull_mm) > _HULL_SIGMAS * sigma_mm
         lost = ~converged | outside | ~np.isfinite(sigma_mm)

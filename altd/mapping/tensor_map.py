@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,11 @@ import numpy as np
 from altd.mapping.gram import gram_basis
 from altd.mapping.grid import Axis
 from altd.records import FloatArray
+
+_LARGEST_DEGREE = 4
+_FEWEST_NODES = 4
+_LEAST_PATTERN = 0.3
+"""Of the nodes' noise: with few degrees of freedom the exposures may seem to explain all of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,15 +24,18 @@ class TensorMap:
     ``spectra`` (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``unit_covariance``
     (K, K), K = (degree_x + 1)(degree_y + 1), is the covariance of either spectrum, stacked row by row, for
     node noise of 1 px: the Kronecker product of Eq. 3.53, which is the identity on a complete grid.
-    ``noise_px`` (2,) is the standard deviation of the nodes about the map in u and v. ``hull_mm`` (n, 2) is
-    the convex polygon in which the map is valid, counter-clockwise.
+    ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v: print and speckle
+    scatter alike along both, and 30 nodes leave little freedom to tell. ``pattern_px`` is the share of it
+    that print and speckle make at one place and that no averaging of exposures removes. ``hull_mm`` (n, 2)
+    is the convex polygon in which the map is valid, counter-clockwise.
     """
 
     x_axis: Axis
     y_axis: Axis
     spectra: FloatArray
     unit_covariance: FloatArray
-    noise_px: FloatArray
+    noise_px: float
+    pattern_px: float
     hull_mm: FloatArray
 
     @property
@@ -51,12 +59,11 @@ class TensorMap:
         return px, np.stack([d_dx, d_dy], axis=-1)
 
     def variance_px2(self, points_mm: FloatArray) -> FloatArray:
-        """Variance (n, 2) of the mapped u and v that the nodes' noise leaves in the map (Eq. 3.46)."""
+        """Variance (n,) of the mapped u, and of v, that the nodes' noise leaves in the map (Eq. 3.46)."""
         by, _, bx, _ = self._bases(points_mm)
         rows = np.einsum("ni,nj->nij", by, bx).reshape(len(points_mm), -1)
-        gain = np.einsum("nk,kl,nl->n", rows, self.unit_covariance, rows)
-        variance: FloatArray = gain[:, None] * np.square(self.noise_px)[None, :]
-        return variance
+        gain: FloatArray = np.einsum("nk,kl,nl->n", rows, self.unit_covariance, rows)
+        return gain * self.noise_px**2
 
     def _bases(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         degree_x, degree_y = self.degree
@@ -74,14 +81,25 @@ class Fit:
 
 
 def fit_tensor_map(
-    nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, degree: Sequence[int] = (3, 3)
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    hull_mm: FloatArray,
+    degree: tuple[int, int] | None = None,
+    exposure_noise_px: float = 0.0,
 ) -> Fit:
     """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
 
     The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
-    Eq. 3.35 and 3.36. Raises ValueError when the nodes are no grid or too few for the degree.
+    Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is 4 where an axis has six nodes or more, else
+    two less than the nodes. ``exposure_noise_px`` is what the exposures themselves scatter in the mean of a
+    node: it belongs to the map's noise, not to the fixed pattern.
+
+    Raises ValueError when the nodes are no grid or too few for the degree.
     """
     x_axis, y_axis = Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1])
+    if min(x_axis.nodes, y_axis.nodes) < _FEWEST_NODES:
+        raise ValueError(f"a grid of {x_axis.nodes} × {y_axis.nodes} nodes is too small for a map")
+    degree = degree or (min(_LARGEST_DEGREE, x_axis.nodes - 2), min(_LARGEST_DEGREE, y_axis.nodes - 2))
     bx, _ = gram_basis(x_axis.to_unit(nodes_mm[:, 0]), x_axis.nodes, degree[0])
     by, _ = gram_basis(y_axis.to_unit(nodes_mm[:, 1]), y_axis.nodes, degree[1])
     design = np.einsum("ni,nj->nij", by, bx).reshape(len(nodes_mm), -1)
@@ -97,7 +115,10 @@ def fit_tensor_map(
     unit_covariance = np.linalg.inv(normal)
     spectra = unit_covariance @ design.T @ nodes_px
     residuals = nodes_px - design @ spectra
-    noise_px = np.sqrt(np.square(residuals).sum(axis=0) / freedom)
+    noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * freedom)))
+    pattern_px = math.sqrt(max(noise_px**2 - exposure_noise_px**2, (_LEAST_PATTERN * noise_px) ** 2))
     shape = (2, degree[1] + 1, degree[0] + 1)
-    fitted = TensorMap(x_axis, y_axis, spectra.T.reshape(shape), unit_covariance, noise_px, hull_mm)
+    fitted = TensorMap(
+        x_axis, y_axis, spectra.T.reshape(shape), unit_covariance, noise_px, pattern_px, hull_mm
+    )
     return Fit(fitted, residuals)

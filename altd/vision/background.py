@@ -104,7 +104,7 @@ def pixel_noise(pixels: PixelArray, plane: Plane) -> float:
     sample -= plane.level
     sample -= (plane.slope_u * step_u * np.arange(sample.shape[1])).astype(np.float32)
     sample -= (plane.slope_v * step_v * np.arange(sample.shape[0])).astype(np.float32)[:, None]
-    limit = 3.0 * max(robust_sigma(sample), 0.5)
+    limit = 4.0 * (robust_sigma(sample) + 0.5)
     inner = sample[np.abs(sample) <= limit]
     return float(np.sqrt(np.mean(np.square(inner)) + 1 / 12)) if inner.size else limit
 

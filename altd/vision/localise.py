@@ -129,10 +129,7 @@ def _touches(mask: Mask, left: bool, top: bool, right: bool, bottom: bool) -> tu
 
 def _judge(frame: Frame, patch: _Patch, found: Search, settings: SpotSettings) -> Spot | NoSpot:
     """Classify the contour by size and shape (2.1.1); take the moment of what passes."""
-    raw = frame.pixels[patch.top : patch.top + patch.mask.shape[0], patch.left :][:, : patch.mask.shape[1]]
-    peak_raw = float(patch.excess[patch.mask > 0].max())
-    bright = (patch.excess > 0.5 * peak_raw) & (patch.mask > 0)
-    clipped = float(np.mean(raw[bright] >= _SATURATED_FROM * frame.full_scale))
+    peak, clipped = _brightness(frame, patch)
     if clipped > settings.max_saturated:
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
     rival = _second_half_peak(patch)
@@ -148,7 +145,23 @@ def _judge(frame: Frame, patch: _Patch, found: Search, settings: SpotSettings) -
     aspect, fill = _shape(patch.mask)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
-    return _moment(frame, patch, found, settings, diameter_px, peak_raw)
+    return _moment(frame, patch, found, settings, diameter_px, peak)
+
+
+def _brightness(frame: Frame, patch: _Patch) -> tuple[float, float]:
+    """Peak of the spot over the background, and the saturated fraction of its bright pixels.
+
+    The peak is where the brightest hundredth of the core begins, so that a hot pixel among the dots makes
+    none. Bright is what reaches half of it: on the printed window the dots, not the glass between them.
+    """
+    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
+    height, width = core.shape
+    raw = frame.pixels[patch.top : patch.top + height, patch.left : patch.left + width][core]
+    excess = patch.excess[core]
+    brightest = len(excess) - 1 - len(excess) // 100
+    peak = float(np.partition(excess, brightest)[brightest])
+    bright = excess >= 0.5 * peak
+    return peak, float(np.mean(raw[bright] >= _SATURATED_FROM * frame.full_scale))
 
 
 def _second_half_peak(patch: _Patch) -> float:
@@ -183,7 +196,7 @@ def _moment(
     """Eq. 2.7 with I replaced by (I − T)₊, and the noise of the result."""
     over = np.maximum(patch.smooth - np.float32(settings.threshold * patch.peak), np.float32(0))
     over[patch.mask == 0] = 0
-    weight = np.sqrt(over) if settings.power == 0.5 else np.power(over, np.float32(settings.power))
+    weight = np.asarray(cv2.pow(over, settings.power))
     columns, rows = weight.sum(axis=0, dtype=np.float64), weight.sum(axis=1, dtype=np.float64)
     total = float(columns.sum())
     u = float(columns @ np.arange(len(columns))) / total
@@ -208,9 +221,10 @@ def _moment_sigma_px(
     blocks of 4 px, on which h and I hardly change. Returns the root mean square of both axes.
     """
     slope = np.zeros_like(over)
-    # At the contour the root's derivative diverges though its integral does not: stop at 5 % of the peak.
+    # At the contour the root's derivative diverges: nearer to it than the smoothed noise it means nothing.
+    floor = noise / max(1.0, 2 * math.sqrt(math.pi) * settings.smoothing_px)
     inside = over > 0
-    slope[inside] = settings.power * np.maximum(over[inside], 0.05 * patch.peak) ** (settings.power - 1)
+    slope[inside] = settings.power * np.maximum(over[inside], floor) ** (settings.power - 1)
     slope /= total
     height, width = slope.shape
     lever_u = slope * (np.arange(width, dtype=np.float32) - np.float32(centre[0]))

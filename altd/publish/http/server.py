@@ -1,0 +1,120 @@
+"""uvicorn inside the daemon's loop, with bounds against clients that are slow, many or hostile.
+
+What uvicorn leaves open and this module closes: it installs signal handlers, it exits the process when the
+port is taken, it waits for ever for the end of a request header, its ``limit_concurrency`` refuses requests
+but keeps the connections, and it does not end by cancellation.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable, Iterator
+from typing import cast
+
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from altd.config import Http
+
+CONNECTIONS = 64
+"""More than these are closed at once: a flood must leave the daemon its file descriptors."""
+
+REQUEST_S = 10.0
+"""A client that has not sent a whole request header by then is cut off."""
+
+STALLED_S = 20
+"""A client that takes nothing for so long is cut off by the kernel."""
+
+HEADER_BYTES = 8192
+
+_SEND_BUFFER = 16384
+"""Small, so that a slow reader of the stream skips measurements instead of getting old ones."""
+
+_HEADERS = [
+    ("Cache-Control", "no-store"),
+    ("Connection", "close"),  # one request a connection: what is not asking costs nothing
+    ("X-Content-Type-Options", "nosniff"),
+]
+
+
+def listen(settings: Http) -> socket.socket:
+    """The listening socket; raises OSError that names the address."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    listener = socket.create_server((settings.host, settings.port), family=family, backlog=CONNECTIONS)
+    # what is set here every accepted connection inherits
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * STALLED_S)
+    return listener
+
+
+async def serve(application: ASGIApp, listener: socket.socket, ready: Callable[[], None]) -> None:
+    """Serve until cancelled; every connection is closed by then."""
+    config = uvicorn.Config(
+        application,
+        http=_BoundedProtocol,
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        log_level="error",
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        headers=_HEADERS,
+        timeout_graceful_shutdown=2,
+        h11_max_incomplete_event_size=HEADER_BYTES,
+    )
+    await _Server(config, ready).serve(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """Leaves the signals to the daemon and ends by cancellation."""
+
+    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._ready = ready
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Install no handlers."""
+        yield
+
+    async def main_loop(self) -> None:
+        """Serve; cut every connection on the way out, which ends the tasks behind them."""
+        self._ready()
+        try:
+            await super().main_loop()
+        finally:
+            for server in self.servers:
+                server.close()
+            for connection in list(self.server_state.connections):
+                connection.transport.abort()
+            await self.shutdown()
+
+
+class _BoundedProtocol(H11Protocol):
+    """uvicorn's HTTP protocol with an end to its patience."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
+        """Refuse what is too much; write nothing ahead of the client."""
+        super().connection_made(transport)
+        if len(self.connections) > CONNECTIONS:
+            transport.abort()
+            return
+        transport.set_write_buffer_limits(high=0)
+        self._deadline = self.loop.call_later(REQUEST_S, self._give_up)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget the deadline."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+        super().connection_lost(exc)
+
+    def _give_up(self) -> None:
+        asked = cast("object | None", self.cycle)  # uvicorn's annotation knows no None
+        if asked is None:
+            self.transport.abort()

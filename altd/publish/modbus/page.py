@@ -1,0 +1,215 @@
+"""``docs/modbus.md``, written from the tables: ``python -m altd.publish.modbus.page > docs/modbus.md``."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from collections.abc import Iterable
+from datetime import UTC, datetime
+
+from altd.config import ModbusTcp, SerialPort
+from altd.publish.modbus.registers import (
+    FLOAT_BLOCK,
+    FLOATS,
+    HEADER,
+    PER_UNIT,
+    SCALED,
+    SCALED_BLOCK,
+    SIZE,
+    TEST_BLOCK,
+    TESTS,
+    Register,
+    Snapshot,
+    Type,
+    image,
+)
+from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
+from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
+from altd.publish.modbus.tcp import MAX_CLIENTS
+from altd.records import Beam, Measurement
+
+EXAMPLE = Snapshot(
+    Measurement(
+        sequence=160,
+        t_ns=8_000_000_000,
+        time=datetime(2026, 11, 20, 8, 15, 30, 125_000, tzinfo=UTC),
+        frames=20,
+        beam=Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011),
+        points_mm={"front": (10.012, 4.987), "rear": (15.613, -3.413)},
+    ),
+    age_s=0.52,
+    published=141,
+)
+"""The measurement that the page shows."""
+
+
+def page() -> str:
+    """The page as Markdown."""
+    tcp, rtu = ModbusTcp(), SerialPort.model_fields
+    baud, parity, stop_bits = (rtu[key].default for key in ("baud", "parity", "stop_bits"))
+    float_end = FLOATS + 2 * len(FLOAT_BLOCK)
+    read_floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {len(FLOAT_BLOCK)}"
+    words = image(EXAMPLE)
+    return f"""\
+# Modbus: what the controller reads
+
+Generated from the register table: `python -m altd.publish.modbus.page > docs/modbus.md`.
+
+## Connect
+
+| | Modbus TCP | Modbus RTU (RS232, RS485) |
+| --- | --- | --- |
+| in `altd.toml` | `[modbus_tcp]` | `[[serial]]` with `speaks = "modbus_rtu"` |
+| line | port {tcp.port} | {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
+| unit id | {tcp.unit_id}; 0 and 255 answer too | {rtu["unit_id"].default} |
+| other unit ids | exception 11 | silence, the bus may be shared |
+| clients | {MAX_CLIENTS}; one more closes the one that has been quiet for longest | one request, one answer |
+
+Port, baud rate, parity, stop bits and unit id are those of a fresh `altd.toml`; it says what your unit has.
+
+Everything is read only. Function 4 (input registers) and function 3 (holding registers) read the same
+registers; function 43/14 reads vendor, product and version.
+
+Addresses on this page count from 0, as on the wire. Where a tool counts from 1, add 1: address {FLOATS} is
+3{FLOATS + 1:04} as an input register and 4{FLOATS + 1:04} as a holding register.
+
+## First test: byte order
+
+Big-endian throughout, ABCD: the high byte of a register first, the high word of a 32-bit value first. These
+registers never change. Read them first, and swap bytes or words in the controller until they are right.
+
+{_registers(TEST_BLOCK)}
+
+    $ mbpoll -1 -0 -B -t 3:float -r {TESTS} -c 1 -p {tcp.port} -a {tcp.unit_id} ADDRESS
+    [{TESTS}]: 	123.456
+
+## Read a measurement
+
+**One request, one measurement.** All registers of an answer come from the same measurement. Read what belongs
+together in one request: {SIZE} registers from address 0 are everything, the first {float_end} are header and
+floating point. Two requests fit together only if `sequence` is the same in both.
+
+- Use a number only if bit 0 of `status` is 1 and `age` is below your limit, say 1000 ms.
+- When `heartbeat` stands still for a second, or no answer comes, the unit has stopped: use no number.
+- In the tunnel, refuse a measurement with bit 12 or 13: it does not come from this unit's cameras.
+- A new measurement comes with every exposure, 20 a second. To poll faster than that gains nothing.
+
+On a serial line a request and its answer take
+
+{_durations((SIZE, float_end, FLOATS))}
+
+## Header, addresses 0 to {FLOATS - 1}
+
+{_registers(HEADER)}
+
+## Values, from address {FLOATS} as f32, from address {SCALED} as s32
+
+Each value is there twice: as floating point (f32, IEEE 754 single precision) in the unit, and as an integer
+(s32, two's complement) in 1/{PER_UNIT} of the unit. Sign and zero of x, y, yaw and pitch are those of
+`[installation]` in `altd.toml`. A standard deviation is 1 sigma.
+
+{_values()}
+
+## What "not known" looks like
+
+{_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type))}
+
+A value that is not known is never 0 and never an old one. With bit 0 at 0 a single number may still be known:
+when only the rear spot is missing, `front_x` and `front_y` are there. A number too large for its type is held
+at the type's end, so `age` stops at 65534. Addresses without a name read 0.
+
+## Bits of `status`
+
+{_table(("bit", "name", "set when"), ((row.bit, row.name, row.meaning) for row in STATUS_BITS))}
+
+The other bits are 0 and may get a meaning later: mask what you test.
+
+## Reason codes
+
+`reason_front` and `reason_rear` say why there is no point on that target, `reason_unit` what is wrong with
+the whole unit; 0 is none. Codes may be added later.
+
+{_table(("code", "reason", "meaning"), ((row.code, f"`{row.reason}`", row.meaning) for row in REASON_CODES))}
+
+## Example
+
+    $ mbpoll {read_floats} -p {tcp.port} -a {tcp.unit_id} ADDRESS
+{_indented(mbpoll_lines())}
+
+The same over a serial line:
+
+    $ mbpoll -m rtu -b {baud} -P {parity} {read_floats} -a {tcp.unit_id} /dev/ttyUSB0
+
+By hand: at address {FLOATS}, `x` is {_hex(words[FLOATS : FLOATS + 2])}, the float 10.012;
+at address {SCALED} it is {_hex(words[SCALED : SCALED + 2])}, the integer 100120, and
+100120/{PER_UNIT} mm = 10.012 mm.
+`roll` is `nan`: this unit has no inclinometer.
+
+## Exceptions
+
+| code | when |
+| --- | --- |
+| 1 illegal function | a write, or any function but 3, 4 and 43/14 |
+| 2 illegal data address | a register beyond address {SIZE - 1} |
+| 3 illegal data value | no register, more than 125, or a malformed request |
+| 11 gateway target device failed to respond | Modbus TCP: the unit id is another one |
+"""
+
+
+def mbpoll_lines() -> list[str]:
+    """What mbpoll prints of the example's floating point values."""
+    words = image(EXAMPLE)
+    return [f"[{row.address}]: \t{_float32(words[row.address : row.address + 2]):g}" for row in FLOAT_BLOCK]
+
+
+def _float32(words: list[int]) -> float:
+    value: float = struct.unpack(">f", struct.pack(">HH", *words))[0]
+    return value
+
+
+def _durations(lengths: Iterable[int]) -> str:
+    """How long a read of so many registers takes: 8 bytes there, 5 + 2n back, a silence after each."""
+
+    def ms(registers: int, baud: int) -> int:
+        return round(1000 * ((13 + 2 * registers) * BITS_PER_CHARACTER / baud + 2 * silence_s(baud)))
+
+    bauds = (9600, 19200, 57600, 115200)
+    return _table(
+        ("registers", *(f"{baud} baud" for baud in bauds)),
+        ((length, *(f"{ms(length, baud)} ms" for baud in bauds)) for length in lengths),
+    )
+
+
+def _registers(rows: Iterable[Register]) -> str:
+    return _table(
+        ("address", "name", "type", "unit", "meaning"),
+        ((row.address, f"`{row.name}`", row.type, row.unit, row.meaning) for row in rows),
+    )
+
+
+def _values() -> str:
+    return _table(
+        ("f32 at", "s32 at", "name", "unit", "meaning"),
+        (
+            (row.address, scaled.address, f"`{row.name}`", row.unit, row.meaning)
+            for row, scaled in zip(FLOAT_BLOCK, SCALED_BLOCK, strict=True)
+        ),
+    )
+
+
+def _hex(words: Iterable[int]) -> str:
+    return " ".join(f"0x{word:04X}" for word in words)
+
+
+def _indented(lines: Iterable[str]) -> str:
+    return "\n".join(f"    {line}" for line in lines)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    titles = list(head)
+    lines = [titles, ["---"] * len(titles), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())

@@ -1,0 +1,1 @@
+"""Serial ports: the telegram for a controller and the console for a technician."""

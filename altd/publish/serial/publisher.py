@@ -1,0 +1,109 @@
+"""What serves a serial port: the telegram at its interval, or the console."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from altd.config import SerialPort
+from altd.ports import Clock
+from altd.publish.serial.console import Console
+from altd.publish.serial.port import Port, describe, seconds_on_line
+from altd.publish.serial.telegram import LONGEST_TELEGRAM, encode
+from altd.service.board import Board
+from altd.service.health import Component, Health, State
+
+CONSOLE_WAITING = 16384
+"""Bytes of console output that may wait for a slow line."""
+
+PAUSE_S = 0.02
+"""Rest after each reading: a line that floods, or echoes all it is sent, must not keep the unit busy."""
+
+
+class TelegramPublisher:
+    """Sends the measurement of the moment at a fixed interval; what comes in is ignored."""
+
+    def __init__(self, settings: SerialPort, board: Board, component: Component, clock: Clock) -> None:
+        self._settings = settings
+        self._board = board
+        self._component = component
+        self._clock = clock
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
+        interval_ns = round(self._settings.interval_s * 1e9)
+        with Port(self._settings, limit=LONGEST_TELEGRAM) as port:
+            ready()
+            due_ns = self._clock.monotonic_ns()
+            while True:
+                self._send(port)
+                now_ns = self._clock.monotonic_ns()
+                due_ns += interval_ns
+                if due_ns <= now_ns:  # time that was lost is not made up by a burst
+                    due_ns = now_ns + interval_ns
+                pause = asyncio.ensure_future(self._clock.sleep((due_ns - now_ns) * 1e-9))
+                try:
+                    while not pause.done():
+                        if await port.read(until=pause):
+                            await asyncio.sleep(PAUSE_S)
+                finally:
+                    pause.cancel()
+
+    def _send(self, port: Port) -> None:
+        settings = self._settings
+        telegram = encode(self._board.read())
+        sent = port.write(telegram)
+        self._component.count("telegrams_sent" if sent else "telegrams_dropped")
+        takes_s = seconds_on_line(settings, len(telegram))
+        if takes_s > settings.interval_s:
+            self._component.say(
+                State.DEGRADED,
+                f"a telegram of {len(telegram)} characters takes {takes_s:.2f} s at {settings.baud} baud "
+                f"but one is due every {settings.interval_s:g} s: some are left out",
+            )
+        elif not sent:
+            self._component.say(State.DEGRADED, "the line does not take the telegrams: they are left out")
+        else:
+            self._component.say(State.OK, f"telegram every {settings.interval_s:g} s on {describe(settings)}")
+
+
+class ConsolePublisher:
+    """Lets one person at a terminal ask the unit."""
+
+    def __init__(
+        self, settings: SerialPort, board: Board, health: Health, component: Component, clock: Clock
+    ) -> None:
+        self._settings = settings
+        self._board = board
+        self._health = health
+        self._component = component
+        self._clock = clock
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
+        console = Console(self._board.read, self._health)
+        with Port(self._settings, limit=CONSOLE_WAITING) as port:
+            ready()
+            self._component.say(State.OK, f"console on {describe(self._settings)}")
+            self._show(port, console.greet())
+            while True:
+                typed = await self._typed(port, console.watching_s)
+                known = console.commands
+                self._show(port, console.feed(typed) if typed else console.tick())
+                self._component.count("commands", console.commands - known)
+                if typed:
+                    await asyncio.sleep(PAUSE_S)
+
+    async def _typed(self, port: Port, watching_s: float | None) -> bytes:
+        """What is typed next; nothing once the interval of ``watch`` is over."""
+        if watching_s is None:
+            return await port.read()
+        pause = asyncio.ensure_future(self._clock.sleep(watching_s))
+        try:
+            return await port.read(until=pause)
+        finally:
+            pause.cancel()
+
+    def _show(self, port: Port, text: bytes) -> None:
+        if text and not port.write(text):
+            self._component.count("answers_dropped")

@@ -1,0 +1,243 @@
+"""The telegram: one measurement as two sentences with the framing of NMEA 0183, as bytes and back.
+
+A sentence is ``$``, a name, fields after commas, ``*``, the exclusive or of all characters between ``$``
+and ``*`` as two hexadecimal digits, CR LF; 82 characters at most, all counted. ``$P`` marks a sentence of
+the maker's own. A value that is not known is an empty field. ``SENTENCES`` is the only definition of the
+fields: writer, reader and ``docs/telegram.md`` follow it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, time
+from functools import reduce
+from operator import xor
+from typing import Any, Self
+
+from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, whole
+from altd.records import Measurement, Reason
+
+LONGEST_SENTENCE = 82
+"""Characters from ``$`` to LF that NMEA 0183 allows."""
+
+SEQUENCE_MODULUS = 1 << 32
+DOES_NOT_FIT = "does_not_fit"
+MORE = "more"
+
+MILLIMETRES = number(4, 3, signed=True)
+DEGREES = number(2, 4, signed=True)
+SIGMA_MILLIMETRES = number(2, 4, signed=False)
+SIGMA_DEGREES = number(1, 4, signed=False)
+SEQUENCE = whole(SEQUENCE_MODULUS - 1)
+
+
+class TelegramError(ValueError):
+    """A telegram that cannot be written or read; ``field`` names the place."""
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(f"{field}: {message}")
+        self.field = field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Telegram:
+    """What one telegram says; None is an empty field."""
+
+    time: time | None = None
+    mode: Mode = Mode.INVALID
+    sequence: int | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    yaw_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    frames: int | None = None
+    sigma_x_mm: float | None = None
+    sigma_y_mm: float | None = None
+    sigma_yaw_deg: float | None = None
+    sigma_pitch_deg: float | None = None
+    reasons: tuple[str, ...] | None = None
+
+    @classmethod
+    def of(cls, measurement: Measurement | None) -> Self:
+        """What is to be said of the latest measurement; None: nothing was measured so far."""
+        if measurement is None:
+            return cls(reasons=(str(Reason.WARMING_UP),))
+        head = cls(
+            time=None if measurement.time is None else measurement.time.astimezone(UTC).timetz(),
+            sequence=measurement.sequence % SEQUENCE_MODULUS,
+        )
+        codes = _ordered_codes(measurement)
+        full = replace(
+            head,
+            mode=_mode(measurement),
+            frames=measurement.frames,
+            roll_deg=measurement.roll_deg,
+            **{name: getattr(measurement.beam, name) for name in OF_BEAM if measurement.beam is not None},
+        )
+        try:
+            return full._with_reasons(codes)
+        except TelegramError:
+            return head._with_reasons((DOES_NOT_FIT, *codes))
+
+    def encode(self) -> bytes:
+        """Both sentences; raises TelegramError when a value does not fit its field."""
+        return b"".join(sentence.encode(self) for sentence in SENTENCES)
+
+    def _with_reasons(self, codes: tuple[str, ...]) -> Self:
+        """The telegram with the codes that there is room for; ``more`` stands for the others."""
+        for kept in range(len(codes), -1, -1):
+            shown = codes[:kept] + (MORE,) * (kept < len(codes))
+            telegram = replace(self, reasons=shown or None)
+            if len(QUALITY.encode(telegram)) <= LONGEST_SENTENCE:
+                break
+        MEASUREMENT.encode(telegram)
+        return telegram
+
+
+OF_BEAM = (
+    "x_mm",
+    "y_mm",
+    "yaw_deg",
+    "pitch_deg",
+    "sigma_x_mm",
+    "sigma_y_mm",
+    "sigma_yaw_deg",
+    "sigma_pitch_deg",
+)
+"""Fields that are all filled in a valid telegram and all empty in an invalid one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field: the attribute of Telegram that it carries, its form, unit and meaning."""
+
+    name: str
+    form: Form
+    unit: str
+    meaning: str
+
+    def text(self, telegram: Telegram) -> str:
+        """The field as it travels."""
+        value = getattr(telegram, self.name)
+        if value is None:
+            return ""
+        text = self.form.write(value)
+        if not self.form.pattern.fullmatch(text):
+            raise TelegramError(self.name, f"{value} does not fit {self.form.widest}")
+        return text
+
+    def value(self, text: str) -> Any:
+        """What the field says; None when it is empty."""
+        if not text:
+            return None
+        if not self.form.pattern.fullmatch(text):
+            raise TelegramError(self.name, f"{text!r} is not of the form {self.form.widest}")
+        try:
+            return self.form.read(text)
+        except ValueError as error:
+            raise TelegramError(self.name, f"{text!r} is no value") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """One sentence of the telegram: its name and its fields in order."""
+
+    name: str
+    title: str
+    fields: tuple[Field, ...]
+
+    def encode(self, telegram: Telegram) -> bytes:
+        """The sentence with checksum and line end; raises TelegramError when a value does not fit."""
+        body = ",".join([self.name, *(field.text(telegram) for field in self.fields)]).encode("ascii")
+        return b"$%s*%02X\r\n" % (body, checksum(body))
+
+    def decode(self, line: bytes) -> dict[str, Any]:
+        """The values of the sentence by field; raises TelegramError. The line end is off already."""
+        if not line.isascii() or not line.startswith(b"$") or line[-3:-2] != b"*":
+            raise TelegramError(self.name, f"no sentence: {line!r}")
+        body, check = line[1:-3], line[-2:]
+        if b"%02X" % checksum(body) != check.upper():
+            raise TelegramError(self.name, f"checksum is {checksum(body):02X}, not {check.decode()}")
+        name, *texts = body.decode("ascii").split(",")
+        if name != self.name:
+            raise TelegramError(self.name, f"sentence is named {name!r}")
+        if len(texts) != len(self.fields):
+            raise TelegramError(self.name, f"has {len(texts)} fields, not {len(self.fields)}")
+        return {field.name: field.value(text) for field, text in zip(self.fields, texts, strict=True)}
+
+
+MEASUREMENT = Sentence(
+    "PALTM",
+    "the measurement",
+    (
+        Field("time", UTC_TIME, "hhmmss.sss", "UTC, middle of the averaged exposures; empty when not known"),
+        Field("mode", MODE, "", "`A` valid, `V` invalid; `P` and `S` are not live, see below"),
+        Field("sequence", SEQUENCE, "", "number of the last exposure; after the largest comes 0"),
+        Field("x_mm", MILLIMETRES, "mm", "displacement to the right, seen along the beam"),
+        Field("y_mm", MILLIMETRES, "mm", "displacement upwards"),
+        Field("yaw_deg", DEGREES, "degree", "yaw, positive to the right"),
+        Field("pitch_deg", DEGREES, "degree", "pitch, positive upwards"),
+        Field("roll_deg", DEGREES, "degree", "roll; empty without an inclinometer"),
+    ),
+)
+
+QUALITY = Sentence(
+    "PALTQ",
+    "its quality",
+    (
+        Field("sequence", SEQUENCE, "", "that of the `$PALTM` before it"),
+        Field("frames", whole(9999), "", "exposures that were averaged"),
+        Field("sigma_x_mm", SIGMA_MILLIMETRES, "mm", "standard deviation of x"),
+        Field("sigma_y_mm", SIGMA_MILLIMETRES, "mm", "standard deviation of y"),
+        Field("sigma_yaw_deg", SIGMA_DEGREES, "degree", "standard deviation of yaw"),
+        Field("sigma_pitch_deg", SIGMA_DEGREES, "degree", "standard deviation of pitch"),
+        Field("reasons", CODES, "", "why it is invalid, or what it warns of; empty when all is well"),
+    ),
+)
+
+SENTENCES = (MEASUREMENT, QUALITY)
+LONGEST_TELEGRAM = LONGEST_SENTENCE * len(SENTENCES)
+
+
+def checksum(body: Iterable[int]) -> int:
+    """The exclusive or of the characters between ``$`` and ``*``."""
+    return reduce(xor, body, 0)
+
+
+def encode(measurement: Measurement | None) -> bytes:
+    """The telegram of a measurement, to be written in one piece; None: nothing was measured so far."""
+    return Telegram.of(measurement).encode()
+
+
+def parse(data: bytes) -> Telegram:
+    """Read one telegram, both sentences with their line ends; raises TelegramError."""
+    *lines, rest = data.split(b"\r\n")
+    if rest or len(lines) != len(SENTENCES):
+        raise TelegramError("telegram", f"not {len(SENTENCES)} whole lines: {data!r}")
+    decoded = [sentence.decode(line) for sentence, line in zip(SENTENCES, lines, strict=True)]
+    if decoded[0]["sequence"] != decoded[1]["sequence"]:
+        raise TelegramError("sequence", "differs between the two sentences")
+    values = decoded[0] | decoded[1]
+    if values["mode"] is None:
+        raise TelegramError("mode", "is empty")
+    for name in OF_BEAM:
+        if (values[name] is None) != (values["mode"] is Mode.INVALID):
+            raise TelegramError(name, f"does not go with mode {values['mode']}")
+    return Telegram(**values)
+
+
+def _mode(measurement: Measurement) -> Mode:
+    if not measurement.valid:
+        return Mode.INVALID
+    reasons = {fault.reason for fault in measurement.status}
+    if Reason.SIMULATED in reasons:
+        return Mode.SIMULATED
+    return Mode.PLAYBACK if Reason.PLAYBACK in reasons else Mode.LIVE
+
+
+def _ordered_codes(measurement: Measurement) -> tuple[str, ...]:
+    """Reasons of the whole unit, of its targets, then warnings: the last give way where room is short."""
+    ordered = sorted(measurement.status, key=lambda f: (f.reason.is_warning, f.target is not None))
+    return tuple(dict.fromkeys(str(fault) for fault in ordered))

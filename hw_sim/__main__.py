@@ -1,0 +1,45 @@
+"""``python -m hw_sim``: the simulator's commands."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from altd.errors import BadInputError
+from hw_sim import measure, scan
+
+COMMANDS = {
+    "scan": (scan, "record a calibration scan"),
+    "measure": (measure, "record poses of the beam, with their truth"),
+}
+"""Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with the arguments in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status, 2 for what the caller did wrong."""
+    parser = _Parser(prog="python -m hw_sim", description="A simulated Active Laser Target.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, (module, summary) in COMMANDS.items():
+        command = commands.add_parser(name, help=summary, description=summary)
+        module.add_arguments(command)
+        command.set_defaults(run=module.run)
+    arguments = parser.parse_args(argv)
+    try:
+        status: int = arguments.run(arguments)
+    except BadInputError as error:
+        print(f"hw_sim: {error}", file=sys.stderr)
+        return 2
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""What the commands of the simulator have in common: arguments and progress."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from hw_sim.recording import Progress
+
+
+def add_common_arguments(parser: argparse.ArgumentParser) -> None:
+    """Where the recording goes, and of which unit it is."""
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="new or empty folder for the recording",
+    )
+    parser.add_argument(
+        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
+    )
+
+
+def natural(text: str) -> int:
+    """A whole number from 0 on."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} is negative")
+    return value
+
+
+def at_least_one(text: str) -> int:
+    """A whole number from 1 on."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return value
+
+
+def terminal_progress(what: str) -> Progress:
+    """A counter on standard error while it is a terminal; silence otherwise."""
+    if not sys.stderr.isatty():
+        return lambda _done, _planned: None
+
+    def show(done: int, planned: int) -> None:
+        end = "\n" if done == planned else ""
+        print(f"\r{what}: {done}/{planned} exposures", end=end, file=sys.stderr, flush=True)
+
+    return show

@@ -1,0 +1,80 @@
+"""How one unit comes to differ from the next: lenses, tilts and print, drawn from the unit's seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
+from hw_sim.targets import DOT_PITCH_MM, DotPrint
+
+FRAME_HALF_MM = (74.0, 59.0)
+"""The 140 × 110 mm of the target with the frame and its LEDs around: what the picture must hold."""
+
+MARGIN_PX = 3.0
+
+FRONT_FOCAL_MM = (7.7, 8.2)
+REAR_FOCAL_MM = (5.6, 6.0)
+"""The micro lenses of App. A.3, f = 8 and 5.7 mm, with their spread."""
+
+
+def make_dots(rng: np.random.Generator) -> DotPrint:
+    """A print that lies anyhow on the window and is turned by up to 2°."""
+    phase_x, phase_y = rng.uniform(0.0, DOT_PITCH_MM, size=2)
+    return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)))
+
+
+def make_lens(focal_range_mm: tuple[float, float], mirrored: bool, rng: np.random.Generator) -> Lens:
+    """A barrel lens beside the beam, as near to its target as the frame around that allows."""
+    side = rng.choice([-1.0, 1.0])
+    turned = rotation(
+        math.radians(side * rng.uniform(8.0, 13.0)),
+        math.radians(rng.uniform(-3.0, 3.0)),
+        math.radians(rng.uniform(-1.0, 1.0)),
+    )
+    aim_x, aim_y = rng.uniform(-0.5, 0.5, size=2)
+    k1, k2, k3 = rng.uniform((-0.28, 0.03, -0.02), (-0.18, 0.09, 0.0))
+    p1, p2 = rng.uniform(-6e-4, 6e-4, size=2)
+    lens = Lens(
+        focal_mm=float(rng.uniform(*focal_range_mm)),
+        principal_px=(
+            (WIDTH_PX - 1) / 2.0 + float(rng.uniform(-3.0, 3.0)),
+            (HEIGHT_PX - 1) / 2.0 + float(rng.uniform(-3.0, 3.0)),
+        ),
+        distortion=(float(k1), float(k2), float(p1), float(p2), float(k3)),
+        rotation=turned,
+        translation_mm=np.array([aim_x, aim_y, 0.0]),
+        mirrored=mirrored,
+    )
+    return _filling_the_picture(lens)
+
+
+def _filling_the_picture(lens: Lens) -> Lens:
+    """The lens at the smallest distance from which it sees the whole frame."""
+    too_near, far_enough = 30.0 * lens.focal_mm, 60.0 * lens.focal_mm
+    while far_enough - too_near > PIXEL_MM:
+        middle = 0.5 * (too_near + far_enough)
+        if _sees_frame(_at_distance(lens, middle)):
+            far_enough = middle
+        else:
+            too_near = middle
+    return _at_distance(lens, far_enough)
+
+
+def _at_distance(lens: Lens, distance_mm: float) -> Lens:
+    return replace(lens, translation_mm=np.array([*lens.translation_mm[:2], distance_mm]))
+
+
+def _sees_frame(lens: Lens) -> bool:
+    along = np.linspace(-1.0, 1.0, 17)
+    border = np.concatenate(
+        [np.stack([along, np.full_like(along, end)]) for end in (-1.0, 1.0)]
+        + [np.stack([np.full_like(along, end), along]) for end in (-1.0, 1.0)],
+        axis=1,
+    )
+    u, v = lens.project(border[0] * FRAME_HALF_MM[0], border[1] * FRAME_HALF_MM[1])
+    within_u = (u >= MARGIN_PX) & (u <= WIDTH_PX - 1 - MARGIN_PX)
+    within_v = (v >= MARGIN_PX) & (v <= HEIGHT_PX - 1 - MARGIN_PX)
+    return bool(np.all(within_u & within_v))

@@ -1,0 +1,113 @@
+"""The unit's cameras behind ``altd.ports.Camera``: one schedule of exposures, two readers."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from altd.ports import CameraError, CameraTimeoutError
+from altd.records import Frame, Origin
+from hw_sim.unit import CAMERAS, Unit
+
+
+class Schedule:
+    """When the exposures are: number k at ``start + k`` periods, for every camera the same.
+
+    In real time it starts when it is first begun; otherwise at 0, on a clock of its own.
+    """
+
+    def __init__(self, period_ns: int, *, real_time: bool) -> None:
+        self._period_ns = period_ns
+        self._real_time = real_time
+        self._start_ns = 0
+        self._begun = not real_time
+        self._lock = threading.Lock()
+
+    def begin(self) -> None:
+        """Start unless another camera has done so."""
+        with self._lock:
+            if not self._begun:
+                self._start_ns = time.monotonic_ns()
+                self._begun = True
+
+    def time_ns(self, sequence: int) -> int:
+        """The middle of an exposure."""
+        return self._start_ns + sequence * self._period_ns
+
+    def due(self, after: int, lag_ns: int) -> tuple[int, int]:
+        """The exposure for a reader who has had ``after``, and the nanoseconds until it has been made.
+
+        In real time the newest one that has been made, otherwise simply the next one.
+        """
+        if not self._real_time:
+            return after + 1, 0
+        passed_ns = time.monotonic_ns() - self._start_ns - lag_ns
+        newest = passed_ns // self._period_ns
+        if newest > after:
+            return newest, 0
+        return after + 1, (after + 1) * self._period_ns - passed_ns
+
+
+class SimulatedCamera:
+    """One camera of a simulated unit; see ``altd.ports.Camera``."""
+
+    def __init__(self, unit: Unit, name: str, schedule: Schedule, waits: bool) -> None:
+        self._unit = unit
+        self._name = name
+        self._schedule = schedule
+        self._waits = waits
+        self._closed = threading.Event()
+        self._closed.set()
+        self._last = -1
+
+    @property
+    def name(self) -> str:
+        """The name of the camera and of its target."""
+        return self._name
+
+    @property
+    def origin(self) -> Origin:
+        """Always simulated, and every output says so."""
+        return Origin.SIMULATED
+
+    @property
+    def waits(self) -> bool:
+        """Whether exposures wait to be taken; in real time they do not."""
+        return self._waits
+
+    def open(self) -> None:
+        """Get ready; the schedule goes on where it is."""
+        self._schedule.begin()
+        self._closed.clear()
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """The newest exposure that was not delivered yet, rendered on this call."""
+        deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
+        while not self._closed.is_set():
+            lag_ns = self._unit.lag_ns(self._name)
+            sequence, wait_ns = self._schedule.due(self._last, lag_ns)
+            left_ns = max(deadline_ns - time.monotonic_ns(), 0)
+            if wait_ns > left_ns or self._unit.is_silent(self._name):
+                self._closed.wait(left_ns * 1e-9)
+                raise CameraTimeoutError(f"{self._name}: no frame within {timeout_s:g} s")
+            if wait_ns > 0:
+                self._closed.wait(wait_ns * 1e-9)
+                continue
+            self._last = sequence
+            if not self._unit.drops(self._name, sequence):
+                return self._unit.expose(self._name, sequence, self._schedule.time_ns(sequence) + lag_ns)
+        raise CameraError(f"{self._name}: the camera is not open")
+
+    def close(self) -> None:
+        """Let go; a call that waits for a frame ends."""
+        self._closed.set()
+
+
+def make_cameras(unit: Unit, *, real_time: bool = True) -> tuple[SimulatedCamera, ...]:
+    """The cameras of a unit, front and rear, on one schedule.
+
+    In real time exposures come at the unit's rate on ``time.monotonic_ns``, and who is late gets the
+    newest; otherwise they come as fast as they are taken, none is left out, and time starts at 0.
+    """
+    schedule = Schedule(unit.config.period_ns, real_time=real_time)
+    return tuple(SimulatedCamera(unit, name, schedule, waits=not real_time) for name in CAMERAS)

@@ -1,0 +1,80 @@
+"""One camera of the unit: its view, its chip, and the exposure and gain it is set to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.records import PixelArray
+from hw_sim.beam import Footprint
+from hw_sim.sensor import Image, Sensor
+from hw_sim.view import View
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a camera driver sets: the signal goes with their product."""
+
+    exposure_ms: float
+    gain: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Backdrop:
+    """All that an exposure shows without the beam, for one state of settings and lamps."""
+
+    settings: Settings
+    electrons: Image
+    counts: Image
+    noise_counts: Image
+
+
+class Eye:
+    """A view through a chip; ``settings`` may be replaced at any time, from any thread."""
+
+    def __init__(self, view: View, sensor: Sensor, settings: Settings, lux: float) -> None:
+        self.view = view
+        self.sensor = sensor
+        self.settings = settings
+        self._lux = lux
+        self._backdrops: dict[bool, _Backdrop] = {}
+
+    def mean_e(self, spots: Sequence[Footprint], leds_on: bool, exposure_ms: float) -> Image:
+        """Mean electrons of an exposure, (rows, columns): the light, before any noise."""
+        electrons = self.view.background_e(exposure_ms, self._lux, leds_on)
+        region, beam_e = self.view.beam_e(spots, exposure_ms)
+        electrons[region] += beam_e
+        return electrons
+
+    def expose(self, spots: Sequence[Footprint], leds_on: bool, rng: np.random.Generator) -> PixelArray:
+        """Grey values with every photon drawn for itself."""
+        settings = self.settings
+        return self.sensor.expose(self.mean_e(spots, leds_on, settings.exposure_ms), settings.gain, rng)
+
+    def sketch(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
+        """Grey values with the same statistics, from standard normal ``noise`` and a kept backdrop."""
+        backdrop = self._backdrop(leds_on)
+        settings = backdrop.settings
+        counts = backdrop.noise_counts * noise
+        counts += backdrop.counts
+        region, electrons = self.view.beam_e(spots, settings.exposure_ms)
+        electrons += backdrop.electrons[region]
+        spread = self.sensor.noise_counts(electrons, settings.gain) * noise[region]
+        counts[region] = self.sensor.mean_counts(electrons, settings.gain) + spread
+        return self.sensor.quantise(counts)
+
+    def _backdrop(self, leds_on: bool) -> _Backdrop:
+        settings = self.settings
+        kept = self._backdrops.get(leds_on)
+        if kept is None or kept.settings != settings:
+            electrons = self.view.background_e(settings.exposure_ms, self._lux, leds_on)
+            kept = _Backdrop(
+                settings,
+                electrons,
+                self.sensor.mean_counts(electrons, settings.gain),
+                self.sensor.noise_counts(electrons, settings.gain),
+            )
+            self._backdrops[leds_on] = kept
+        return kept

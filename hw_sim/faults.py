@@ -1,0 +1,58 @@
+"""What can go wrong with a unit, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+
+from altd.errors import BadInputError
+
+
+class Fault(StrEnum):
+    """One named fault. Several may be present at once."""
+
+    NO_LASER = "no_laser"
+    """The beam is off or blocked; ambient light and hot pixels stay."""
+    FRONT_SPOT_MISSING = "front_spot_missing"
+    REAR_SPOT_MISSING = "rear_spot_missing"
+    FRONT_SECOND_SPOT = "front_second_spot"
+    """A second spot of the same size and brightness, SECOND_SPOT_MM to the side."""
+    REAR_SECOND_SPOT = "rear_second_spot"
+    SATURATED = "saturated"
+    """The laser is OVERLOAD times too strong: the spot is flat at full scale to its edge."""
+    BLACK = "black"
+    """Every pixel reads 0."""
+    WHITE = "white"
+    """Every pixel reads full scale."""
+    NOISE_ONLY = "noise_only"
+    """Grey values around a quarter of full scale that have nothing to do with light."""
+    CUT_BY_EDGE = "cut_by_edge"
+    """The beam stands where the front camera's picture ends, normal to the targets."""
+    OUT_OF_AREA = "out_of_area"
+    """The beam stands at OUT_OF_AREA_MM, in the picture but outside the scanned area."""
+    OUT_OF_STEP = "out_of_step"
+    """The rear camera exposes, and stamps, half a period late."""
+    FRONT_SILENT = "front_silent"
+    REAR_SILENT = "rear_silent"
+    DROPPED_FRAMES = "dropped_frames"
+    """Each camera loses one exposure in five, not the same ones."""
+    LEDS_ON = "leds_on"
+    """The frame LEDs burn although nobody asked for them."""
+
+
+SECOND_SPOT_MM = 40.0
+OVERLOAD = 100.0
+OUT_OF_AREA_MM = (68.5, 0.0)
+DROPPED_SHARE = 0.2
+ALL_PIXELS = frozenset({Fault.BLACK, Fault.WHITE, Fault.NOISE_ONLY})
+"""Faults that leave nothing of the picture."""
+
+
+def parse_faults(names: Iterable[str]) -> frozenset[Fault]:
+    """The faults of these names; raises BadInputError that lists the known ones."""
+    faults = set()
+    for name in names:
+        if name not in set(Fault):
+            raise BadInputError("--faults", f"unknown fault {name!r}; known are {', '.join(Fault)}")
+        faults.add(Fault(name))
+    return frozenset(faults)

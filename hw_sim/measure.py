@@ -1,0 +1,81 @@
+"""``python -m hw_sim measure``: poses of the beam with their truth, recorded back to back."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from altd.errors import BadInputError
+from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
+from hw_sim.beam import BeamPose
+from hw_sim.faults import parse_faults
+from hw_sim.recording import Progress, recording
+from hw_sim.unit import Unit, UnitConfig
+
+LARGEST_YAW, LARGEST_PITCH = 0.110, 0.250
+"""The specified range of slopes (App. A.1)."""
+
+POSES_STREAM = 5
+"""Keeps the poses' random numbers apart from those of the frames."""
+
+HALF_AREA_MM = (62.5 - 3.0, 50.0 - 3.0)
+"""The scanned area less 3 mm, which holds both spots of every pose."""
+
+
+def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator) -> list[BeamPose]:
+    """Poses whose front spots are even over the area and whose slopes are as even as the rear allows."""
+    poses: list[BeamPose] = []
+    while len(poses) < count:
+        x_mm, y_mm = rng.uniform(-1.0, 1.0, size=2) * HALF_AREA_MM
+        slope_x, slope_y = rng.uniform(-1.0, 1.0, size=2) * (LARGEST_YAW, LARGEST_PITCH)
+        pose = BeamPose(float(x_mm), float(y_mm), float(slope_x), float(slope_y))
+        if np.all(np.abs(pose.at(target_distance_mm)) <= HALF_AREA_MM):
+            poses.append(pose)
+    return poses
+
+
+def record_measurement(
+    folder: Path, unit: Unit, poses: Sequence[BeamPose], exposures: int, progress: Progress
+) -> dict[str, object]:
+    """Write ``exposures`` frame pairs of each pose into ``folder``; the truth, ready for JSON."""
+    truth = []
+    with recording(folder, unit, "measurement", len(poses) * exposures, progress) as recorder:
+        for pose in poses:
+            unit.place(pose)
+            at = unit.truth(recorder.t_ns, vibration=False)
+            truth.append({"x_mm": at.x_mm, "y_mm": at.y_mm, "slope_x": at.slope_x, "slope_y": at.slope_y})
+            for _ in range(exposures):
+                recorder.expose(pose)
+    return {"window": exposures, "poses": truth}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the measurement takes on the command line."""
+    add_common_arguments(parser)
+    parser.add_argument("--truth", type=Path, required=True, metavar="FILE", help="JSON file for the truth")
+    parser.add_argument("--poses", type=at_least_one, default=30, help="number of beams (default 30)")
+    parser.add_argument("--exposures", type=at_least_one, default=4, help="exposures a beam (default 4)")
+    parser.add_argument("--faults", default="", metavar="NAME,...", help="faults that are present throughout")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record a measurement; raises BadInputError."""
+    faults = parse_faults(filter(None, arguments.faults.split(",")))
+    unit = Unit(UnitConfig(seed=arguments.seed, faults=faults))
+    rng = np.random.default_rng([arguments.seed, POSES_STREAM])
+    poses = random_poses(arguments.poses, unit.config.target_distance_mm, rng)
+    truth_file: Path = arguments.truth
+    if truth_file.is_dir() or not truth_file.resolve().parent.is_dir():
+        raise BadInputError(truth_file, "is not a file that can be written")
+    truth = record_measurement(
+        arguments.output, unit, poses, arguments.exposures, terminal_progress("measure")
+    )
+    try:
+        truth_file.write_text(json.dumps(truth, indent=1) + "\n")
+    except OSError as error:
+        raise BadInputError(truth_file, f"cannot be written: {error.strerror}") from error
+    return 0

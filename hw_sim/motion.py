@@ -1,0 +1,89 @@
+"""What moves the unit against the beam: the drive's vibration and the machine on its way.
+
+Both are sums of sinusoids, so that the truth at any instant is a formula without memory: any thread may
+ask, and the answer for a time is always the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hw_sim.beam import BeamPose
+
+RANDOM_LINES = 48
+RANDOM_BAND_HZ = (0.5, 80.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration:
+    """The drive's shaking, rms in each of x, y (mm) and of yaw, pitch (mrad).
+
+    ``random_share`` of its power is spread over a band, the rest sits in lines at ``lines_hz``.
+    """
+
+    rms_mm: float = 0.05
+    rms_mrad: float = 0.1
+    lines_hz: tuple[float, ...] = (12.3, 24.6, 49.2)
+    random_share: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """The machine's slow way: largest offsets in x, y (mm) and yaw, pitch (mrad), and their time scale."""
+
+    x_mm: float = 18.0
+    y_mm: float = 12.0
+    yaw_mrad: float = 50.0
+    pitch_mrad: float = 60.0
+    period_s: float = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Oscillation:
+    """Σ amplitude · sin(2π frequency t + phase) in x, y (mm), yaw, pitch (mrad): arrays (lines, 4)."""
+
+    amplitude: npt.NDArray[np.float64]
+    frequency_hz: npt.NDArray[np.float64]
+    phase_rad: npt.NDArray[np.float64]
+
+    def moved(self, pose: BeamPose, t_ns: int) -> BeamPose:
+        """The beam in the unit frame when the unit has moved as it has at ``t_ns``."""
+        angle = 2.0 * math.pi * self.frequency_hz * (t_ns * 1e-9) + self.phase_rad
+        x_mm, y_mm, yaw_mrad, pitch_mrad = (self.amplitude * np.sin(angle)).sum(axis=0)
+        return BeamPose(
+            pose.x_mm + float(x_mm),
+            pose.y_mm + float(y_mm),
+            pose.slope_x + 1e-3 * float(yaw_mrad),
+            pose.slope_y + 1e-3 * float(pitch_mrad),
+        )
+
+
+def vibrating(vibration: Vibration, rng: np.random.Generator) -> Oscillation:
+    """The oscillation of a drive: its lines, and a random part of many small ones."""
+    lines = len(vibration.lines_hz)
+    rms = np.array([vibration.rms_mm, vibration.rms_mm, vibration.rms_mrad, vibration.rms_mrad])
+    in_lines = np.full((lines, 4), math.sqrt(2.0 * (1.0 - vibration.random_share) / lines))
+    in_band = np.full((RANDOM_LINES, 4), math.sqrt(2.0 * vibration.random_share / RANDOM_LINES))
+    return Oscillation(
+        np.vstack([in_lines, in_band]) * rms,
+        np.vstack(
+            [
+                np.tile(np.array(vibration.lines_hz)[:, None], (1, 4)),
+                rng.uniform(*RANDOM_BAND_HZ, size=(RANDOM_LINES, 4)),
+            ]
+        ),
+        rng.uniform(0.0, 2.0 * math.pi, size=(lines + RANDOM_LINES, 4)),
+    )
+
+
+def driving(drive: Drive, rng: np.random.Generator) -> Oscillation:
+    """The oscillation of a machine on its way: one slow line an axis, none in step with another."""
+    return Oscillation(
+        np.array([[drive.x_mm, drive.y_mm, drive.yaw_mrad, drive.pitch_mrad]]),
+        np.array([[1.0, 1.31, 0.77, 1.13]]) / drive.period_s,
+        rng.uniform(0.0, 2.0 * math.pi, size=(1, 4)),
+    )

@@ -1,0 +1,101 @@
+"""Writes altd-recording/1 folders: recording.json, frames.csv, one PNG a frame."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+
+from altd.errors import BadInputError
+from hw_sim.beam import BeamPose
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX
+from hw_sim.unit import CAMERAS, Unit
+
+HEADER = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
+
+Progress = Callable[[int, int], None]
+"""Is told after each exposure how many of how many have been made."""
+
+
+class Recorder:
+    """Exposes both cameras of a unit at its rate and keeps the frames."""
+
+    def __init__(self, folder: Path, unit: Unit, planned: int, progress: Progress) -> None:
+        self._folder = folder
+        self._unit = unit
+        self._planned = planned
+        self._progress = progress
+        self._sequence = 0
+        self.rows: list[tuple[str, ...]] = []
+
+    @property
+    def t_ns(self) -> int:
+        """The middle of the next exposure."""
+        return self._sequence * self._unit.config.period_ns
+
+    def expose(
+        self, pose: BeamPose, *, leds_on: bool = False, stage_mm: tuple[float, float] | None = None
+    ) -> None:
+        """One exposure of both cameras; ``stage_mm`` is where the stage believes the beam to be."""
+        self._unit.place(pose)
+        self._unit.leds_on = leds_on
+        at = ("", "") if stage_mm is None else tuple(f"{value:.4f}" for value in stage_mm)
+        for camera in CAMERAS:
+            if self._unit.is_silent(camera) or self._unit.drops(camera, self._sequence):
+                continue
+            t_ns = self.t_ns + self._unit.lag_ns(camera)
+            frame = self._unit.expose(camera, self._sequence, t_ns, exact=True)
+            file = f"{camera}/{self._sequence:06d}.png"
+            if not cv2.imwrite(str(self._folder / file), frame.pixels):
+                raise BadInputError(self._folder / file, "cannot be written")
+            leds = "on" if frame.leds_on else "off"
+            self.rows.append((str(self._sequence), f"{t_ns * 1e-9:.6f}", camera, file, leds, *at))
+        self._sequence += 1
+        self._progress(self._sequence, self._planned)
+
+
+@contextmanager
+def recording(folder: Path, unit: Unit, kind: str, planned: int, progress: Progress) -> Iterator[Recorder]:
+    """A recorder whose frames become the recording ``folder`` at the end, or nothing at all.
+
+    Raises BadInputError for a folder that holds something or that cannot be made.
+    """
+    folder = folder.resolve()
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise BadInputError(folder, "exists and is not an empty folder")
+    draft = folder.with_name(f".{folder.name}.{os.getpid()}.draft")
+    try:
+        for camera in CAMERAS:
+            (draft / camera).mkdir(parents=True)
+        recorder = Recorder(draft, unit, planned, progress)
+        yield recorder
+        with (draft / "frames.csv").open("w", newline="") as table:
+            csv.writer(table, lineterminator="\n").writerows([HEADER, *recorder.rows])
+        (draft / "recording.json").write_text(json.dumps(_about(unit, kind), indent=1) + "\n")
+        draft.replace(folder)
+    except OSError as error:
+        raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _about(unit: Unit, kind: str) -> dict[str, object]:
+    config = unit.config
+    note = f"hw_sim, seed {config.seed}"
+    if unit.faults:
+        note += f", faults {', '.join(sorted(unit.faults))}"
+    size = {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": config.bits}
+    return {
+        "format": "altd-recording/1",
+        "kind": kind,
+        "fps": config.fps,
+        "cameras": dict.fromkeys(CAMERAS, size),
+        "unit": {"serial": config.serial, "target_distance_mm": config.target_distance_mm},
+        "note": note,
+    }

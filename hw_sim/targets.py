@@ -1,0 +1,80 @@
+"""What scatters the light: the printed window, the plain plate, their speckle, and the frame LEDs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Image = npt.NDArray[np.float32]
+
+DOT_DIAMETER_MM = 0.5
+DOT_PITCH_MM = 1.0
+"""The screen print of Table 3.1's last row."""
+
+DOT_COVERAGE = math.pi * DOT_DIAMETER_MM**2 / (2.0 * math.sqrt(3.0) * DOT_PITCH_MM**2)
+"""Share of the window that the dots cover, 0.2267; the rest of the beam goes on to the rear target."""
+
+WINDOW_TRANSMISSION = 0.92
+"""Clear glass with two uncoated faces."""
+
+LED_DIAMETER_MM = 5.0
+LED_POSITIONS_MM = ((-70.0, 48.0), (0.0, 55.0), (70.0, 48.0), (-70.0, -48.0), (0.0, -55.0), (70.0, -48.0))
+"""The six frame LEDs (Sec. 3.4, App. A.3): clear of the scanned 125 × 100 mm, within the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class DotPrint:
+    """A hexagonal lattice of dots: where one dot sits (mm), and the turn of the rows from x towards y."""
+
+    phase_mm: tuple[float, float]
+    rotation_rad: float
+
+    def cover(self, x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
+        """Share of ink, 0 to 1, in a small cell of about ``softness_mm`` at points of the window."""
+        cos, sin = np.float32(math.cos(self.rotation_rad)), np.float32(math.sin(self.rotation_rad))
+        x, y = x_mm - np.float32(self.phase_mm[0]), y_mm - np.float32(self.phase_mm[1])
+        across, up = cos * x + sin * y, cos * y - sin * x
+        row = np.float32(DOT_PITCH_MM * math.sqrt(3.0))
+        pitch = np.float32(DOT_PITCH_MM)
+        squared = [
+            (across - offset * pitch - pitch * np.rint(across / pitch - offset)) ** 2
+            + (up - offset * row - row * np.rint(up / row - offset)) ** 2
+            for offset in (np.float32(0.0), np.float32(0.5))
+        ]
+        distance = np.sqrt(np.minimum(*squared))
+        return _soft_disc(distance, DOT_DIAMETER_MM / 2.0, softness_mm)
+
+
+def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
+    """Share of lit LED, 0 to 1, in a small cell at points of the frame around a target."""
+    cover = np.zeros_like(x_mm)
+    for led_x, led_y in LED_POSITIONS_MM:
+        distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
+        cover += _soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
+    return cover
+
+
+def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:
+    """The fixed factor of mean 1 by which a surface's grain changes each pixel's share, (rows, columns).
+
+    The grain is finer than a pixel, so its mean over one pixel's area differs from the next one's with
+    ``contrast``, and the lens then blurs it with all else. Target and camera are fixed to each other: the
+    grain of the surface belongs to the pixels.
+    """
+    grain = rng.standard_normal(shape, dtype=np.float32) * np.float32(contrast)
+    factor: Image = np.maximum(np.float32(1.0) + grain - grain.mean(), np.float32(0.0))
+    return factor
+
+
+def _soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
+    """1 inside and 0 outside of a disc, with an edge as wide as the cell that is asked about.
+
+    A straight edge of width w adds π·w²/12 to the disc's area; the radius gives that back.
+    """
+    radius_mm = math.sqrt(radius_mm**2 - softness_mm**2 / 12.0)
+    edge = np.float32(0.5) + (np.float32(radius_mm) - distance_mm) / np.float32(softness_mm)
+    cover: Image = np.clip(edge, np.float32(0.0), np.float32(1.0))
+    return cover

@@ -1,0 +1,219 @@
+"""The simulated unit: one seed makes one unit, with its truth, its faults and its two cameras."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from altd.records import Frame, PixelArray
+from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
+from hw_sim.beam import BeamPose, Footprint, Laser, footprint
+from hw_sim.eye import Eye, Settings
+from hw_sim.faults import (
+    ALL_PIXELS,
+    DROPPED_SHARE,
+    OUT_OF_AREA_MM,
+    OVERLOAD,
+    SECOND_SPOT_MM,
+    Fault,
+)
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX
+from hw_sim.motion import Drive, Vibration, driving, vibrating
+from hw_sim.sensor import NoisePool, Sensor
+from hw_sim.targets import DOT_COVERAGE, WINDOW_TRANSMISSION
+from hw_sim.view import make_view
+
+FRONT, REAR = "front", "rear"
+CAMERAS = (FRONT, REAR)
+
+EXPOSURES_MS: Mapping[str, float] = {FRONT: 1.6, REAR: 1.6}
+"""Bring 3 mW in a spot of 12 × 11 mm to about three quarters of full scale."""
+
+INK_GRAIN = 0.6
+"""Speckle of the window's ink relative to the plate's: light that diffuses through ink loses contrast. With
+it a node of a scan scatters about the map as on the recorded unit (../shared/data/unit-a): 0.04 px."""
+
+_MISSING = {FRONT: Fault.FRONT_SPOT_MISSING, REAR: Fault.REAR_SPOT_MISSING}
+_SECOND = {FRONT: Fault.FRONT_SECOND_SPOT, REAR: Fault.REAR_SECOND_SPOT}
+_SILENT = {FRONT: Fault.FRONT_SILENT, REAR: Fault.REAR_SILENT}
+
+
+@dataclass(frozen=True, slots=True)
+class UnitConfig:
+    """A unit and its surroundings. The seed alone decides lenses, tilts, print, speckle and hot pixels.
+
+    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16.
+    """
+
+    seed: int = 1
+    laser: Laser = field(default_factory=Laser)
+    lux: float = 200.0
+    speckle_contrast: float = 0.16
+    hot_pixels: int = 20
+    bits: int = 8
+    fps: float = 20.0
+    target_distance_mm: float = 280.0
+    vibration: Vibration | None = None
+    drive: Drive | None = None
+    faults: frozenset[Fault] = frozenset()
+
+    @property
+    def serial(self) -> str:
+        """The unit's serial number."""
+        return f"SIM-{self.seed}"
+
+    @property
+    def period_ns(self) -> int:
+        """The time from one exposure to the next."""
+        return round(1e9 / self.fps)
+
+
+class Unit:
+    """Two targets, two cameras, one beam. Any method may be called from any thread."""
+
+    def __init__(self, config: UnitConfig | None = None) -> None:
+        self.config = config or UnitConfig()
+        self.leds_on = False
+        self._pose = BeamPose(0.0, 0.0)
+        self._faults = self.config.faults
+        self._lock = threading.Lock()
+        streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
+        rngs = (np.random.default_rng(stream) for stream in streams)
+        dots = make_dots(next(rngs))
+        lenses = {
+            FRONT: make_lens(FRONT_FOCAL_MM, mirrored=True, rng=next(rngs)),
+            REAR: make_lens(REAR_FOCAL_MM, mirrored=False, rng=next(rngs)),
+        }
+        self.eyes: Mapping[str, Eye] = {
+            name: Eye(
+                make_view(
+                    lens,
+                    dots if name == FRONT else None,
+                    self.config.speckle_contrast * (INK_GRAIN if name == FRONT else 1.0),
+                    self.config.hot_pixels,
+                    next(rngs),
+                ),
+                Sensor(self.config.bits),
+                Settings(EXPOSURES_MS[name]),
+                self.config.lux,
+            )
+            for name, lens in lenses.items()
+        }
+        self._pool = NoisePool(next(rngs))
+        motion_rng = next(rngs)
+        drive, vibration = self.config.drive, self.config.vibration
+        self._drive = driving(drive, motion_rng) if drive else None
+        self._vibration = vibrating(vibration, motion_rng) if vibration else None
+
+    @property
+    def faults(self) -> frozenset[Fault]:
+        """The faults that are present now."""
+        return self._faults
+
+    def inject(self, *faults: Fault) -> None:
+        """Let these faults be present from the next exposure on."""
+        with self._lock:
+            self._faults |= set(faults)
+
+    def clear(self, *faults: Fault) -> None:
+        """Mend these faults; without an argument, all."""
+        with self._lock:
+            self._faults = self._faults - set(faults) if faults else frozenset()
+
+    def place(self, pose: BeamPose) -> None:
+        """Point the reference laser; drive and vibration come on top."""
+        self._pose = pose
+
+    def set_camera(self, camera: str, *, exposure_ms: float | None = None, gain: float | None = None) -> None:
+        """Set exposure or gain of one camera, from its next exposure on."""
+        eye = self.eyes[camera]
+        if exposure_ms is not None:
+            eye.settings = replace(eye.settings, exposure_ms=exposure_ms)
+        if gain is not None:
+            eye.settings = replace(eye.settings, gain=gain)
+
+    def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
+        """Where the beam is at ``t_ns``, or would be where it is switched off."""
+        pose = self._displaced()
+        if self._drive is not None:
+            pose = self._drive.moved(pose, t_ns)
+        if vibration and self._vibration is not None:
+            pose = self._vibration.moved(pose, t_ns)
+        return pose
+
+    def is_silent(self, camera: str) -> bool:
+        """Whether a camera delivers nothing at all."""
+        return _SILENT[camera] in self._faults
+
+    def drops(self, camera: str, sequence: int) -> bool:
+        """Whether this exposure is lost on its way to the host."""
+        return (
+            Fault.DROPPED_FRAMES in self._faults and self._rng(camera, sequence, 1).random() < DROPPED_SHARE
+        )
+
+    def lag_ns(self, camera: str) -> int:
+        """How late a camera exposes against the schedule."""
+        out_of_step = camera == REAR and Fault.OUT_OF_STEP in self._faults
+        return self.config.period_ns // 2 if out_of_step else 0
+
+    def expose(self, camera: str, sequence: int, t_ns: int, *, exact: bool = False) -> Frame:
+        """The frame of one camera whose exposure's middle is ``t_ns``.
+
+        ``exact`` draws every photon (a recording, 20 times slower); otherwise noise comes from a pool.
+        The same unit, beam, sequence and time give the same frame, bit for bit.
+        """
+        faults, leds_on = self._faults, self.leds_on
+        if faults & ALL_PIXELS:
+            pixels = self._without_picture(faults, camera, sequence)
+        else:
+            eye = self.eyes[camera]
+            spots = self._spots(camera, self.truth(t_ns), faults)
+            lit = leds_on or Fault.LEDS_ON in faults
+            if exact:
+                pixels = eye.expose(spots, lit, self._rng(camera, sequence, 0))
+            else:
+                key = sequence * len(CAMERAS) + CAMERAS.index(camera)
+                pixels = eye.sketch(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
+        pixels.flags.writeable = False
+        return Frame(camera, sequence, t_ns, pixels, self.config.bits, leds_on)
+
+    def _displaced(self) -> BeamPose:
+        """The beam of the laser, unless a fault takes it elsewhere."""
+        if Fault.CUT_BY_EDGE in self._faults:
+            x_mm, y_mm = self.eyes[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
+            return BeamPose(float(x_mm), float(y_mm))
+        if Fault.OUT_OF_AREA in self._faults:
+            return BeamPose(*OUT_OF_AREA_MM)
+        return self._pose
+
+    def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
+        """The spots on one target."""
+        if faults & {Fault.NO_LASER, _MISSING[camera]}:
+            return []
+        share = OVERLOAD if Fault.SATURATED in faults else 1.0
+        z_mm = 0.0
+        if camera == REAR:
+            share *= (1.0 - DOT_COVERAGE) * WINDOW_TRANSMISSION
+            z_mm = self.config.target_distance_mm
+        spot = footprint(self.config.laser, pose, z_mm, share)
+        if _SECOND[camera] not in faults:
+            return [spot]
+        aside = -SECOND_SPOT_MM if spot.x_mm > 0.0 else SECOND_SPOT_MM
+        return [spot, replace(spot, x_mm=spot.x_mm + aside)]
+
+    def _without_picture(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
+        sensor = self.eyes[camera].sensor
+        counts = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+        if Fault.WHITE in faults:
+            counts += sensor.full_scale
+        elif Fault.NOISE_ONLY in faults:
+            noise = self._rng(camera, sequence, 2).standard_normal(counts.shape, dtype=np.float32)
+            counts += sensor.full_scale * (np.float32(0.25) + np.float32(0.0625) * noise)
+        return sensor.quantise(counts)
+
+    def _rng(self, camera: str, sequence: int, purpose: int) -> np.random.Generator:
+        """Random numbers that belong to one frame of one unit and to nothing else."""
+        return np.random.default_rng([self.config.seed, CAMERAS.index(camera), sequence, purpose])

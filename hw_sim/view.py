@@ -1,0 +1,156 @@
+"""One camera's fixed view of its target: what every pixel shows, and how bright it is.
+
+Target and camera are fixed to each other, so all that does not depend on the beam is worked out once: the
+point of the target at each pixel's centre, the ink and lamps that the pixel's area covers after the lens
+has blurred them, speckle, fall-off. An exposure then costs one exponential per pixel around the spot. The
+beam is taken as even over a pixel (0.25 mm of a spot of several mm).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from hw_sim.beam import Footprint
+from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, FloatArray, Lens
+from hw_sim.sensor import FULL_WELL_E
+from hw_sim.targets import DotPrint, Image, led_cover, speckle
+
+SUBSAMPLES = 4
+"""Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""
+
+PSF_SIGMA_PX = 0.74
+"""Blur of the lens. With a surface grain of 0.16 a bright spot then looks as in the frames of the recorded
+unit (../shared/data/unit-a, rear): contrast 0.06, neighbouring pixels share half of it, blocks of 4 × 4
+pixels scatter by 0.11 / 4."""
+
+F_NUMBER = 4.0
+LENS_AND_FILTER_TRANSMISSION = 0.6
+QUANTUM_EFFICIENCY = 0.5
+PHOTONS_PER_MJ = 650e-9 / (6.62607015e-34 * 2.99792458e8) * 1e-3
+"""At 650 nm, per mW·s."""
+
+ELECTRONS_PER_EXPOSURE = (
+    LENS_AND_FILTER_TRANSMISSION
+    / (4.0 * F_NUMBER**2)
+    * PIXEL_MM**2
+    * PHOTONS_PER_MJ
+    * QUANTUM_EFFICIENCY
+    * 1e-3
+)
+"""Electrons per pixel for 1 mW/mm² on a white (Lambertian) target during 1 ms, on the lens axis."""
+
+MW_PER_MM2_PER_LUX = 1e-3 / (683.0 * 0.107)
+"""Irradiance of 1 lux of 650 nm light, where the eye's V(λ) is 0.107."""
+
+PLATE_REFLECTANCE = 0.3
+INK_REFLECTANCE = 0.5
+LED_LEVEL_E_PER_MS = 0.5 * FULL_WELL_E
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """The fixed maps of one camera, all (rows, columns) float32."""
+
+    lens: Lens
+    x_mm: Image
+    y_mm: Image
+    response: Image
+    """Electrons per mW/mm² and ms."""
+    ambient: Image
+    """Electrons per lux and ms."""
+    lamps: Image
+    """Electrons per ms with the frame LEDs on."""
+    hot_e: Image
+    """Electrons that leak into a pixel's storage at every read-out, whatever the exposure."""
+
+    def background_e(self, exposure_ms: float, lux: float, leds_on: bool) -> Image:
+        """Mean electrons of an exposure without the beam."""
+        electrons = self.ambient * np.float32(lux * exposure_ms) + self.hot_e
+        if leds_on:
+            electrons += self.lamps * np.float32(exposure_ms)
+        return electrons
+
+    def beam_e(
+        self, footprints: Sequence[Footprint], exposure_ms: float
+    ) -> tuple[tuple[slice, slice], Image]:
+        """Mean electrons of the spots, with the (rows, columns) of the picture that they cover."""
+        region = self.region(footprints)
+        electrons = np.zeros_like(self.response[region])
+        for footprint in footprints:
+            electrons += footprint.irradiance(self.x_mm[region], self.y_mm[region])
+        return region, electrons * self.response[region] * np.float32(exposure_ms)
+
+    def region(self, footprints: Sequence[Footprint]) -> tuple[slice, slice]:
+        """The rows and columns that hold the spots; empty slices when none is in the picture."""
+        if not footprints:
+            return slice(0, 0), slice(0, 0)
+        around = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
+        circle = np.stack([np.cos(around), np.sin(around)], axis=1) * math.sqrt(2.0)  # around the box
+        points = np.concatenate(
+            [np.array([spot.x_mm, spot.y_mm]) + circle * spot.half_box_mm for spot in footprints]
+        )
+        u, v = self.lens.project(points[:, 0], points[:, 1])
+        return _within(v, HEIGHT_PX), _within(u, WIDTH_PX)
+
+
+def make_view(
+    lens: Lens, dots: DotPrint | None, contrast: float, hot_pixels: int, rng: np.random.Generator
+) -> View:
+    """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None."""
+    columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
+    x_mm, y_mm = lens.unproject(columns, rows)
+    grain = speckle(rng, (HEIGHT_PX, WIDTH_PX), contrast)
+    reflectance, lit = _covered(x_mm.astype(np.float32), y_mm.astype(np.float32), dots, grain)
+    falloff = lens.relative_illumination(x_mm, y_mm).astype(np.float32)
+    slope_u, slope_v = rng.uniform(-0.4, 0.4, size=2)
+    gradient = 1.0 + slope_u * (2.0 * columns / WIDTH_PX - 1.0) + slope_v * (2.0 * rows / HEIGHT_PX - 1.0)
+    ambient = PLATE_REFLECTANCE * MW_PER_MM2_PER_LUX * ELECTRONS_PER_EXPOSURE * gradient
+    hot_e = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
+    where = rng.choice(hot_e.size, size=hot_pixels, replace=False)
+    hot_e.flat[where] = rng.uniform(0.1, 1.0, size=hot_pixels) * FULL_WELL_E
+    return View(
+        lens=lens,
+        x_mm=x_mm.astype(np.float32),
+        y_mm=y_mm.astype(np.float32),
+        response=reflectance * falloff * np.float32(ELECTRONS_PER_EXPOSURE),
+        ambient=ambient.astype(np.float32) * falloff,
+        lamps=lit * falloff * np.float32(LED_LEVEL_E_PER_MS),
+        hot_e=hot_e,
+    )
+
+
+def _covered(x_mm: Image, y_mm: Image, dots: DotPrint | None, grain: Image) -> tuple[Image, Image]:
+    """Mean reflectance and share of lit LED over each pixel's area, seen through the lens's blur."""
+    by_u = (np.gradient(x_mm, axis=1), np.gradient(y_mm, axis=1))
+    by_v = (np.gradient(x_mm, axis=0), np.gradient(y_mm, axis=0))
+    cell_mm = float(np.median(np.hypot(*by_u))) / SUBSAMPLES
+    lit = np.zeros_like(x_mm)
+    ink = np.zeros_like(x_mm)
+    offsets = (np.arange(SUBSAMPLES, dtype=np.float32) + np.float32(0.5)) / SUBSAMPLES - np.float32(0.5)
+    for down in offsets:
+        for right in offsets:
+            x = x_mm + right * by_u[0] + down * by_v[0]
+            y = y_mm + right * by_u[1] + down * by_v[1]
+            lit += led_cover(x, y, cell_mm)
+            if dots is not None:
+                ink += dots.cover(x, y, cell_mm)
+    lit = _blurred(lit / np.float32(SUBSAMPLES**2))
+    if dots is None:
+        return _blurred(grain) * np.float32(PLATE_REFLECTANCE), lit
+    return _blurred(ink * grain / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
+
+
+def _blurred(image: Image) -> Image:
+    return cv2.GaussianBlur(image, (0, 0), PSF_SIGMA_PX).astype(np.float32)
+
+
+def _within(positions_px: FloatArray, size: int) -> slice:
+    """The whole pixels between the smallest and the largest position, within the picture."""
+    low = min(max(int(np.floor(positions_px.min())) - 1, 0), size)
+    high = min(max(int(np.ceil(positions_px.max())) + 2, low), size)
+    return slice(low, high)

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.recordings import place_px, write, write_beams, write_scan
+
+from altd.calibration.file import _checksum, check_image_size, load_calibration, save_calibration
+from altd.calibration.model import Calibration
+from altd.calibration.scan import calibrate_scan
+from altd.errors import BadInputError
+from altd.recording import open_recording
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scan(tmp_path_factory.mktemp("scan") / "rec")
+
+
+@pytest.fixture(scope="module")
+def calibration(scan: Path) -> Calibration:
+    result = calibrate_scan(open_recording(scan))
+    assert result.refused == ()
+    return result.calibration
+
+
+@pytest.fixture
+def file(calibration: Calibration, tmp_path: Path) -> Path:
+    save_calibration(calibration, tmp_path / "cal.json")
+    return tmp_path / "cal.json"
+
+
+def tampered(file: Path, resealed: bool = True, **changes: object) -> Path:
+    document = json.loads(file.read_text()) | changes
+    if resealed:
+        document.pop("checksum")
+        document["checksum"] = _checksum(document)
+    file.write_text(json.dumps(document))
+    return file
+
+
+def complaint(file: Path, serial: str | None = None) -> str:
+    with pytest.raises(BadInputError) as caught:
+        load_calibration(file, serial)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_maps_find_places_between_the_nodes(calibration: Calibration) -> None:
+    rng = np.random.default_rng(1)
+    for name in ("front", "rear"):
+        target = calibration.target(name)
+        assert target is not None
+        for x, y in rng.uniform((-60, -48), (60, 48), (20, 2)):
+            point = target.point(*place_px(name, x, y))
+            assert point is not None
+            assert (point.x_mm, point.y_mm) == pytest.approx((x, y), abs=0.02)
+
+
+def test_outside_the_scan_there_is_no_point(calibration: Calibration) -> None:
+    target = calibration.target("rear")
+    assert target is not None
+    assert target.point(*place_px("rear", 64.0, 0.0)) is None
+    assert target.point(*place_px("rear", 0.0, -52.0)) is None
+
+
+def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) -> None:
+    loaded = load_calibration(file, "TEST-1")
+    assert loaded.target_names == ("front", "rear")
+    for saved, read in zip(calibration.targets, loaded.targets, strict=True):
+        assert read.localiser == saved.localiser
+        assert read.map.to_px(np.array([[3.0, 4.0]])) == pytest.approx(
+            saved.map.to_px(np.array([[3.0, 4.0]]))
+        )
+        assert (read.residual_max_mm, read.z_mm) == (saved.residual_max_mm, saved.z_mm)
+
+
+def test_one_changed_digit_fails_the_checksum(file: Path) -> None:
+    text = file.read_text()
+    file.write_text(text.replace('"smoothing_px": 4.0', '"smoothing_px": 5.0', 1))
+    assert file.read_text() != text
+    assert "checksum does not fit" in complaint(file)
+
+
+def test_another_version_another_unit_and_another_size_are_refused(file: Path) -> None:
+    assert "is for unit 'TEST-1', this is unit 'OTHER'" in complaint(file, "OTHER")
+    calibration = load_calibration(file)
+    with pytest.raises(BadInputError, match=r"'front' was calibrated at 752 × 480, not 640 × 480"):
+        check_image_size(calibration, file, "front", 640, 480)
+    with pytest.raises(BadInputError, match="does not know target 'middle'"):
+        check_image_size(calibration, file, "middle", 752, 480)
+    assert "format is 'altd-calibration/9'" in complaint(tampered(file, format="altd-calibration/9"))
+
+
+def test_damaged_files_are_refused_with_the_place(file: Path, tmp_path: Path) -> None:
+    assert "No such file" in complaint(tmp_path / "none.json")
+    good = json.loads(file.read_text())
+    targets = good["targets"]
+    targets[1]["map"]["spectrum_u_px"].pop()
+    assert "targets.rear.map.spectrum: expected 2 × 4 × 5 numbers" in complaint(
+        tampered(file, targets=targets)
+    )
+    del targets[0]["z_mm"]
+    assert "targets.0.z_mm: Field required" in complaint(tampered(file, targets=targets))
+    file.write_text("[]")
+    assert "no JSON object" in complaint(file)
+    file.write_text(json.dumps(good)[:500])
+    assert "is not JSON" in complaint(file)
+
+
+def test_saving_where_nothing_can_be_written_leaves_nothing_behind(
+    calibration: Calibration, tmp_path: Path
+) -> None:
+    (tmp_path / "cal.json").mkdir()
+    with pytest.raises(BadInputError, match="Is a directory"):
+        save_calibration(calibration, tmp_path / "cal.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["cal.json"]
+
+
+def test_a_dark_node_is_reported_and_survived(scan: Path, tmp_path: Path) -> None:
+    places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
+    shots = [(None if n == 7 else place, place, place) for n, place in enumerate(places)]
+    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    assert result.refused == (
+        "front node x -37.5 y -25 mm: spot_missing in front0007.png (nothing stands out of the background)",
+    )
+    target = result.calibration.target("front")
+    assert target is not None
+    point = target.point(*place_px("front", -37.5, -25.0))
+    assert point is not None
+    assert (point.x_mm, point.y_mm) == pytest.approx((-37.5, -25.0), abs=0.03)
+
+
+def test_too_many_dark_nodes_are_refused(scan: Path, tmp_path: Path) -> None:
+    places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
+    shots = [(place, None if n % 3 else place, place) for n, place in enumerate(places)]
+    with pytest.raises(BadInputError, match="rear: 20 of 30 nodes have no spot: spot_missing"):
+        calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+
+
+def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
+    recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
+    with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
+        calibrate_scan(recording)
+
+
+def test_an_undecodable_frame_ends_the_calibration_with_its_row(scan: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "rec"
+    copy.mkdir()
+    for path in scan.iterdir():
+        (copy / path.name).write_bytes(path.read_bytes())
+    damaged = copy / "rear0003.png"
+    damaged.write_bytes(damaged.read_bytes()[:300])
+    with pytest.raises(BadInputError, match=r"row 9: rear0003\.png cannot be decoded"):
+        calibrate_scan(open_recording(copy))
+    assert cv2.imread(str(copy / "rear0002.png"), cv2.IMREAD_UNCHANGED) is not None

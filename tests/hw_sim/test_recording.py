@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from altd.errors import BadInputError
+from hw_sim import measure
+from hw_sim.__main__ import main
+from hw_sim.beam import BeamPose
+from hw_sim.faults import Fault
+from hw_sim.measure import random_poses, record_measurement
+from hw_sim.scan import record_scan
+from hw_sim.stage import Stage
+from hw_sim.unit import Unit
+
+
+def quiet(_done: int, _planned: int) -> None:
+    """No progress."""
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "frames.csv").open(newline="") as table:
+        reader = csv.DictReader(table)
+        assert reader.fieldnames == ["sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm"]
+        return list(reader)
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory, ordinary_unit: Unit) -> Path:
+    folder = tmp_path_factory.mktemp("hw_sim") / "scan"
+    record_scan(folder, ordinary_unit, Stage(np.random.default_rng(1)), 1, quiet)
+    return folder
+
+
+def test_a_scan_says_what_it_is(scan: Path) -> None:
+    about = json.loads((scan / "recording.json").read_text())
+    assert about["format"] == "altd-recording/1"
+    assert (about["kind"], about["fps"]) == ("scan", 50.0)
+    assert about["cameras"]["front"] == {"width": 752, "height": 480, "bits": 8}
+    assert about["unit"] == {"serial": "SIM-5", "target_distance_mm": 280.0}
+    assert "seed 5" in about["note"]
+
+
+def test_a_scan_begins_with_led_pairs_and_goes_over_the_grid(scan: Path) -> None:
+    front = [row for row in rows_of(scan) if row["camera"] == "front"]
+    assert [row["leds"] for row in front[:4]] == ["off", "on", "off", "on"]
+    assert {row["x_mm"] for row in front[:4]} == {""}
+    nodes = [(float(row["x_mm"]), float(row["y_mm"])) for row in front[4:]]
+    assert nodes == [(x, y) for y in (-50, -25, 0, 25, 50) for x in (-62.5, -37.5, -12.5, 12.5, 37.5, 62.5)]
+    assert {row["leds"] for row in front[4:]} == {"off"}
+
+
+def test_both_cameras_of_an_exposure_share_sequence_and_time(scan: Path) -> None:
+    rows = rows_of(scan)
+    for front, rear in zip(rows[::2], rows[1::2], strict=True):
+        assert (front["camera"], rear["camera"]) == ("front", "rear")
+        assert (front["sequence"], front["t_s"]) == (rear["sequence"], rear["t_s"])
+        assert float(front["t_s"]) == pytest.approx(int(front["sequence"]) / 50.0)
+
+
+def test_every_frame_is_a_grey_png_of_the_stated_size(scan: Path) -> None:
+    for row in rows_of(scan)[::9]:
+        image = cv2.imread(str(scan / row["file"]), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert (image.shape, image.dtype) == ((480, 752), np.uint8)
+
+
+def test_sixteen_bits_survive_the_file(tmp_path: Path, clean_unit: Unit) -> None:
+    record_measurement(tmp_path / "m", clean_unit, [BeamPose(0.0, 0.0)], 1, quiet)
+    image = cv2.imread(str(tmp_path / "m" / "rear" / "000000.png"), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    assert image.dtype == np.uint16
+    assert image.max() > 20_000
+    assert json.loads((tmp_path / "m" / "recording.json").read_text())["cameras"]["rear"]["bits"] == 16
+
+
+def test_poses_keep_to_the_area_on_both_targets_and_to_the_specified_slopes() -> None:
+    poses = random_poses(300, 280.0, np.random.default_rng(1))
+    ends = np.array([pose.at(z) for pose in poses for z in (0.0, 280.0)])
+    slopes = np.array([(pose.slope_x, pose.slope_y) for pose in poses])
+    assert np.all(np.abs(ends) <= [59.5, 47.0])
+    assert np.all(np.abs(slopes) <= [0.110, 0.250])
+    assert np.all(np.abs(slopes).max(axis=0) > [0.1, 0.2])
+
+
+def test_the_truth_of_a_measurement_is_the_beam_that_was_there(tmp_path: Path, unit: Unit) -> None:
+    poses = [BeamPose(1.0, 2.0, 0.03, 0.04), BeamPose(-5.0, 6.0, -0.07, 0.08)]
+    truth = record_measurement(tmp_path / "m", unit, poses, 2, quiet)
+    assert truth == {
+        "window": 2,
+        "poses": [
+            {"x_mm": 1.0, "y_mm": 2.0, "slope_x": 0.03, "slope_y": 0.04},
+            {"x_mm": -5.0, "y_mm": 6.0, "slope_x": -0.07, "slope_y": 0.08},
+        ],
+    }
+    rows = rows_of(tmp_path / "m")
+    assert [int(row["sequence"]) for row in rows] == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert {(row["leds"], row["x_mm"], row["y_mm"]) for row in rows} == {("off", "", "")}
+
+
+def test_faulty_cameras_leave_their_mark_in_the_table(tmp_path: Path, unit: Unit) -> None:
+    unit.inject(Fault.FRONT_SILENT, Fault.OUT_OF_STEP)
+    record_measurement(tmp_path / "m", unit, [BeamPose(0.0, 0.0)], 2, quiet)
+    rows = rows_of(tmp_path / "m")
+    assert [(row["camera"], row["t_s"]) for row in rows] == [("rear", "0.010000"), ("rear", "0.030000")]
+
+
+def test_a_folder_that_holds_something_is_refused_and_left_alone(tmp_path: Path, unit: Unit) -> None:
+    (tmp_path / "mine.txt").write_text("precious")
+    with pytest.raises(BadInputError, match="not an empty folder"):
+        record_measurement(tmp_path, unit, [BeamPose(0.0, 0.0)], 1, quiet)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_recording_that_breaks_off_leaves_nothing(tmp_path: Path, unit: Unit) -> None:
+    def give_up(_done: int, _planned: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record_measurement(tmp_path / "m", unit, [BeamPose(0.0, 0.0)], 1, give_up)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_measures_the_same_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], unit: Unit
+) -> None:
+    monkeypatch.setattr(measure, "Unit", lambda _config: unit)
+    for name in ("a", "b"):
+        arguments = ["measure", "-o", str(tmp_path / name), "--truth", str(tmp_path / f"{name}.json")]
+        assert main([*arguments, "--poses", "2", "--exposures", "1"]) == 0
+    assert (tmp_path / "a.json").read_text() == (tmp_path / "b.json").read_text()
+    for row in rows_of(tmp_path / "a"):
+        assert (tmp_path / "a" / row["file"]).read_bytes() == (tmp_path / "b" / row["file"]).read_bytes()
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["--faults", "gremlins"], "unknown fault 'gremlins'"),
+        (["--truth", "/nowhere/truth.json"], "/nowhere/truth.json"),
+        (["--poses", "0"], "0 is less than 1"),
+    ],
+)
+def test_a_wrong_argument_gives_one_line_and_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+) -> None:
+    try:
+        status = main(["measure", "-o", str(tmp_path / "m"), "--truth", str(tmp_path / "t.json"), *arguments])
+    except SystemExit as exit_:
+        status = int(str(exit_.code))
+    captured = capsys.readouterr()
+    assert status == 2
+    assert complaint in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

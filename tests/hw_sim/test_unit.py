@@ -1,0 +1,188 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hw_sim.beam import BeamPose
+from hw_sim.faults import Fault
+from hw_sim.motion import Drive, Vibration
+from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
+
+
+def smoothed(unit: Unit, camera: str, sequence: int = 0) -> npt.NDArray[np.float32]:
+    """A frame less its median, hot pixels and dots smoothed away."""
+    pixels = unit.expose(camera, sequence, 0).pixels.astype(np.float32)
+    even = cv2.GaussianBlur(cv2.medianBlur(pixels, 3) if camera == REAR else pixels, (0, 0), 4.0)
+    return np.asarray(even - np.median(even), dtype=np.float32)
+
+
+def spots(unit: Unit, camera: str) -> list[tuple[int, int]]:
+    """(u, v) of the middles of all that shines out, for a crude look from outside."""
+    bright = (smoothed(unit, camera) > 8.0).astype(np.uint8)
+    _, _, _, middles = cv2.connectedComponentsWithStats(bright)
+    return [(round(u), round(v)) for u, v in middles[1:]]
+
+
+def test_the_same_seed_makes_the_same_unit_and_the_same_frames() -> None:
+    first, second = (Unit(UnitConfig(seed=11)) for _ in range(2))
+    for camera in CAMERAS:
+        for exact in (True, False):
+            frames = [unit.expose(camera, 3, 150_000_000, exact=exact).pixels for unit in (first, second)]
+            assert np.array_equal(*frames)
+        assert first.eyes[camera].view.lens.focal_mm == second.eyes[camera].view.lens.focal_mm
+
+
+def test_frames_of_a_sequence_differ_in_noise_and_other_seeds_in_everything(unit: Unit) -> None:
+    assert not np.array_equal(unit.expose(FRONT, 1, 0).pixels, unit.expose(FRONT, 2, 0).pixels)
+    other = Unit(UnitConfig(seed=12))
+    assert other.eyes[FRONT].view.lens.focal_mm != unit.eyes[FRONT].view.lens.focal_mm
+    assert not np.array_equal(other.eyes[FRONT].view.response, unit.eyes[FRONT].view.response)
+
+
+def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> None:
+    for camera in CAMERAS:
+        quick, exact = (
+            np.stack([unit.expose(camera, k, 0, exact=drawn).pixels for k in range(12)]).astype(np.float64)
+            for drawn in (False, True)
+        )
+        assert quick.mean() == pytest.approx(exact.mean(), rel=0.003)
+        assert quick.var(axis=0).mean() == pytest.approx(exact.var(axis=0).mean(), rel=0.02)
+
+
+def test_hot_pixels_stay_where_they_are(unit: Unit) -> None:
+    unit.inject(Fault.NO_LASER)
+    hot = [set(np.flatnonzero(unit.expose(REAR, k, 0).pixels > 40)) for k in range(3)]
+    assert len(hot[0]) >= 10
+    assert len(hot[0] & hot[1] & hot[2]) >= len(hot[0]) - 1
+
+
+def test_stray_light_rises_with_the_lux_and_slopes_across_the_picture() -> None:
+    dim, bright = (
+        Unit(UnitConfig(seed=2, lux=lux, faults=frozenset({Fault.NO_LASER}))).expose(REAR, 0, 0).pixels
+        for lux in (0.0, 1000.0)
+    )
+    assert dim.mean() == pytest.approx(4.0, abs=0.3)
+    assert bright.mean() > 20.0
+    quarters = [
+        float(np.median(part)) for half in np.array_split(bright, 2) for part in np.array_split(half, 2, 1)
+    ]
+    assert max(quarters) > 1.1 * min(quarters)
+
+
+def test_the_signal_goes_with_exposure_times_gain(unit: Unit) -> None:
+    unit.inject(Fault.NO_LASER)
+
+    def level(exposure_ms: float, gain: float) -> float:
+        unit.set_camera(REAR, exposure_ms=exposure_ms, gain=gain)
+        return float(unit.expose(REAR, 0, 0).pixels[100:300, 200:500].mean()) - 4.08
+
+    once = level(1.0, 1.0)
+    assert level(4.0, 1.0) == pytest.approx(4.0 * once, rel=0.03)
+    assert level(1.0, 4.0) == pytest.approx(4.0 * once, rel=0.03)
+
+
+def test_frames_are_read_only_and_carry_what_they_are(unit: Unit) -> None:
+    unit.leds_on = True
+    frame = unit.expose(REAR, 8, 123)
+    assert (frame.camera, frame.sequence, frame.t_ns, frame.bits, frame.leds_on) == (REAR, 8, 123, 8, True)
+    with pytest.raises(ValueError, match="read-only"):
+        frame.pixels[0, 0] = 1
+
+
+def test_the_truth_is_told_with_and_without_vibration() -> None:
+    shaking = Unit(UnitConfig(seed=2, vibration=Vibration(), drive=Drive()))
+    still = Unit(UnitConfig(seed=2, drive=Drive()))
+    shaking.place(BeamPose(3.0, 4.0, 0.01, 0.02))
+    still.place(BeamPose(3.0, 4.0, 0.01, 0.02))
+    t_ns = 7_350_000_000
+    assert shaking.truth(t_ns, vibration=False) == still.truth(t_ns)
+    assert 0.0 < abs(shaking.truth(t_ns).x_mm - still.truth(t_ns).x_mm) < 0.5
+
+
+def test_a_beam_at_rest_shows_a_spot_on_each_target_where_the_truth_says(unit: Unit) -> None:
+    unit.place(BeamPose(-20.0, 10.0, 0.05, -0.08))
+    for camera, z_mm in ((FRONT, 0.0), (REAR, 280.0)):
+        (u, v) = unit.eyes[camera].view.lens.project(*unit.truth(0).at(z_mm))
+        assert spots(unit, camera) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
+
+
+@pytest.mark.parametrize(
+    ("fault", "front", "rear"),
+    [
+        (Fault.NO_LASER, 0, 0),
+        (Fault.FRONT_SPOT_MISSING, 0, 1),
+        (Fault.REAR_SPOT_MISSING, 1, 0),
+        (Fault.FRONT_SECOND_SPOT, 2, 1),
+        (Fault.REAR_SECOND_SPOT, 1, 2),
+        (Fault.LEDS_ON, 7, 7),
+    ],
+)
+def test_a_fault_changes_what_shines(unit: Unit, fault: Fault, front: int, rear: int) -> None:
+    unit.inject(fault)
+    assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (front, rear)
+    unit.clear(fault)
+    assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (1, 1)
+
+
+def test_two_spots_are_equal(unit: Unit) -> None:
+    unit.inject(Fault.REAR_SECOND_SPOT)
+    picture = smoothed(unit, REAR)
+    peaks = [float(picture[v, u]) for u, v in spots(unit, REAR)]
+    assert peaks[0] == pytest.approx(peaks[1], rel=0.15)
+
+
+def test_stuck_leds_are_not_confessed(unit: Unit) -> None:
+    unit.inject(Fault.LEDS_ON)
+    assert not unit.expose(FRONT, 0, 0).leds_on
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_saturated_spot_is_flat_to_its_edge(unit: Unit, camera: str) -> None:
+    unit.inject(Fault.SATURATED)
+    pixels = unit.expose(camera, 0, 0).pixels
+    full = int((pixels == 255).sum())
+    skirt = int(((pixels > 60) & (pixels < 255)).sum())
+    assert full > 1000
+    assert full > (2.0 if camera == REAR else 0.5) * skirt
+
+
+@pytest.mark.parametrize(("fault", "value"), [(Fault.BLACK, 0), (Fault.WHITE, 255)])
+def test_black_and_white_frames_have_one_value(unit: Unit, fault: Fault, value: int) -> None:
+    unit.inject(fault)
+    assert set(np.unique(unit.expose(REAR, 0, 0).pixels)) == {value}
+
+
+def test_noise_alone_holds_no_picture(unit: Unit) -> None:
+    unit.inject(Fault.NOISE_ONLY)
+    first, second = (unit.expose(FRONT, k, 0).pixels.astype(np.float64) for k in range(2))
+    assert first.std() == pytest.approx(16.0, rel=0.02)
+    assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.01
+
+
+def test_a_spot_cut_by_the_edge_shows_its_half(unit: Unit) -> None:
+    whole_sum = smoothed(unit, FRONT).clip(min=2.0).sum()
+    unit.inject(Fault.CUT_BY_EDGE)
+    picture = smoothed(unit, FRONT)
+    assert np.unravel_index(picture.argmax(), picture.shape)[0] < 12
+    assert 0.2 * whole_sum < picture.clip(min=2.0).sum() < whole_sum
+    assert unit.truth(0).y_mm > 55.0
+
+
+def test_out_of_the_area_is_in_the_picture_but_beyond_the_scan(unit: Unit) -> None:
+    unit.inject(Fault.OUT_OF_AREA)
+    assert unit.truth(0).x_mm > 62.5
+    for camera in CAMERAS:
+        ((u, _),) = spots(unit, camera)
+        assert 25 < u < 752 - 25
+
+
+def test_faults_of_the_config_are_there_from_the_start() -> None:
+    assert Unit(UnitConfig(faults=frozenset({Fault.WHITE}))).expose(FRONT, 0, 0).pixels.min() == 255
+
+
+def test_without_arguments_clear_mends_everything(unit: Unit) -> None:
+    unit.inject(Fault.BLACK, Fault.NO_LASER)
+    unit.clear()
+    assert unit.faults == frozenset()

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from altd.mapping.gram import equidistant_nodes, gram_basis
+from altd.mapping.hull import convex_hull_mm, distance_outside_mm
+from altd.mapping.inverse import InverseMap
+from altd.mapping.tensor_map import Fit, fit_tensor_map
+
+CAMERA = np.array([[950.0, 0, 370.0], [0, 950.0, 245.0], [0, 0, 1]])
+BROWN = np.array([-0.18, 0.05, 0.001, -0.002, 0.0])
+TILT, SHIFT = np.array([0.15, -0.2, 0.02]), np.array([3.0, -2.0, 240.0])
+NOISE_PX = 0.05
+
+
+def lens(points_mm: np.ndarray) -> np.ndarray:
+    """A tilted camera with a Brown lens, by OpenCV: mm on a plane → px."""
+    space = np.column_stack([points_mm, np.zeros(len(points_mm))])
+    return cv2.projectPoints(space, TILT, SHIFT, CAMERA, BROWN)[0].reshape(-1, 2)
+
+
+def grid(columns: int = 6, rows: int = 5, pitch_mm: float = 25.0) -> np.ndarray:
+    x = (np.arange(columns) - (columns - 1) / 2) * pitch_mm
+    y = (np.arange(rows) - (rows - 1) / 2) * pitch_mm
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def fit(nodes_mm: np.ndarray, nodes_px: np.ndarray, degree: tuple[int, int] = (3, 3)) -> Fit:
+    return fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree)
+
+
+def inside(count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform((-60, -48), (60, 48), (count, 2))
+
+
+def test_on_a_complete_grid_the_fit_is_the_projection_of_equation_3_35() -> None:
+    rng = np.random.default_rng(1)
+    nodes = grid()
+    px = lens(nodes) + rng.normal(0, 1, (30, 2))
+    bx, _ = gram_basis(equidistant_nodes(6), 6, 3)
+    by, _ = gram_basis(equidistant_nodes(5), 5, 3)
+    expected = by @ by.T @ px[:, 0].reshape(5, 6) @ bx @ bx.T
+    result = fit(nodes, px)
+    assert result.map.to_px(nodes)[:, 0].reshape(5, 6) == pytest.approx(expected, abs=1e-8)
+    assert result.map.unit_covariance == pytest.approx(np.eye(16), abs=1e-9)
+
+
+def test_a_polynomial_of_the_maps_degree_is_recovered_from_an_incomplete_grid() -> None:
+    def polynomial(p: np.ndarray) -> np.ndarray:
+        x, y = p[:, 0] / 60, p[:, 1] / 50
+        return np.column_stack([400 + 300 * x - 20 * x**3 * y**2, 200 - 180 * y + 7 * x * y**3])
+
+    nodes = np.delete(grid(), [7, 22], axis=0)
+    points = inside(50, np.random.default_rng(2))
+    assert fit(nodes, polynomial(nodes)).map.to_px(points) == pytest.approx(polynomial(points), abs=1e-6)
+
+
+def test_the_inverse_finds_the_points_back_and_its_jacobian_is_the_derivative() -> None:
+    rng = np.random.default_rng(3)
+    nodes = grid()
+    inverse = InverseMap.of(fit(nodes, lens(nodes)).map)
+    points = inside(200, rng)
+    px = inverse.forward.to_px(points)
+    found, jacobian, _ = inverse.to_mm(px)
+    assert found == pytest.approx(points, abs=1e-6)
+    step = 1e-3
+    for axis in range(2):
+        shifted, _, _ = inverse.to_mm(px + step * np.eye(2)[axis])
+        assert (shifted - found) / step == pytest.approx(jacobian[:, :, axis], abs=1e-4)
+
+
+def test_the_published_covariance_is_that_of_monte_carlo() -> None:
+    """Noise on the nodes and on the spot, many times over: the scatter of the mapped point."""
+    rng = np.random.default_rng(4)
+    nodes = grid()
+    truth_mm = np.array([[0.0, 0.0], [-50.0, 40.0], [37.0, -12.0]])
+    smooth = fit(nodes, lens(nodes)).map
+    errors, predicted = [], []
+    for _ in range(1500):
+        noisy = fit(nodes, smooth.to_px(nodes) + rng.normal(0, NOISE_PX, nodes.shape)).map
+        spot = smooth.to_px(truth_mm) + rng.normal(0, NOISE_PX, truth_mm.shape)
+        found, _, covariance = InverseMap.of(noisy).to_mm(spot)
+        errors.append(found - truth_mm)
+        predicted.append(covariance)
+    scatter = np.var(errors, axis=0)
+    mean_predicted = np.diagonal(np.mean(predicted, axis=0), axis1=1, axis2=2)
+    assert np.sqrt(mean_predicted / scatter) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_point_outside_the_hull_is_nan_and_one_on_its_edge_is_not() -> None:
+    nodes = grid()
+    px = lens(nodes) + np.random.default_rng(5).normal(0, NOISE_PX, nodes.shape)
+    inverse = InverseMap.of(fit(nodes, px).map)
+    asked = np.array([[63.5, 0.0], [0.0, -51.0], [62.5, 50.0], [90.0, 90.0]])
+    found, _, _ = inverse.to_mm(inverse.forward.to_px(asked))
+    assert np.isfinite(found).all(axis=1).tolist() == [False, False, True, False]
+
+
+def test_a_pixel_that_no_point_maps_to_is_nan() -> None:
+    nodes = grid()
+    inverse = InverseMap.of(fit(nodes, lens(nodes)).map)
+    found, _, _ = inverse.to_mm(np.array([[1e5, -1e5], [np.nan, 100.0], [-3000.0, 4000.0]]))
+    assert np.isnan(found).all()
+
+
+def test_nodes_that_cannot_carry_a_map_are_refused() -> None:
+    bumped = grid()
+    bumped[0, 0] += 3.0
+    for nodes, message in (
+        (grid(4, 4), "16 nodes are too few for degree 3 × 3, which has 16 coefficients"),
+        (grid(3, 5), "a grid of 3 × 5 nodes is too small for a map"),
+        (grid(1, 5), "all nodes have the same position"),
+        (bumped, "steps from 3.000 to 25.000 mm are not equidistant"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            fit(nodes, lens(nodes))
+
+
+def test_distances_to_the_hull_are_negative_inside() -> None:
+    hull = convex_hull_mm(grid())
+    points = np.array([[0.0, 0.0], [62.5, 0.0], [72.5, 0.0], [0.0, -53.0]])
+    assert distance_outside_mm(points, hull) == pytest.approx([-50.0, 0.0, 10.0, 3.0])

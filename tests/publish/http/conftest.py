@@ -1,0 +1,177 @@
+"""A unit that is served on a free port, and a client that speaks through plain streams."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+
+from altd.config import Http
+from altd.publish.http.publisher import HttpPublisher
+from altd.records import Beam, Measurement
+from altd.service.board import Board
+from altd.service.health import Component, Health
+
+START = datetime(2026, 11, 20, 8, 15, 22, 125_000, UTC)
+
+
+class HandClock:
+    """Time stands still until a test moves it."""
+
+    def __init__(self) -> None:
+        self.now_ns = 8_000_000_000
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def utc(self, t_ns: int) -> datetime | None:
+        return START + timedelta(microseconds=t_ns / 1000)
+
+    async def sleep(self, seconds: float) -> None:
+        raise AssertionError("nothing here sleeps on the unit's clock")
+
+
+@dataclass
+class Answer:
+    status: int
+    headers: dict[str, str]
+    body: bytes
+
+    @property
+    def json(self) -> Any:
+        assert self.headers["content-type"] == "application/json"
+        return json.loads(self.body)
+
+
+@dataclass
+class Unit:
+    """What is served, and ways to ask it."""
+
+    publisher: HttpPublisher
+    task: asyncio.Task[None]
+
+    @property
+    def port(self) -> int:
+        return self.publisher.port
+
+    async def connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        return await asyncio.open_connection("127.0.0.1", self.port)
+
+    async def send(self, request: bytes) -> bytes:
+        """Send bytes and read until the unit closes the connection."""
+        reader, writer = await self.connect()
+        writer.write(request)
+        try:
+            return await asyncio.wait_for(reader.read(), 5.0)
+        except ConnectionError:
+            return b""
+        finally:
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+    async def ask(self, path: str, method: str = "GET") -> Answer:
+        answer = await self.send(f"{method} {path} HTTP/1.1\r\nHost: unit\r\n\r\n".encode())
+        head, _, body = answer.partition(b"\r\n\r\n")
+        first, *lines = head.decode("latin-1").split("\r\n")
+        headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+        return Answer(int(first.split()[1]), headers, body)
+
+    @contextlib.asynccontextmanager
+    async def stream(self) -> AsyncIterator[Events]:
+        reader, writer = await self.connect()
+        writer.write(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
+        try:
+            yield Events(reader)
+        finally:
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+    async def until(self, holds: Callable[[], bool], timeout_s: float = 3.0) -> None:
+        async with asyncio.timeout(timeout_s):
+            while not holds():  # noqa: ASYNC110  the condition lies in the code under test
+                await asyncio.sleep(0.005)
+
+
+@dataclass
+class Events:
+    """Reads a stream block by block."""
+
+    reader: asyncio.StreamReader
+
+    async def head(self) -> bytes:
+        return await asyncio.wait_for(self.reader.readuntil(b"\r\n\r\n"), 3.0)
+
+    async def block(self) -> str:
+        """The next block; chunked framing has one chunk a block here."""
+        size = await asyncio.wait_for(self.reader.readline(), 3.0)
+        data = await self.reader.readexactly(int(size, 16) + 2)
+        assert data.endswith(b"\n\n\r\n")
+        return data[:-4].decode()
+
+    async def event(self) -> tuple[str, Any]:
+        """The next event: its id and its object."""
+        while not (block := await self.block()).startswith("id: "):
+            pass
+        first, second = block.split("\n")
+        return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
+
+
+Served = Callable[[], AbstractAsyncContextManager[Unit]]
+
+
+@pytest.fixture
+def clock() -> HandClock:
+    return HandClock()
+
+
+@pytest.fixture
+def board(clock: HandClock) -> Board:
+    return Board(clock, stale_after_s=1.0)
+
+
+@pytest.fixture
+def health(clock: HandClock) -> Health:
+    health = Health(clock)
+    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
+    return health
+
+
+@pytest.fixture
+def component(health: Health) -> Component:
+    return health.component("http")
+
+
+@pytest.fixture
+def served(board: Board, health: Health, component: Component) -> Served:
+    @contextlib.asynccontextmanager
+    async def serving() -> AsyncIterator[Unit]:
+        publisher = HttpPublisher(Http(host="127.0.0.1", port=0), board, health, component)
+        ready = asyncio.Event()
+        task = asyncio.ensure_future(publisher.run(ready.set))
+        await ready.wait()
+        yield Unit(publisher, task)
+        task.cancel()
+        await asyncio.wait({task})
+
+    return serving
+
+
+@pytest.fixture
+def measured() -> Measurement:
+    return Measurement(
+        sequence=160,
+        t_ns=8_000_000_000,
+        time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC),
+        frames=20,
+        beam=Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011),
+        points_mm={"front": (10.012, 4.987), "rear": (15.613, -3.413)},
+    )

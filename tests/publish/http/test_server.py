@@ -1,0 +1,178 @@
+"""Clients that are hostile or many, a port that is taken, and an end that leaves nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import signal
+import socket
+import time
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from altd.config import Http
+from altd.publish.http import server
+from altd.publish.http.publisher import HttpPublisher
+from altd.service.board import Board
+from altd.service.health import Component, Health
+
+from .conftest import Served
+
+
+async def test_a_taken_port_is_an_error(board: Board, health: Health, component: Component) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        publisher = HttpPublisher(
+            Http(host="127.0.0.1", port=taken.getsockname()[1]), board, health, component
+        )
+        with pytest.raises(OSError, match="in use") as caught:
+            await publisher.run(lambda: pytest.fail("not ready"))
+    assert caught.value.errno == errno.EADDRINUSE
+
+
+async def test_a_foreign_address_is_an_error(board: Board, health: Health, component: Component) -> None:
+    publisher = HttpPublisher(Http(host="192.0.2.1", port=0), board, health, component)
+    with pytest.raises(OSError, match=r"192\.0\.2\.1"):
+        await publisher.run(lambda: pytest.fail("not ready"))
+
+
+async def test_it_can_be_served_again_on_the_same_port(
+    served: Served, board: Board, health: Health, component: Component
+) -> None:
+    async with served() as unit, unit.stream() as events:
+        await events.head()
+        port = unit.port
+    publisher = HttpPublisher(Http(host="127.0.0.1", port=port), board, health, component)
+    ready = asyncio.Event()
+    task = asyncio.ensure_future(publisher.run(ready.set))
+    await asyncio.wait_for(ready.wait(), 1.0)
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task
+
+
+async def test_cancellation_is_prompt_and_leaves_nothing_even_with_streams_open(served: Served) -> None:
+    before = asyncio.all_tasks()
+    async with served() as unit:
+        readers = [await unit.connect() for _ in range(5)]
+        for _, writer in readers[:3]:
+            writer.write(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
+        await unit.until(lambda: unit.publisher._streams.open == 3)
+        started = time.perf_counter()
+        unit.task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await unit.task
+        assert time.perf_counter() - started < 1.0
+        assert unit.publisher._streams.open == 0
+        for reader, writer in readers:
+            with contextlib.suppress(ConnectionError):
+                await asyncio.wait_for(reader.read(), 1.0)
+            writer.close()
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before
+
+
+async def test_the_signals_stay_the_daemons(served: Served) -> None:
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    async with served() as unit:
+        await unit.ask("/api/status")
+        assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        b"\x00\x01\x02\x03\r\n\r\n",
+        b"GET  /  HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nX: " + b"x" * 20_000,
+        b"GET /" + b"a" * 20_000,
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + b"\xff" * 500,
+    ],
+    ids=["binary", "blanks", "no host", "two hosts", "length", "header", "target", "tls"],
+)
+async def test_what_is_no_request_is_refused(served: Served, request_bytes: bytes) -> None:
+    async with served() as unit:
+        assert (await unit.send(request_bytes))[:12] in (b"HTTP/1.1 400", b"")
+        assert (await unit.ask("/api/status")).status == 200
+
+
+@given(st.lists(st.binary(max_size=300), min_size=1, max_size=20))
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+async def test_garbage_does_not_trouble_it(served: Served, garbage: list[bytes]) -> None:
+    async with served() as unit:
+        for piece in garbage:
+            await unit.send(piece + b"\r\n\r\n")
+        assert (await unit.ask("/api/status")).status == 200
+
+
+async def test_upgrades_and_bodies_are_ignored(served: Served) -> None:
+    async with served() as unit:
+        upgrade = b"GET /api/status HTTP/1.1\r\nHost: a\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n"
+        assert (await unit.send(upgrade)).startswith(b"HTTP/1.1 200")
+        body = b"GET /api/status HTTP/1.1\r\nHost: a\r\nContent-Length: 200000\r\n\r\n" + b"x" * 200_000
+        assert (await unit.send(body))[:12] in (b"HTTP/1.1 200", b"")
+        pipelined = b"GET /api/status HTTP/1.1\r\nHost: a\r\n\r\n" * 50
+        assert (await unit.send(pipelined))[:12] in (b"HTTP/1.1 200", b"")
+        assert (await unit.ask("/api/status")).status == 200
+
+
+async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "REQUEST_S", 0.1)
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        started = time.perf_counter()
+        with contextlib.suppress(ConnectionError):
+            while not reader.at_eof() and time.perf_counter() - started < 2.0:
+                writer.write(b"G")
+                await asyncio.sleep(0.01)
+        assert time.perf_counter() - started < 1.0
+        writer.close()
+        async with unit.stream() as events:
+            await events.head()
+            await asyncio.sleep(0.15)
+            assert unit.publisher._streams.open == 1, "a stream outlives the deadline of its request"
+
+
+async def test_a_flood_of_connections_is_bounded_and_passes(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "CONNECTIONS", 10)
+    async with served() as unit:
+        flood = [await unit.connect() for _ in range(40)]
+        await asyncio.sleep(0.05)
+        refused = 0
+        for reader, _ in flood:
+            with contextlib.suppress(TimeoutError, ConnectionError):
+                await asyncio.wait_for(reader.read(1), 0.005)
+                refused += 1
+        assert refused >= 30
+        for _, writer in flood:
+            writer.close()
+        await asyncio.sleep(0.05)
+        assert (await unit.ask("/api/status")).status == 200
+
+
+async def test_many_clients_at_once_are_all_answered(served: Served) -> None:
+    async with served() as unit:
+        answers = await asyncio.gather(*(unit.ask("/api/status") for _ in range(40)))
+    assert {answer.status for answer in answers} == {200}
+
+
+async def test_it_listens_on_ipv6(board: Board, health: Health, component: Component) -> None:
+    publisher = HttpPublisher(Http(host="::1", port=0), board, health, component)
+    ready = asyncio.Event()
+    task = asyncio.ensure_future(publisher.run(ready.set))
+    await asyncio.wait({task, waiting := asyncio.ensure_future(ready.wait())}, return_when="FIRST_COMPLETED")
+    waiting.cancel()
+    if task.done() and isinstance(task.exception(), OSError):
+        pytest.skip("this machine has no IPv6")
+    _, writer = await asyncio.open_connection("::1", publisher.port)
+    writer.close()
+    task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await task

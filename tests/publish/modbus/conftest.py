@@ -1,0 +1,119 @@
+"""A board with measurements on it, and a publisher that serves it for the length of a test."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator, Iterator
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import pytest
+from publish.modbus.wire import UNIT, Client, Measured, Serving, connected
+
+from altd.config import ModbusTcp
+from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.records import Beam, Measurement
+from altd.service.board import Board
+from altd.service.health import Component
+
+
+class ManualClock:
+    """A clock that stands still until a test moves it."""
+
+    def __init__(self) -> None:
+        self.now_ns = 50_000_000_000
+
+    def monotonic_ns(self) -> int:
+        return self.now_ns
+
+    def utc(self, t_ns: int) -> datetime | None:
+        return datetime(2026, 11, 20, 8, 15, tzinfo=UTC) + timedelta(microseconds=t_ns // 1000)
+
+    async def sleep(self, seconds: float) -> None:
+        await asyncio.sleep(0)
+        self.now_ns += round(seconds * 1e9)
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+def board(clock: ManualClock) -> Board:
+    return Board(clock, stale_after_s=1.0)
+
+
+@pytest.fixture
+def component(clock: ManualClock) -> Component:
+    return Component("modbus", clock)
+
+
+@pytest.fixture
+def measured(clock: ManualClock) -> Measured:
+    """Makes a valid measurement whose exposures lie 520 ms back; keywords replace its fields."""
+
+    def measurement(**fields: Any) -> Measurement:
+        ordinary: dict[str, Any] = {
+            "sequence": 160,
+            "t_ns": clock.now_ns - 520_000_000,
+            "time": datetime(2026, 11, 20, 8, 15, 30, 125_000, tzinfo=UTC),
+            "frames": 20,
+            "beam": Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.005, 0.0011, 0.0012),
+            "points_mm": {"front": (10.012, 4.987), "rear": (15.613, -3.413)},
+        }
+        return Measurement(**(ordinary | fields))
+
+    return measurement
+
+
+@contextlib.asynccontextmanager
+async def _serving(publisher: Any) -> AsyncIterator[None]:
+    ready = asyncio.Event()
+    task = asyncio.create_task(publisher.run(ready.set))
+    waiting = asyncio.create_task(ready.wait())
+    await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+    try:
+        if task.done():
+            await task
+        yield
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+@pytest.fixture
+def serving() -> Serving:
+    """Runs a publisher inside ``async with``; a start that fails raises what run() raised."""
+    return _serving
+
+
+@pytest.fixture
+async def tcp(board: Board, component: Component, serving: Serving) -> AsyncIterator[ModbusTcpPublisher]:
+    """A Modbus TCP publisher on a free port of the loopback."""
+    publisher = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), board, component)
+    async with serving(publisher):
+        yield publisher
+
+
+@pytest.fixture
+async def client(tcp: ModbusTcpPublisher) -> AsyncIterator[Client]:
+    async with connected(tcp) as client:
+        yield client
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    """A pseudo terminal: the controller's end as a descriptor, the unit's end as a device."""
+    controller, unit = os.openpty()
+    os.set_blocking(controller, False)
+    try:
+        yield controller, os.ttyname(unit)
+    finally:
+        os.close(unit)
+        with contextlib.suppress(OSError):
+            os.close(controller)

@@ -1,0 +1,101 @@
+"""The values as mbpoll reads them, a client that this project did not write."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from publish.modbus.wire import UNIT, Measured, Serving
+from support.foreign import need_program
+
+from altd.config import SerialPort
+from altd.publish.modbus import page
+from altd.publish.modbus.rtu import ModbusRtuPublisher
+from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.service.board import Board
+from altd.service.health import Component
+
+
+async def mbpoll(*arguments: object) -> list[str]:
+    """The lines with values that mbpoll prints, of registers counted from 0 with the high word first."""
+    command = [need_program("mbpoll"), "-0", "-1", "-B", *map(str, arguments)]
+    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=10)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return [line for line in done.stdout.splitlines() if re.match(r"\[\d+\]", line)]
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """A serial line with a device at each end."""
+    ours, theirs = tmp_path / "unit", tmp_path / "controller"
+    ends = [f"pty,raw,echo=0,link={end}" for end in (ours, theirs)]
+    with subprocess.Popen([need_program("socat"), *ends]) as socat:
+        try:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                while not (ours.exists() and theirs.exists()):
+                    socat.wait(0.02)
+            yield ours, theirs
+        finally:
+            socat.terminate()
+
+
+@pytest.mark.parametrize("table", [3, 4])
+async def test_over_tcp_mbpoll_reads_what_the_page_shows(
+    tcp: ModbusTcpPublisher, board: Board, table: int
+) -> None:
+    assert page.EXAMPLE.measurement is not None
+    board.publish(page.EXAMPLE.measurement)
+    at = ("-m", "tcp", "-p", tcp.port, "-a", UNIT, "127.0.0.1")
+
+    assert await mbpoll("-t", f"{table}:float", "-r", 20, "-c", 15, *at) == page.mbpoll_lines()
+    assert "\n".join(f"    {text}" for text in page.mbpoll_lines()) in page.page()
+    assert (await mbpoll("-t", f"{table}:int", "-r", 60, "-c", 7, *at))[-2:] == [
+        "[70]: \t-300007",
+        "[72]: \t-2147483648",
+    ]
+    assert await mbpoll("-t", f"{table}:float", "-r", 100, *at) == ["[100]: \t123.456"]
+    assert await mbpoll("-t", f"{table}:int", "-r", 104, *at) == ["[104]: \t-123456789"]
+    assert await mbpoll("-t", f"{table}:hex", "-r", 102, "-c", 2, *at) == [
+        "[102]: \t0x1234",
+        "[103]: \t0x5678",
+    ]
+
+
+async def test_over_rtu_mbpoll_reads_the_same(
+    line: tuple[Path, Path],
+    board: Board,
+    component: Component,
+    serving: Serving,
+    measured: Measured,
+) -> None:
+    board.publish(measured())
+    unit, controller = line
+    port = SerialPort(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
+    at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
+    async with serving(ModbusRtuPublisher(port, board, component)):
+        values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)
+        assert values == ["[20]: \t10.012", "[22]: \t4.987", "[24]: \t1.1459", "[26]: \t-1.7184"]
+        assert len(await mbpoll("-t", "4:hex", "-r", 0, "-c", 120, *at)) == 120
+
+
+async def test_mbpoll_is_told_why_a_write_is_refused(tcp: ModbusTcpPublisher) -> None:
+    command = [
+        need_program("mbpoll"),
+        "-0",
+        "-1",
+        "-p",
+        str(tcp.port),
+        "-a",
+        "7",
+        "-r",
+        "20",
+        "127.0.0.1",
+        "1",
+    ]
+    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=10)
+    assert "Illegal function" in done.stdout + done.stderr

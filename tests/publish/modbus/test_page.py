@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from altd.publish.modbus.page import page
+from altd.publish.modbus.registers import REGISTERS
+from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
+
+COMMITTED = Path(__file__).parents[3] / "docs" / "modbus.md"
+
+
+def test_the_page_in_docs_is_the_generated_one() -> None:
+    assert COMMITTED.read_text() == page(), "run: python -m altd.publish.modbus.page > docs/modbus.md"
+
+
+def test_the_page_names_every_register_bit_and_code() -> None:
+    text = page()
+    for row in REGISTERS:
+        assert f"`{row.name}`" in text
+        assert f"| {row.address} |" in text
+    for bit in STATUS_BITS:
+        assert f"| {bit.bit} | {bit.name} |" in text
+    for code in REASON_CODES:
+        assert f"| {code.code} | `{code.reason}` |" in text

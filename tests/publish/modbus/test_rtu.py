@@ -1,0 +1,284 @@
+"""Modbus RTU over a pseudo terminal: alone, on a shared bus, and through noise."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import struct
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as trying
+from hypothesis import strategies as st
+from publish.modbus.wire import ONE, ONE_ANSWER, UNIT, Serving
+
+from altd.config import SerialPort
+from altd.publish.modbus.registers import SIZE
+from altd.publish.modbus.rtu import ModbusRtuPublisher, request_at_end, silence_s
+from altd.service.board import Board
+from altd.service.health import Component
+
+
+def crc(data: bytes) -> bytes:
+    """The CRC of the specification, bit by bit (Modbus over Serial Line V1.02, 6.2.2)."""
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register = (register >> 1) ^ 0xA001 if register & 1 else register >> 1
+    return struct.pack("<H", register)
+
+
+def frame(pdu: bytes, unit: int = UNIT) -> bytes:
+    return bytes([unit]) + pdu + crc(bytes([unit]) + pdu)
+
+
+class Controller:
+    """The other end of the line."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def send(self, data: bytes) -> None:
+        assert os.write(self._descriptor, data) == len(data)
+
+    async def hear(self, count: int, within_s: float = 1.0) -> bytes:
+        """Up to ``count`` bytes; fewer when the time is over."""
+        heard = b""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(within_s):
+                while len(heard) < count:
+                    with contextlib.suppress(BlockingIOError):
+                        heard += os.read(self._descriptor, count - len(heard))
+                    await asyncio.sleep(0.001)
+        return heard
+
+    async def ask(self, pdu: bytes, answer_length: int) -> bytes:
+        self.send(frame(pdu))
+        return await self.hear(answer_length)
+
+    async def is_answered(self) -> bool:
+        expected = frame(ONE_ANSWER)
+        return await self.ask(ONE, len(expected)) == expected
+
+    async def hears_nothing(self) -> bool:
+        return await self.hear(1, within_s=0.03) == b""
+
+
+def settings(device: str, **fields: Any) -> SerialPort:
+    ordinary: dict[str, Any] = {"speaks": "modbus_rtu", "baud": 115200, "unit_id": UNIT}
+    return SerialPort(device=Path(device), **(ordinary | fields))
+
+
+@pytest.fixture
+async def controller(
+    pty: tuple[int, str], board: Board, component: Component, serving: Serving
+) -> AsyncIterator[Controller]:
+    descriptor, device = pty
+    async with serving(ModbusRtuPublisher(settings(device), board, component)):
+        yield Controller(descriptor)
+
+
+async def test_everything_is_read_in_one_request(controller: Controller) -> None:
+    answer = await controller.ask(struct.pack(">BHH", 3, 0, SIZE), 5 + 2 * SIZE)
+    assert answer[:3] == bytes([UNIT, 3, 2 * SIZE])
+    assert crc(answer[:-2]) == answer[-2:]
+    assert struct.unpack_from(">f", answer, 3 + 200)[0] == pytest.approx(123.456)
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "answer_hex"),
+    [
+        ("04 0000 007e", "84 03"),
+        ("04 0000", "84 03"),
+        ("03 0078 0001", "83 02"),
+        ("06 0000 1234", "86 01"),
+        ("10 0000 0001 02 1234", "90 01"),
+        ("15 09 06 0004 0007 0001 06af", "95 01"),
+        ("63", "e3 01"),
+    ],
+)
+async def test_what_cannot_be_answered_gets_the_exception_that_says_why(
+    controller: Controller, component: Component, request_hex: str, answer_hex: str
+) -> None:
+    assert await controller.ask(bytes.fromhex(request_hex), 5) == frame(bytes.fromhex(answer_hex))
+    assert component.counters == {"requests": 1, "exceptions": 1}
+
+
+@pytest.mark.parametrize(
+    "noise", ["ff", "00", "07", "ff00", "ff0013", "07040000", "0704000000020909", "0c033c0102"]
+)
+@pytest.mark.parametrize("pause_s", [0.0, 0.01])
+async def test_a_request_after_stray_bytes_is_answered(
+    controller: Controller, noise: str, pause_s: float
+) -> None:
+    controller.send(bytes.fromhex(noise))
+    await asyncio.sleep(pause_s)
+    assert await controller.is_answered()
+    assert await controller.is_answered()
+
+
+async def test_a_request_after_much_noise_is_answered(controller: Controller) -> None:
+    controller.send(bytes(range(256)) * 4 + bytes([UNIT]) * 300)
+    assert await controller.is_answered()
+
+
+async def test_a_request_in_pieces_is_answered_once_and_a_torn_one_never(controller: Controller) -> None:
+    request = frame(ONE)
+    controller.send(request[:3])
+    await asyncio.sleep(0.01)
+    controller.send(request[3:])
+    assert await controller.hear(9) == frame(ONE_ANSWER)
+    controller.send(request[:3])
+    await asyncio.sleep(0.15)
+    controller.send(request[3:])
+    assert await controller.hears_nothing()
+    assert await controller.is_answered()
+
+
+async def test_a_frame_with_a_wrong_crc_is_not_answered(controller: Controller, component: Component) -> None:
+    request = frame(ONE)
+    for place in range(len(request)):
+        broken = bytearray(request)
+        broken[place] ^= 0x10
+        controller.send(bytes(broken))
+        await asyncio.sleep(0.005)
+    assert await controller.hears_nothing()
+    assert component.counters == {}
+    assert await controller.is_answered()
+
+
+@pytest.mark.parametrize(
+    "frame_hex",
+    [
+        "04 0000 0002",
+        "04 04 12345678",
+        "03 02 1234",
+        "84 02",
+        "06 0000 1234",
+        "10 0000 0001",
+        "08 0000 a5a5",
+        "11",
+        "2b 0e 01 00",
+    ],
+)
+@pytest.mark.parametrize("unit", [0, 1, 9, 247])
+async def test_what_others_say_on_the_bus_is_none_of_our_business(
+    controller: Controller, component: Component, unit: int, frame_hex: str
+) -> None:
+    controller.send(frame(bytes.fromhex(frame_hex), unit=unit))
+    assert await controller.hears_nothing()
+    assert component.counters == {}
+    assert await controller.is_answered()
+
+
+async def test_a_request_right_behind_another_units_answer_is_answered(controller: Controller) -> None:
+    controller.send(frame(ONE, unit=9) + frame(ONE_ANSWER, unit=9) + frame(ONE))
+    assert await controller.hear(9) == frame(ONE_ANSWER)
+
+
+async def test_a_request_that_the_controller_gave_up_is_not_answered(controller: Controller) -> None:
+    controller.send(frame(ONE) + frame(ONE, unit=9))
+    assert await controller.hears_nothing()
+
+
+@pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00"])
+async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
+    controller.send(frame(bytes.fromhex(request_hex)))
+    answer = await controller.hear(256, within_s=0.05)
+    controller.send(answer)
+    assert await controller.hears_nothing()
+    assert await controller.is_answered()
+
+
+async def test_a_missing_device_is_an_os_error(board: Board, component: Component, serving: Serving) -> None:
+    with pytest.raises(FileNotFoundError, match="/dev/altd-is-not-here"):
+        async with serving(ModbusRtuPublisher(settings("/dev/altd-is-not-here"), board, component)):
+            pass
+
+
+async def test_a_file_that_is_no_serial_port_is_an_os_error(
+    tmp_path: Path, board: Board, component: Component, serving: Serving
+) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        async with serving(ModbusRtuPublisher(settings(str(tmp_path / "file")), board, component)):
+            pass
+
+
+async def test_a_port_in_use_is_an_os_error(
+    controller: Controller, pty: tuple[int, str], board: Board, component: Component, serving: Serving
+) -> None:
+    with pytest.raises(OSError, match=f"busy: '{pty[1]}'"):
+        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
+            pass
+    assert await controller.is_answered()
+
+
+async def test_a_port_that_goes_away_ends_the_publisher_with_an_os_error(
+    board: Board, component: Component
+) -> None:
+    controller, unit = os.openpty()
+    device = os.ttyname(unit)
+    ready = asyncio.Event()
+    task = asyncio.create_task(ModbusRtuPublisher(settings(device), board, component).run(ready.set))
+    await ready.wait()
+    os.close(unit)
+    os.close(controller)
+    with pytest.raises(OSError, match=r"gone|Input/output"):
+        async with asyncio.timeout(1):
+            await task
+
+
+async def test_a_controller_that_takes_no_answers_does_not_hold_the_unit_up(
+    controller: Controller, component: Component
+) -> None:
+    for _ in range(2000):
+        controller.send(frame(struct.pack(">BHH", 4, 0, SIZE)))
+        await asyncio.sleep(0.003)
+        if "answers_cut" in component.counters:
+            break
+    assert component.counters["answers_cut"] > 0
+    await controller.hear(100_000, within_s=0.1)
+    assert await controller.is_answered()
+
+
+async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
+    pty: tuple[int, str], board: Board, component: Component, serving: Serving
+) -> None:
+    before = asyncio.all_tasks()
+    for _ in range(3):
+        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
+            assert await Controller(pty[0]).is_answered()
+        assert asyncio.all_tasks() == before
+
+
+@pytest.mark.parametrize(("parity", "stop_bits"), [("even", 1), ("odd", 1), ("none", 2)])
+async def test_every_setting_of_the_line_can_be_used(
+    pty: tuple[int, str], board: Board, component: Component, serving: Serving, parity: str, stop_bits: int
+) -> None:
+    line = settings(pty[1], parity=parity, stop_bits=stop_bits, baud=1200)
+    async with serving(ModbusRtuPublisher(line, board, component)):
+        assert await Controller(pty[0]).is_answered()
+
+
+def test_the_silence_is_3_5_characters_but_never_shorter_than_1_75_ms() -> None:
+    assert silence_s(9600) == pytest.approx(4.01e-3, rel=1e-3)
+    assert silence_s(19200) == pytest.approx(2.005e-3, rel=1e-3)
+    assert silence_s(115200) == 1.75e-3
+
+
+@trying(derandomize=True)  # a CRC of 16 bits fits noise now and then
+@given(st.binary(max_size=300), st.integers(1, 247), st.binary(min_size=1, max_size=253))
+def test_a_request_is_found_behind_any_noise(noise: bytes, unit: int, pdu: bytes) -> None:
+    assert request_at_end(noise + frame(pdu, unit), unit) == pdu
+
+
+@given(st.binary(max_size=300), st.integers(1, 247))
+def test_what_ends_with_no_frame_holds_no_request(noise: bytes, unit: int) -> None:
+    found = request_at_end(noise, unit)
+    assert found is None or noise.endswith(frame(found, unit))

@@ -1,0 +1,159 @@
+"""Modbus TCP: what a request gets for an answer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from typing import Any
+
+import pytest
+from publish.modbus.wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measured, connected, frame, words
+
+from altd.publish.modbus.registers import SIZE
+from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.records import Beam
+from altd.service.board import Board
+from altd.service.health import Component
+
+
+async def test_input_and_holding_registers_are_the_same(
+    client: Client, board: Board, measured: Measured
+) -> None:
+    board.publish(measured())
+    as_input = await client.ask(struct.pack(">BHH", 4, 0, SIZE))
+    as_holding = await client.ask(struct.pack(">BHH", 3, 0, SIZE))
+    assert as_input[0] == 4
+    assert as_holding[0] == 3
+    assert as_input[1:] == as_holding[1:]
+    assert struct.unpack(">f", as_input[2 + 40 : 2 + 44])[0] == pytest.approx(10.012)
+
+
+async def test_any_part_of_the_table_can_be_read(client: Client) -> None:
+    whole = words(await client.ask(EVERYTHING))
+    for address, count in ((0, 1), (103, 4), (SIZE - 1, 1), (21, 2)):
+        part = words(await client.ask(struct.pack(">BHH", 4, address, count)))
+        assert part == whole[address : address + count]
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "answer_hex"),
+    [
+        ("04 0000 0000", "84 03"),
+        ("04 0000 007e", "84 03"),
+        ("04 0000 ffff", "84 03"),
+        ("04 0000", "84 03"),
+        ("04", "84 03"),
+        ("04 0001 0078", "84 02"),
+        ("03 0078 0001", "83 02"),
+        ("04 ffff 007d", "84 02"),
+        ("01 0000 0001", "81 01"),
+        ("02 0000 0001", "82 01"),
+        ("05 0000 ff00", "85 01"),
+        ("06 0000 1234", "86 01"),
+        ("0f 0000 0001 01 01", "8f 01"),
+        ("10 0000 0001 02 1234", "90 01"),
+        ("16 0000 ffff 0000", "96 01"),
+        ("17 0000 0001 0000 0001 02 1234", "97 01"),
+        ("07", "87 01"),
+        ("08 0004 0000", "88 01"),
+        ("11", "91 01"),
+        ("14 07 06 0004 0001 000a", "94 01"),
+        ("15 09 06 0004 0007 0001 06af", "95 01"),
+        ("18 0000", "98 01"),
+        ("2b 0d 00 00", "ab 01"),
+        ("2b 0e 00 00", "ab 03"),
+        ("2b 0e 05 00", "ab 03"),
+        ("2b 0e 04 03", "ab 02"),
+        ("2b", "ab 03"),
+        ("63 00", "e3 01"),
+        ("00", "80 01"),
+        ("84 02", "84 01"),
+        ("ff", "ff 01"),
+    ],
+)
+async def test_what_cannot_be_answered_gets_the_exception_that_says_why(
+    client: Client, component: Component, request_hex: str, answer_hex: str
+) -> None:
+    assert await client.ask(bytes.fromhex(request_hex)) == bytes.fromhex(answer_hex)
+    assert await client.ask(ONE) == ONE_ANSWER
+    assert component.counters["requests"] == 2
+    assert component.counters["exceptions"] == 1
+
+
+async def test_the_device_identifies_itself(client: Client) -> None:
+    answer = await client.ask(bytes.fromhex("2b 0e 01 00"))
+    assert answer[:4] == bytes.fromhex("2b 0e 01 83")
+    assert answer[7:].startswith(b"\x00\x04altd\x01\x03ALT\x02")
+
+
+@pytest.mark.parametrize("unit", [UNIT, 0, 255])
+async def test_a_direct_device_answers_to_its_unit_id_and_to_0_and_255(client: Client, unit: int) -> None:
+    client.send(frame(ONE, transaction=0xBEEF, unit=unit))
+    assert await client.hear() == (0xBEEF, unit, ONE_ANSWER)
+
+
+async def test_another_unit_id_is_told_that_nobody_is_there(client: Client, component: Component) -> None:
+    assert await client.ask(ONE, unit=UNIT + 1) == bytes([0x84, 0x0B])
+    assert component.counters == {"clients": 1, "other_units": 1}
+
+
+async def test_pipelined_requests_are_all_answered_in_their_order(client: Client) -> None:
+    client.send(b"".join(frame(ONE, transaction) for transaction in range(200)))
+    assert [await client.hear() for _ in range(200)] == [(count, UNIT, ONE_ANSWER) for count in range(200)]
+
+
+async def test_a_request_may_come_byte_by_byte(client: Client) -> None:
+    for byte in frame(ONE):
+        client.send(bytes([byte]))
+        await asyncio.sleep(0.001)
+    assert await client.hear() == (1, UNIT, ONE_ANSWER)
+
+
+async def test_an_answer_is_one_measurement_while_the_writer_goes_on(
+    tcp: ModbusTcpPublisher, board: Board, measured: Measured
+) -> None:
+    async def writer() -> None:
+        for count in range(300):
+            value = count / 4
+            beam = Beam(value, value, value, value, value, value, value, value)
+            board.publish(
+                measured(
+                    sequence=count,
+                    frames=count,
+                    beam=beam,
+                    points_mm=dict.fromkeys(("front", "rear"), (value, value)),
+                )
+            )
+            await asyncio.sleep(0)
+
+    async def reader() -> set[int]:
+        sequences = set()
+        async with connected(tcp) as client:
+            while board.published < 300:
+                image = await client.ask(EVERYTHING)
+                if not board.published or words(image)[0] == 0b10:
+                    continue
+                (count,) = struct.unpack(">I", image[18:22])
+                values = struct.unpack(">15f", image[42:102])
+                assert {*values[:4], *values[7:]} == {count / 4}
+                assert words(image)[5] == count + 1
+                assert words(image)[7] == count
+                sequences.add(count)
+        return sequences
+
+    seen, _ = await asyncio.gather(reader(), writer())
+    assert len(seen) > 5
+
+
+async def test_a_stale_measurement_loses_its_numbers_and_the_heartbeat_stands(
+    client: Client, clock: Any, board: Board, measured: Measured
+) -> None:
+    board.publish(measured())
+    fresh = await client.ask(EVERYTHING)
+    clock.now_ns += 2_000_000_000
+    stale = await client.ask(EVERYTHING)
+    assert (words(fresh)[0], words(stale)[0]) == (1, 1 << 2)
+    assert (words(fresh)[6], words(stale)[6]) == (520, 2520)
+    assert words(fresh)[5] == words(stale)[5] == 1
+    assert all(math.isnan(value) for value in struct.unpack(">15f", stale[42:102]))

@@ -1,0 +1,205 @@
+"""Modbus TCP: clients that come, go, crowd and misbehave."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import struct
+from pathlib import Path
+
+import pytest
+from publish.modbus.wire import (
+    EVERYTHING,
+    ONE,
+    ONE_ANSWER,
+    UNIT,
+    Client,
+    Measured,
+    Serving,
+    connected,
+    eventually,
+    frame,
+    words,
+)
+
+from altd.config import ModbusTcp
+from altd.publish.modbus.registers import SIZE
+from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
+from altd.service.board import Board
+from altd.service.health import Component
+
+
+def timers_of_connections(port: int) -> list[str]:
+    """The kernel's timers of what is connected to a port of ours (proc(5), /proc/net/tcp)."""
+    rows = [row.split() for row in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    return [row[5][:2] for row in rows if row[1].endswith(f":{port:04X}") and row[3] == "01"]
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        frame(ONE, protocol=1),
+        b"GET / HTTP/1.1\r\nHost: altd\r\n\r\n",
+        bytes(64),
+        b"\xff" * 2000,
+        struct.pack(">HHHB", 1, 0, 1, UNIT),
+        struct.pack(">HHHB", 1, 0, 255, UNIT) + bytes(300),
+    ],
+)
+async def test_a_client_that_makes_no_sense_is_closed_and_others_go_on(
+    tcp: ModbusTcpPublisher, component: Component, client: Client, garbage: bytes
+) -> None:
+    async with connected(tcp) as hostile:
+        hostile.send(garbage)
+        assert await hostile.is_closed()
+    assert component.counters["garbled"] == 1
+    assert await client.ask(ONE) == ONE_ANSWER
+
+
+async def test_what_was_asked_before_the_garbage_is_answered(client: Client) -> None:
+    client.send(frame(ONE) + frame(ONE, protocol=9))
+    assert await client.hear() == (1, UNIT, ONE_ANSWER)
+    assert await client.is_closed()
+
+
+async def test_a_torn_request_of_a_client_that_leaves_does_no_harm(
+    tcp: ModbusTcpPublisher, component: Component, client: Client
+) -> None:
+    for end in range(1, len(frame(ONE))):
+        async with connected(tcp) as leaving:
+            leaving.send(frame(ONE)[:end])
+    assert await client.ask(ONE) == ONE_ANSWER
+    await eventually(lambda: component.counters["clients"] == 1)
+
+
+async def test_a_client_that_resets_its_connection_does_no_harm(
+    tcp: ModbusTcpPublisher, component: Component, client: Client
+) -> None:
+    for _ in range(5):
+        rude = socket.create_connection(("127.0.0.1", tcp.port))
+        rude.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        rude.sendall(frame(ONE) * 50)
+        rude.close()
+    assert await client.ask(ONE) == ONE_ANSWER
+    await eventually(lambda: component.counters["clients"] == 1)
+
+
+async def test_malformed_requests_do_not_fill_the_log(
+    client: Client, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.INFO):
+        for pdu in (b"\x04", b"\x63", b"\x2b\x0e\x09\x00", b"\x04\x00\x00\xff\xff"):
+            await client.ask(pdu)
+    assert not caplog.records
+
+
+async def test_20_clients_at_once_are_all_served_beside_one_that_says_nothing(
+    tcp: ModbusTcpPublisher, component: Component
+) -> None:
+    async def controller() -> None:
+        async with connected(tcp) as client:
+            for _ in range(10):
+                assert len(words(await client.ask(EVERYTHING))) == SIZE
+
+    async with connected(tcp):
+        await asyncio.gather(*(controller() for _ in range(20)))
+    assert component.counters["requests"] == 200
+
+
+async def test_when_all_places_are_taken_the_longest_quiet_client_goes(
+    tcp: ModbusTcpPublisher, component: Component
+) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        clients = [await stack.enter_async_context(connected(tcp)) for _ in range(MAX_CLIENTS)]
+        for busy in [*clients[:5], *clients[6:]]:
+            assert await busy.ask(ONE) == ONE_ANSWER
+        latecomer = await stack.enter_async_context(connected(tcp))
+        assert await latecomer.ask(ONE) == ONE_ANSWER
+        assert await clients[5].is_closed()
+        assert await clients[0].ask(ONE) == ONE_ANSWER
+        assert component.counters["clients"] == MAX_CLIENTS
+        assert component.counters["clients_displaced"] == 1
+
+
+async def test_a_storm_of_connections_holds_no_more_than_the_places(
+    tcp: ModbusTcpPublisher, component: Component
+) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        for coming in [connected(tcp) for _ in range(4 * MAX_CLIENTS)]:
+            await stack.enter_async_context(coming)
+        async with connected(tcp) as client:
+            assert await client.ask(ONE) == ONE_ANSWER
+            assert component.counters["clients"] <= MAX_CLIENTS
+
+
+async def test_a_client_that_never_takes_its_answers_is_left_waiting_and_delays_nobody(
+    tcp: ModbusTcpPublisher, board: Board, component: Component, measured: Measured, client: Client
+) -> None:
+    greedy = socket.socket()
+    greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    greedy.connect(("127.0.0.1", tcp.port))
+    greedy.setblocking(False)
+    try:
+        answered = -1
+        while component.counters.get("requests", 0) > answered:
+            answered = component.counters.get("requests", 0)
+            for _ in range(20):
+                with contextlib.suppress(BlockingIOError):
+                    greedy.send(frame(EVERYTHING) * 1000)
+                await asyncio.sleep(0.005)
+            assert answered < 30_000, "answers pile up"
+        for count in range(20):
+            board.publish(measured(sequence=count))
+            async with asyncio.timeout(1):
+                assert words(await client.ask(struct.pack(">BHH", 4, 8, 2))) == (0, count)
+    finally:
+        greedy.close()
+    await eventually(lambda: component.counters["clients"] == 1)
+
+
+async def test_many_requests_at_once_let_the_rest_of_the_unit_go_on(
+    client: Client, component: Component
+) -> None:
+    client.send(frame(EVERYTHING) * 500)
+    turns = 0
+    while component.counters.get("requests", 0) < 500:
+        await asyncio.sleep(0)
+        turns += 1
+    assert turns >= 500
+    for _ in range(500):
+        await client.hear()
+
+
+async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTcpPublisher) -> None:
+    assert await client.ask(ONE) == ONE_ANSWER
+    assert timers_of_connections(tcp.port) == ["02"], "the keep-alive timer"
+
+
+async def test_an_address_in_use_is_an_os_error(
+    tcp: ModbusTcpPublisher, board: Board, component: Component, serving: Serving
+) -> None:
+    second = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=tcp.port), board, component)
+    with pytest.raises(OSError, match="address already in use"):
+        async with serving(second):
+            pass
+
+
+async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
+    board: Board, component: Component, serving: Serving
+) -> None:
+    publisher = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), board, component)
+    before = asyncio.all_tasks()
+    async with contextlib.AsyncExitStack() as stack:
+        async with serving(publisher):
+            clients = [await stack.enter_async_context(connected(publisher)) for _ in range(3)]
+            assert await clients[0].ask(ONE) == ONE_ANSWER
+            clients[1].send(frame(ONE)[:5])
+        assert asyncio.all_tasks() == before
+        assert component.counters["clients"] == 0
+        for client in clients:
+            assert await client.is_closed()
+    again = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=publisher.port), board, component)
+    async with serving(again):
+        pass

@@ -1,0 +1,23 @@
+"""The pages in docs are what the code says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from altd.publish.serial import console_page, telegram_page
+from altd.publish.serial.telegram import SENTENCES
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+
+
+@pytest.mark.parametrize(("name", "page"), [("telegram", telegram_page.page), ("console", console_page.page)])
+def test_the_page_is_generated_from_the_code(name: str, page: object) -> None:
+    assert callable(page)
+    assert (DOCS / f"{name}.md").read_text() == page(), f"run python -m altd.publish.serial.{name}_page"
+
+
+def test_every_field_of_the_telegram_is_on_its_page() -> None:
+    page = telegram_page.page()
+    assert all(f"`{field.name}`" in page for sentence in SENTENCES for field in sentence.fields)

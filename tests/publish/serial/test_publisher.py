@@ -1,0 +1,198 @@
+"""Telegram and console through a pseudo terminal, from the board to the client."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+
+import pytest
+
+from altd.config import SerialPort
+from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
+from altd.publish.serial.telegram import parse
+from altd.records import Measurement
+from altd.service.board import Board
+from altd.service.health import Component, Health, State
+
+from .conftest import TestClock, Wire
+
+GONE = r"hung up|Input/output"
+
+
+def lines(count: int) -> Callable[[bytes], bool]:
+    return lambda data: data.count(b"\n") >= count
+
+
+@contextlib.asynccontextmanager
+async def serving(publisher: TelegramPublisher | ConsolePublisher) -> AsyncIterator[asyncio.Task[None]]:
+    ready = asyncio.Event()
+    task = asyncio.ensure_future(publisher.run(ready.set))
+    await ready.wait()
+    yield task
+    task.cancel()
+    await asyncio.wait({task})
+
+
+class TestTelegram:
+    @pytest.fixture
+    def publisher(
+        self, wire: Wire, board: Board, component: Component, clock: TestClock
+    ) -> TelegramPublisher:
+        return TelegramPublisher(wire.settings(interval_s=0.5), board, component, clock)
+
+    async def test_it_speaks_at_its_interval_and_says_what_the_board_says(
+        self,
+        wire: Wire,
+        board: Board,
+        component: Component,
+        clock: TestClock,
+        measured: Measurement,
+        publisher: TelegramPublisher,
+    ) -> None:
+        async with serving(publisher):
+            assert parse(await wire.receive(lines(2))).reasons == ("warming_up",)
+            board.publish(measured)
+            await clock.advance(0.5)
+            assert parse(await wire.receive(lines(2))).x_mm == 10.012
+            board.publish(replace(measured, sequence=161))
+            await clock.advance(0.5)
+            assert parse(await wire.receive(lines(2))).sequence == 161
+            await clock.advance(2.0)
+            stale = parse(await wire.receive(lines(2)))
+            assert (stale.mode, stale.x_mm, stale.reasons) == ("V", None, ("stale",))
+        assert component.counters == {"telegrams_sent": 4}
+        assert component.state is State.OK
+
+    async def test_lost_time_is_not_made_up_by_a_burst(
+        self, wire: Wire, clock: TestClock, component: Component, publisher: TelegramPublisher
+    ) -> None:
+        async with serving(publisher):
+            await clock.advance(10.0)
+            await clock.advance(0.4)
+            assert component.counters == {"telegrams_sent": 2}
+            await clock.advance(0.1)
+            assert component.counters == {"telegrams_sent": 3}
+
+    async def test_what_comes_in_is_ignored(
+        self, wire: Wire, clock: TestClock, publisher: TelegramPublisher
+    ) -> None:
+        async with serving(publisher) as task:
+            wire.send(b"hello\r\n" * 100)
+            await asyncio.sleep(0.05)
+            await clock.advance(0.5)
+            assert b"hello" not in await wire.receive(lines(4))
+            assert not task.done()
+
+    async def test_nobody_reads_then_telegrams_are_left_out_whole(
+        self, wire: Wire, clock: TestClock, component: Component, publisher: TelegramPublisher
+    ) -> None:
+        async with serving(publisher):
+            for _ in range(3000):
+                await clock.advance(0.5)
+                if component.counters.get("telegrams_dropped", 0) >= 5:
+                    break
+            assert component.state is State.DEGRADED
+            sent = component.counters["telegrams_sent"]
+            received = await wire.receive(lines(2 * sent))
+            telegrams = received.splitlines(keepends=True)
+            assert len(telegrams) == 2 * sent
+            assert set(telegrams) == set(telegrams[:2])
+            await clock.advance(0.5)
+            assert parse(await wire.receive(lines(2))).reasons == ("warming_up",)
+        assert component.state is State.OK
+
+    async def test_a_line_that_is_too_slow_is_told(
+        self, wire: Wire, board: Board, component: Component, clock: TestClock, measured: Measurement
+    ) -> None:
+        board.publish(measured)
+        async with serving(
+            TelegramPublisher(wire.settings(baud=1200, interval_s=0.5), board, component, clock)
+        ):
+            await wire.receive(lines(2))
+        assert component.state is State.DEGRADED
+        assert "takes 0.88 s at 1200 baud but one is due every 0.5 s" in component.message
+
+    async def test_a_hang_up_ends_it_at_once_with_an_error(
+        self, wire: Wire, publisher: TelegramPublisher
+    ) -> None:
+        async with serving(publisher) as task:
+            wire.hang_up()
+            with pytest.raises(OSError, match=GONE):
+                await asyncio.wait_for(task, 1.0)
+
+    async def test_a_missing_port_is_an_error_before_it_is_ready(
+        self, board: Board, component: Component, clock: TestClock
+    ) -> None:
+        settings = SerialPort.model_validate({"device": "/dev/none", "speaks": "telegram"})
+        with pytest.raises(FileNotFoundError, match="/dev/none"):
+            await TelegramPublisher(settings, board, component, clock).run(lambda: pytest.fail("not ready"))
+
+
+class TestConsole:
+    @pytest.fixture
+    def publisher(
+        self, wire: Wire, board: Board, health: Health, component: Component, clock: TestClock
+    ) -> ConsolePublisher:
+        return ConsolePublisher(wire.settings(speaks="console"), board, health, component, clock)
+
+    async def test_a_session(
+        self,
+        wire: Wire,
+        board: Board,
+        component: Component,
+        clock: TestClock,
+        measured: Measurement,
+        publisher: ConsolePublisher,
+    ) -> None:
+        board.publish(measured)
+        async with serving(publisher):
+            assert b"ALT-0007" in await wire.receive(lambda data: data.endswith(b"> "))
+            wire.send(b"measure\r")
+            assert b"10.012 mm" in await wire.receive(lambda data: data.endswith(b"\n> "))
+            wire.send(b"watch 0.5\r")
+            await wire.receive(lines(4))
+            await asyncio.sleep(0.03)
+            for _ in range(3):
+                await clock.advance(0.5)
+                assert b"10.012" in await wire.receive(lines(1))
+                board.publish(measured)
+            wire.send(b"q")
+            assert await wire.receive(lambda data: data.endswith(b"> ")) == b"> "
+            await clock.advance(0.5)
+            wire.send(b"rubbish\r")
+            assert b"no command 'rubbish'" in await wire.receive(lambda data: data.endswith(b"\n> "))
+        assert component.counters == {"commands": 2}
+        assert component.state is State.OK
+
+    async def test_a_line_that_echoes_everything_does_not_keep_the_unit_busy(
+        self, wire: Wire, publisher: ConsolePublisher
+    ) -> None:
+        async with serving(publisher):
+            answers = 0
+            async with asyncio.timeout(5.0):
+                for _ in range(10):
+                    wire.send(await wire.receive(bool))
+                    answers += 1
+                    await asyncio.sleep(0.02)
+            assert answers == 10
+
+    async def test_answers_that_nobody_takes_are_counted_and_it_lives_on(
+        self, wire: Wire, component: Component, publisher: ConsolePublisher
+    ) -> None:
+        async with serving(publisher) as task:
+            for _ in range(200):
+                with contextlib.suppress(BlockingIOError):
+                    wire.send(b"status\r" * 60)
+                await asyncio.sleep(0.005)
+                if component.counters.get("answers_dropped", 0):
+                    break
+            assert component.counters["answers_dropped"] > 0
+            assert not task.done()
+
+    async def test_a_hang_up_ends_it_with_an_error(self, wire: Wire, publisher: ConsolePublisher) -> None:
+        async with serving(publisher) as task:
+            wire.hang_up()
+            with pytest.raises(OSError, match=GONE):
+                await asyncio.wait_for(task, 1.0)

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from altd.config import load_config
+from altd.errors import BadInputError
+
+GOOD = """
+[unit]
+serial = "A-1"
+calibration = "cal.json"
+
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+
+[cameras.front]
+driver = "recording"
+path = "rec"
+
+[cameras.rear]
+driver = "recording"
+path = "rec"
+"""
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "altd.toml"
+    path.write_text(text)
+    return path
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(BadInputError) as caught:
+        load_config(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_paths_are_relative_to_the_config_file(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, GOOD))
+    assert config.unit.calibration == tmp_path / "cal.json"
+    assert config.cameras["rear"].path == tmp_path / "rec"
+
+
+def test_the_shipped_config_is_good() -> None:
+    shipped = Path(__file__).resolve().parents[1] / "config" / "altd.toml"
+    config = load_config(shipped)
+    assert [target.name for target in config.targets] == ["front", "rear"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('serial = "A-1"', 'serial = "A-1"\ncolour = 3', "unit.colour: unknown key"),
+        ("z_mm = 280.0", 'z_mm = "far"', "targets.1.z_mm: Input should be a valid number"),
+        ("z_mm = 280.0", "", "targets.1.z_mm: Field required"),
+        ('driver = "recording"', 'driver = "magic"', "cameras.front.driver: Input should be 'recording'"),
+        ('camera = "rear"', 'camera = "third"', "targets: no [cameras.third] for camera 'third'"),
+        ('name = "rear"', 'name = "front"', "targets: two targets have the same name"),
+        ("[unit]", "[unit", "not TOML"),
+        ("[cameras.rear]", "[http]\nport = 70000\n[cameras.rear]", "http.port: Input should be less than or"),
+        ("[unit]", "", "unit: Field required"),
+    ],
+)
+def test_a_mistake_is_named_with_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = write(tmp_path, GOOD.replace(old, new, 1))
+    assert complaint(path).startswith(f"{path}: ")
+    assert message in complaint(path)
+
+
+def test_one_serial_port_is_given_out_once(tmp_path: Path) -> None:
+    port = '[[serial]]\ndevice = "/dev/ttyS0"\nspeaks = "telegram"\n'
+    assert "serial: two ports have the same device" in complaint(write(tmp_path, GOOD + port + port))
+
+
+def test_a_missing_file_and_a_binary_one_are_named(tmp_path: Path) -> None:
+    assert "No such file or directory" in complaint(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    assert "is not UTF-8 text" in complaint(tmp_path / "binary.toml")

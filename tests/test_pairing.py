@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from altd.pairing import Pair, Pairer
+from altd.records import Reason
+
+MS = 1_000_000
+PERIOD = 50 * MS
+
+
+def pairer(by="sequence", cameras=("front", "rear")) -> Pairer[str]:
+    return Pairer(cameras, by, max_skew_ns=10 * MS, silent_after_ns=400 * MS)
+
+
+def sequences(pairs: list[Pair[str]]) -> list[tuple[int, bool]]:
+    return [(pair.sequence, not pair.missing) for pair in pairs]
+
+
+def test_items_of_one_sequence_become_one_exposure_whichever_comes_first() -> None:
+    p = pairer()
+    assert p.add("front", 7, 0, "f7") == []
+    [pair] = p.add("rear", 7, 2 * MS, "r7")
+    assert (pair.sequence, pair.t_ns, pair.skew_ns) == (7, MS, 2 * MS)
+    assert pair.items == {"front": "f7", "rear": "r7"}
+    assert p.add("rear", 8, PERIOD, "r8") == []
+    assert sequences(p.add("front", 8, PERIOD, "f8")) == [(8, True)]
+
+
+def test_a_frame_whose_partner_was_lost_comes_out_before_the_next_whole_exposure() -> None:
+    p = pairer()
+    p.add("front", 1, 0, "f1")
+    p.add("front", 2, PERIOD, "f2")
+    pairs = p.add("rear", 2, PERIOD, "r2")
+    assert sequences(pairs) == [(1, False), (2, True)]
+    assert pairs[0].missing == {"rear": Reason.OUT_OF_STEP}
+
+
+def test_a_camera_that_never_spoke_is_silent() -> None:
+    p = pairer()
+    out = [pair for n in range(10) for pair in p.add("front", n, n * PERIOD, "f")]
+    assert [pair.missing for pair in out] == [{"rear": Reason.CAMERA_SILENT}] * 6
+
+
+def test_a_camera_that_stops_is_silent_once_its_last_frame_is_old() -> None:
+    p = pairer()
+    p.add("rear", 0, 0, "r")
+    out = [pair for n in range(20) for pair in p.add("front", n, n * PERIOD, "f")]
+    reasons = [pair.missing.get("rear") for pair in out]
+    assert reasons[:3] == [None, Reason.OUT_OF_STEP, Reason.OUT_OF_STEP]
+    assert reasons[-1] is Reason.CAMERA_SILENT
+
+
+def test_equal_numbers_at_different_times_are_out_of_step() -> None:
+    p = pairer()
+    p.add("front", 5, 0, "f")
+    [pair] = p.add("rear", 5, 11 * MS, "r")
+    assert pair.missing == {"front": Reason.OUT_OF_STEP, "rear": Reason.OUT_OF_STEP}
+    assert pair.items == {}
+
+
+def test_shifted_numbers_are_out_of_step_not_silent() -> None:
+    p = pairer()
+    out = []
+    for n in range(12):
+        out += p.add("front", n, n * PERIOD, "f")
+        out += p.add("rear", n + 500, n * PERIOD, "r")
+    assert out
+    assert all(Reason.OUT_OF_STEP in pair.missing.values() for pair in out)
+
+
+def test_by_time_the_nearest_frames_pair_whatever_their_numbers() -> None:
+    p = pairer("time")
+    out = []
+    for n in range(5):
+        out += p.add("front", n, n * PERIOD, f"f{n}")
+        out += p.add("rear", 9000 + n, n * PERIOD + 8 * MS, f"r{n}")
+    assert [pair.items for pair in out] == [{"front": f"f{n}", "rear": f"r{n}"} for n in range(5)]
+    assert [pair.sequence for pair in out] == list(range(5))
+
+
+def test_by_time_a_constant_lag_beyond_the_skew_is_out_of_step() -> None:
+    p = pairer("time")
+    out = []
+    for n in range(12):
+        out += p.add("front", n, n * PERIOD, "f")
+        out += p.add("rear", n, n * PERIOD + 25 * MS, "r")
+    assert out
+    assert {reason for pair in out for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
+
+
+def test_a_frame_that_comes_after_its_exposure_was_given_up_is_counted() -> None:
+    p = pairer()
+    for n in range(6):
+        p.add("front", n, n * PERIOD, "f")
+    assert p.add("rear", 0, 0, "r") == []
+    assert p.late == 1
+
+
+def test_a_numbering_that_starts_anew_goes_on_pairing() -> None:
+    p = pairer()
+    for camera in ("front", "rear"):
+        p.add(camera, 60_000, 0, "x")
+    p.add("front", 1, PERIOD, "f")
+    assert sequences(p.add("rear", 1, PERIOD, "r")) == [(1, True)]
+
+
+def test_three_cameras_pair_too() -> None:
+    p = pairer(cameras=("a", "b", "c"))
+    assert p.add("a", 1, 0, "a") == p.add("c", 1, 0, "c") == []
+    assert sequences(p.add("b", 1, 0, "b")) == [(1, True)]
+
+
+def test_a_flush_settles_what_waits_in_order() -> None:
+    p = pairer()
+    p.add("front", 1, 0, "f")
+    p.add("rear", 2, PERIOD, "r")
+    assert sequences(p.flush()) == [(1, False), (2, False)]
+    assert p.flush() == []

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.frames import Blob, frame, light
+from support.recordings import header, write_beams
+
+from altd.errors import BadInputError
+from altd.recording import (
+    CameraHeader,
+    RecordingHeader,
+    RecordingWriter,
+    UnitHeader,
+    open_recording,
+)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return write_beams(tmp_path / "rec", [(0, 0, 0, 0)], exposures=2)
+
+
+def edit(path: Path, row: int, old: str, new: str) -> None:
+    """Replace text in one line of frames.csv; the header is row 1."""
+    lines = (path / "frames.csv").read_text().splitlines()
+    assert old in lines[row - 1]
+    lines[row - 1] = lines[row - 1].replace(old, new)
+    (path / "frames.csv").write_text("\n".join(lines) + "\n")
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(BadInputError) as caught:
+        open_recording(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_rows_and_frames_are_read_and_unknown_columns_ignored(recording: Path) -> None:
+    opened = open_recording(recording)
+    assert [(row.sequence, row.camera, row.t_s) for row in opened.rows] == [
+        (0, "front", 0.0),
+        (0, "rear", 0.0),
+        (1, "front", 0.05),
+        (1, "rear", 0.05),
+    ]
+    first = opened.frame(opened.rows[2])
+    expected = cv2.imread(str(recording / "front0001.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(first.pixels, expected)
+    assert (first.sequence, first.t_ns, first.bits) == (1, 50_000_000, 8)
+    assert not first.pixels.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("row", "old", "new", "message"),
+    [
+        (3, "rear0000.png", "gone.png", "frames.csv: row 3: gone.png: No such file or directory"),
+        (3, "rear0000.png", "../../x.png", "row 3: file '../../x.png' is not a path inside the recording"),
+        (3, "rear0000.png", "/etc/passwd", "row 3: file '/etc/passwd' is not a path inside the recording"),
+        (4, "0.050000", "soon", "row 4: t_s 'soon' is not a number"),
+        (4, "0.050000", "nan", "row 4: t_s 'nan' is not a number"),
+        (2, "0.000000", "1.0", "row 3: t_s 0.0 is before the row above"),
+        (2, "front,", "left,", "row 2: camera 'left' is not in recording.json"),
+        (2, "off", "dim", "row 2: leds must be on or off, not 'dim'"),
+        (2, ",off,,,", ",off,1.0,,", "row 2: x_mm and y_mm must both be given or both be empty"),
+        (2, "0,0.0", "0.5,0.0", "row 2: sequence '0.5' is not a whole number"),
+        (5, ",0.050000,rear,rear0001.png,off,,,", ",0.05", "row 5: is torn: 2 fields"),
+        (1, "leds", "lamps", "row 1: column 'leds' is missing"),
+    ],
+)
+def test_a_bad_row_is_named(recording: Path, row: int, old: str, new: str, message: str) -> None:
+    edit(recording, row, old, new)
+    assert message in complaint(recording)
+
+
+def test_a_frame_of_the_wrong_size_or_depth_is_named_before_anything_is_decoded(recording: Path) -> None:
+    cv2.imwrite(str(recording / "rear0001.png"), np.zeros((480, 750), np.uint8))
+    assert "row 5: rear0001.png is 750 × 480, expected 752 × 480" in complaint(recording)
+    cv2.imwrite(str(recording / "rear0001.png"), np.zeros((480, 752, 3), np.uint8))
+    assert "row 5: rear0001.png is not a grey PNG of 8 bits" in complaint(recording)
+    (recording / "rear0001.png").write_bytes(b"GIF89a" + bytes(40))
+    assert "row 5: rear0001.png is not a PNG" in complaint(recording)
+
+
+def test_a_damaged_frame_is_named_when_it_is_decoded(recording: Path) -> None:
+    path = recording / "front0001.png"
+    path.write_bytes(path.read_bytes()[:200])
+    opened = open_recording(recording)
+    with pytest.raises(BadInputError, match=r"row 4: front0001\.png cannot be decoded"):
+        opened.frame(opened.rows[2])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("format", "altd-recording/2", "format"),
+        ("kind", "movie", "kind"),
+        ("fps", "fast", "fps"),
+        ("cameras", {}, "cameras"),
+        ("unit", {"serial": "A"}, "unit.target_distance_mm"),
+    ],
+)
+def test_a_bad_header_is_named(recording: Path, key: str, value: object, message: str) -> None:
+    (recording / "recording.json").write_text(json.dumps(header("measurement") | {key: value}))
+    assert f"recording.json: {message}" in complaint(recording)
+
+
+def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, tmp_path: Path) -> None:
+    assert "recording.json: No such file" in complaint(tmp_path / "nowhere")
+    (recording / "frames.csv").write_text("sequence,t_s,camera,file,leds,x_mm,y_mm\n")
+    assert "frames.csv: has no frames" in complaint(recording)
+    (recording / "recording.json").write_text('{"format": "altd-rec')
+    assert "recording.json: Invalid JSON" in complaint(recording)
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_what_is_written_is_read_back(tmp_path: Path, bits: int) -> None:
+    start = datetime(2026, 11, 20, 8, 15, 30, 125000, UTC)
+    size = CameraHeader(width=752, height=480, bits=bits)
+    wanted = RecordingHeader(
+        format="altd-recording/1",
+        kind="measurement",
+        fps=20.0,
+        cameras={"front": size},
+        unit=UnitHeader(serial="A", target_distance_mm=280.0),
+        start=start,
+    )
+    kept = frame(light(Blob(300, 200)) * (1 << bits) / 256, np.random.default_rng(1), bits=bits)
+    writer = RecordingWriter(tmp_path / "out", wanted)
+    writer.write(kept, 3, 0.15)
+    opened = open_recording(tmp_path / "out")  # readable although not closed yet
+    writer.close()
+    assert opened.header == wanted
+    read = opened.frame(opened.rows[0])
+    assert np.array_equal(read.pixels, kept.pixels)
+    assert (read.sequence, read.t_ns) == (3, 150_000_000)
+
+
+def test_a_folder_in_use_is_not_written_into(recording: Path) -> None:
+    before = sorted(recording.iterdir())
+    with pytest.raises(BadInputError, match="exists and is not an empty folder"):
+        RecordingWriter(recording, open_recording(recording).header)
+    assert sorted(recording.iterdir()) == before
+
+
+def test_the_hash_changes_with_a_frame(recording: Path) -> None:
+    before = open_recording(recording).sha256()
+    cv2.imwrite(str(recording / "rear0001.png"), np.zeros((480, 752), np.uint8))
+    assert open_recording(recording).sha256() != before

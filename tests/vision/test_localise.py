@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.frames import HEIGHT, WIDTH, Blob, frame, light
+
+from altd.records import NoSpot, Reason, Spot
+from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
+
+
+def found(outcome: Spot | NoSpot) -> Spot:
+    assert isinstance(outcome, Spot), outcome
+    return outcome
+
+
+def reason(outcome: Spot | NoSpot) -> Reason:
+    assert isinstance(outcome, NoSpot), outcome
+    return outcome.reason
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    u=st.floats(60, WIDTH - 61),
+    v=st.floats(60, HEIGHT - 61),
+    diameter=st.floats(18, 75),
+    ratio=st.floats(0.4, 1.0),
+    angle=st.floats(0, np.pi),
+    bits=st.sampled_from([8, 10, 12, 16]),
+)
+def test_the_centroid_of_an_ellipse_without_noise_is_its_centre(u, v, diameter, ratio, angle, bits) -> None:
+    scale = (1 << bits) / 256
+    blob = Blob(u, v, diameter, max(diameter * ratio, 12), angle, peak=180 * scale)
+    spot = found(locate(frame(light(blob), background=10 * scale, bits=bits)))
+    assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.02)
+
+
+def test_the_diameter_is_the_one_over_e_squared_diameter() -> None:
+    for diameter in (20.0, 44.0, 80.0):
+        spot = found(locate(frame(light(Blob(300.3, 200.6, diameter)))))
+        assert spot.diameter_px == pytest.approx(diameter, rel=0.04)
+
+
+def test_the_peak_is_counted_over_the_background() -> None:
+    spot = found(locate(frame(light(Blob(300, 200, peak=120)), background=40)))
+    assert spot.peak == pytest.approx(120, abs=1.5)
+
+
+def test_a_sloping_background_does_not_move_the_spot() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    slope = 30 * u / WIDTH + 20 * v / HEIGHT
+    spot = found(locate(frame(light(Blob(400.25, 222.75, peak=100)) + slope)))
+    assert (spot.u_px, spot.v_px) == pytest.approx((400.25, 222.75), abs=0.05)
+
+
+def test_sigma_is_the_scatter_that_read_and_shot_noise_make() -> None:
+    rng = np.random.default_rng(1)
+    full_well, full_scale, read = 15_000.0, 255.0, 2.0
+    image = light(Blob(380.4, 240.2))
+    positions, sigmas = [], []
+    for _ in range(120):
+        electrons = rng.poisson((image + 8) * full_well / full_scale)
+        noisy = electrons * full_scale / full_well - 8
+        spot = found(locate(frame(noisy, rng, noise=read)))
+        positions.append((spot.u_px, spot.v_px))
+        sigmas.append(spot.sigma_px)
+    scatter = np.sqrt(np.var(positions, axis=0, ddof=1).mean())
+    assert np.mean(sigmas) / scatter == pytest.approx(1.0, abs=0.15)
+
+
+def test_hot_pixels_do_not_move_the_spot() -> None:
+    rng = np.random.default_rng(2)
+    clean = frame(light(Blob(300.5, 210.25)), rng)
+    hot = clean.pixels.copy()
+    hot[(210 + rng.integers(-20, 20, 6)), (300 + rng.integers(-20, 20, 6))] = 255
+    hot[rng.integers(0, HEIGHT, 40), rng.integers(0, WIDTH, 40)] = 255
+    before, after = found(locate(clean)), found(locate(replace(clean, pixels=hot)))
+    assert np.hypot(after.u_px - before.u_px, after.v_px - before.v_px) < 0.15
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_noise_alone_is_no_spot(bits: int) -> None:
+    rng = np.random.default_rng(3)
+    scale = (1 << bits) / 256
+    for noise in (0.5, 3, 30, 80):
+        for _ in range(15):
+            empty = frame(
+                light(), rng, noise=noise * scale, background=rng.uniform(0, 150) * scale, bits=bits
+            )
+            assert reason(locate(empty)) is Reason.SPOT_MISSING
+
+
+def test_uniform_noise_over_the_whole_scale_is_no_spot() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        pixels = rng.integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
+        assert reason(locate(replace(frame(light()), pixels=pixels))) is Reason.SPOT_MISSING
+
+
+def test_a_black_frame_has_no_spot_and_a_white_one_is_saturated() -> None:
+    assert reason(locate(frame(light(), background=0))) is Reason.SPOT_MISSING
+    assert reason(locate(frame(light(), background=255))) is Reason.SATURATED
+
+
+def test_two_equal_spots_are_ambiguous() -> None:
+    rng = np.random.default_rng(5)
+    for distance in (40, 60, 150, 300):
+        blobs = Blob(250, 240), Blob(250 + distance, 250)
+        assert reason(locate(frame(light(*blobs), rng))) is Reason.AMBIGUOUS, distance
+
+
+def test_a_weak_reflection_does_not_make_a_frame_ambiguous() -> None:
+    spot = found(locate(frame(light(Blob(250.5, 240.5), Blob(500, 300, peak=12)))))
+    assert (spot.u_px, spot.v_px) == pytest.approx((250.5, 240.5), abs=0.02)
+
+
+def test_a_spot_that_is_clipped_flat_is_saturated() -> None:
+    assert reason(locate(frame(light(Blob(300, 200, peak=900))))) is Reason.SATURATED
+    assert isinstance(locate(frame(light(Blob(300, 200, peak=240)))), Spot)
+
+
+@pytest.mark.parametrize(
+    ("u", "v"), [(5, 200), (WIDTH - 8, 200), (300, 6), (300, HEIGHT - 4), (2, 3), (18, 240)]
+)
+def test_a_spot_at_the_edge_is_cut(u: float, v: float) -> None:
+    assert reason(locate(frame(light(Blob(u, v)), np.random.default_rng(6)))) is Reason.CUT_BY_EDGE
+
+
+def test_a_spot_outside_the_size_limits_is_of_the_wrong_size() -> None:
+    limits = SpotSettings(min_diameter_px=20, max_diameter_px=60)
+    assert isinstance(locate(frame(light(Blob(300, 200, 40))), limits), Spot)
+    for diameter in (12, 120):
+        assert reason(locate(frame(light(Blob(300, 200, diameter))), limits)) is Reason.WRONG_SIZE
+
+
+def test_a_line_of_light_has_the_wrong_shape() -> None:
+    assert reason(locate(frame(light(Blob(300, 200, 300, 24, 0.4))))) is Reason.WRONG_SHAPE
+
+
+def test_frames_whose_size_is_no_multiple_of_a_cell_are_searched() -> None:
+    spot = found(locate(frame(light(Blob(200.4, 150.6), width=333, height=301))))
+    assert (spot.u_px, spot.v_px) == pytest.approx((200.4, 150.6), abs=0.02)
+
+
+def test_the_same_scene_in_8_10_and_16_bits_gives_the_same_place() -> None:
+    positions = []
+    for bits in (8, 10, 16):
+        scale = ((1 << bits) - 1) / 255
+        rng = np.random.default_rng(7)
+        spot = found(locate(frame(light(Blob(311.3, 207.9)) * scale, rng, 1.0 * scale, 8 * scale, bits)))
+        positions.append((spot.u_px, spot.v_px))
+    assert np.ptp(positions, axis=0).max() < 0.01
