@@ -13,6 +13,7 @@ from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot
 _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 6.0
 _LARGEST_OUTLIER_SHARE = 0.3
+_GAP_SIGMAS = 10.0
 _GONE_AFTER = 3
 """So many unusable exposures at the end of a window: the spot is gone, whatever came before."""
 _PRIOR_EXPOSURES = 2.0
@@ -50,7 +51,8 @@ def mean_spots(
 
     An exposure is usable when every target has its spot. At least half a window must be usable, and the
     last three must not all be bad. An exposure that lies six robust sigmas off the median in any
-    coordinate counts for none; when that is true of more than 30 %, the beam moved: ``unsteady``.
+    coordinate counts for none; when that is true of more than 30 %, or when the exposures fall into two
+    places, the beam moved: ``unsteady``.
     """
     usable = [exposure for exposure in exposures if not exposure.faults()]
     gone = len(exposures) >= _GONE_AFTER and all(e.faults() for e in exposures[-_GONE_AFTER:])
@@ -61,7 +63,8 @@ def mean_spots(
     noise = np.array([[spot.sigma_px for spot in row for _ in range(2)] for row in spots])
     typical_noise = np.median(noise, axis=0)
     kept = _without_outliers(px, typical_noise)
-    if np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable):
+    too_many = np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable)
+    if too_many or _has_two_places(px[kept], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
     mean = px[kept].mean(axis=0)
     return MeanSpots(
@@ -93,6 +96,25 @@ def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int
         distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1
     )
     return near
+
+
+def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
+    """Whether (n, coordinates) fall into two places, as when the beam jumped half way through a window.
+
+    Then the median lies between them and nothing is an outlier. The largest gap between neighbouring values
+    is far wider than what lies on either side of it; steady motion and vibration leave no such gap.
+    """
+    ordered = np.sort(px, axis=0)
+    gaps = np.diff(ordered, axis=0)
+    if not len(gaps):
+        return False
+    for column in np.flatnonzero(gaps.max(axis=0) > _GAP_SIGMAS * noise):
+        split = int(gaps[:, column].argmax()) + 1
+        sides = ordered[:split, column], ordered[split:, column]
+        within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
+        if gaps[split - 1, column] > _GAP_SIGMAS * (within + noise[column]):
+            return True
+    return False
 
 
 def _covariance_of_mean(deviations: FloatArray, noise: FloatArray) -> FloatArray:

@@ -101,10 +101,24 @@ def test_a_reason_of_the_whole_unit_carries_no_target() -> None:
     assert why_not([exposure(n, front=step, rear=step) for n in range(4)]) == ["out_of_step"]
 
 
-def test_a_beam_that_jumps_within_the_window_is_unsteady() -> None:
+@pytest.mark.parametrize(("count", "jump"), [(4, 2), (20, 8), (20, 10), (20, 12), (7, 3)])
+def test_a_beam_that_jumps_within_the_window_is_unsteady(count: int, jump: int) -> None:
     rng = np.random.default_rng(3)
-    exposures = [exposure(n, front=tuple(rng.normal((300 if n < 8 else 330, 200), 0.02))) for n in range(20)]
+    exposures = [
+        exposure(n, front=tuple(rng.normal((300 if n < jump else 330, 200), 0.02))) for n in range(count)
+    ]
     assert why_not(exposures) == ["unsteady"]
+
+
+def test_vibration_and_steady_motion_are_not_a_jump() -> None:
+    rng = np.random.default_rng(4)
+    for count in (8, 20):
+        for trial in range(300):
+            time = np.arange(count) / 20
+            shake = rng.normal(0, 0.5) * np.sin(2 * np.pi * rng.uniform(1, 30) * time + rng.uniform(0, 6))
+            path = 300 + shake + rng.normal(0, 0.3, count) + rng.uniform(-5, 5) * time
+            mean = mean_spots([exposure(n, front=(u, 200.0)) for n, u in enumerate(path)], TARGETS, count)
+            assert isinstance(mean, MeanSpots), (count, trial)
 
 
 def test_a_window_that_fills_is_warming_up_until_it_is_half_full() -> None:
