@@ -47,6 +47,7 @@ class Pipeline:
                 self._measure(await self._inbox.take())
         finally:
             ticking.cancel()
+            await asyncio.gather(ticking, return_exceptions=True)
 
     async def _tick(self) -> None:
         while True:

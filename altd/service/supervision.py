@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 from collections.abc import Awaitable, Callable
 from typing import Protocol
 
@@ -55,7 +56,7 @@ async def keep_running(
             failure = "ended by itself"
         except Exception as error:
             if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START:
-                raise BadInputError(place, error.strerror or str(error)) from error
+                raise BadInputError(place, os.strerror(error.errno)) from error
             failure = f"{type(error).__name__}: {error}" if not isinstance(error, OSError) else str(error)
         if first:
             first = False

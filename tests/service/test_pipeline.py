@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import pytest
+from support.clock import FakeClock, settle, stop
+from support.frames import Blob, frame, light
+from support.measurements import measurement
+
+from altd.records import Frame, Measurement, Reason
+from altd.service.board import Board
+from altd.service.health import Health, State
+from altd.service.inbox import Inbox
+from altd.service.pipeline import Pipeline
+
+PIXELS = frame(light(Blob(300, 200))).pixels
+
+
+def shot(camera: str, sequence: int, t_ns: int = 0) -> Frame:
+    return Frame(camera, sequence, t_ns, PIXELS)
+
+
+class Chain:
+    """Stands in for the measuring chain: a measurement for every frame of the rear camera."""
+
+    late_frames = 0
+
+    def __init__(self) -> None:
+        self.broken = False
+
+    def push(self, frame: Frame) -> list[Measurement]:
+        if self.broken:
+            raise ZeroDivisionError("a defect")
+        return [measurement(frame.sequence, frame.t_ns)] if frame.camera == "rear" else []
+
+    def silence(self, t_ns: int) -> Measurement:
+        return measurement(0, t_ns, Reason.CAMERA_SILENT)
+
+
+class Bench:
+    """A pipeline with its surroundings."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        self.board = Board(self.clock, 1.0)
+        self.inbox = Inbox(("front", "rear"))
+        self.chain = Chain()
+        self.component = Health(self.clock).component("measuring")
+        self.progress = 0
+        self.pipeline = Pipeline(
+            self.inbox,
+            self.chain,  # type: ignore[arg-type]
+            self.board,
+            self.component,
+            self.clock,
+            0.4,
+            self.count,
+        )
+        self.task = asyncio.create_task(self.pipeline.run())
+
+    def count(self) -> None:
+        self.progress += 1
+
+
+async def test_an_hour_of_exposures_passes_without_a_loss() -> None:
+    bench = Bench()
+    for number in range(72_000):
+        for camera in ("front", "rear"):
+            bench.inbox.put(shot(camera, number, bench.clock.monotonic_ns()), wait=False)
+        await bench.clock.advance(0.05)
+    await settle()
+    assert bench.board.published == bench.progress == 72_000
+    assert bench.component.counters["valid"] == 72_000
+    assert bench.inbox.dropped == {"front": 0, "rear": 0}
+    await stop(bench.task)
+
+
+async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> None:
+    bench = Bench()
+    await settle()
+    await bench.clock.advance(2.1)
+    assert bench.board.published == 5
+    latest = bench.board.read()
+    assert latest is not None
+    assert [str(fault) for fault in latest.status] == ["camera_silent"]
+    assert bench.component.state is State.DEGRADED
+    bench.inbox.put(shot("rear", 1), wait=False)
+    await bench.clock.advance(0.01)
+    assert bench.component.state is State.OK
+    await stop(bench.task)
+
+
+async def test_a_defect_in_the_chain_ends_the_pipeline() -> None:
+    bench = Bench()
+    bench.chain.broken = True
+    bench.inbox.put(shot("front", 1), wait=False)
+    with pytest.raises(ZeroDivisionError):
+        await bench.task
+
+
+async def test_the_newest_frame_wins_the_slot_and_the_loss_is_counted() -> None:
+    inbox = Inbox(("front", "rear"))
+    for sequence in (1, 2, 3):
+        inbox.put(shot("front", sequence, sequence), wait=False)
+    inbox.put(shot("rear", 1, 1), wait=False)
+    assert [(f.camera, f.sequence) for f in await inbox.take()] == [("rear", 1), ("front", 3)]
+    assert inbox.dropped == {"front": 2, "rear": 0}
+
+
+async def test_a_source_that_waits_loses_nothing() -> None:
+    inbox = Inbox(("front",))
+    source = threading.Thread(target=lambda: [inbox.put(shot("front", n), wait=True) for n in range(50)])
+    source.start()
+    taken = []
+    while len(taken) < 50:
+        taken += [f.sequence for f in await inbox.take()]
+    source.join()
+    assert taken == list(range(50))
+    assert inbox.dropped == {"front": 0}
+
+
+async def test_closing_the_inbox_lets_a_waiting_thread_go() -> None:
+    inbox = Inbox(("front",))
+    source = threading.Thread(target=lambda: [inbox.put(shot("front", n), wait=True) for n in range(5)])
+    source.start()
+    await asyncio.sleep(0.01)
+    inbox.close()
+    source.join(1.0)
+    assert not source.is_alive()

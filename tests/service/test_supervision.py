@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import asyncio
+import errno
+import itertools
+import logging
+from collections.abc import Callable
+
+import pytest
+from support.clock import FakeClock, settle, stop
+
+from altd.errors import BadInputError
+from altd.service.health import Health, State
+from altd.service.supervision import keep_running
+
+
+class Flaky:
+    """Serves after a number of failed starts, then dies when told."""
+
+    def __init__(self, failures: int = 0, error: Exception | None = None) -> None:
+        self.failures = failures
+        self.error = error or RuntimeError("no such thing")
+        self.starts: list[float] = []
+        self.die = asyncio.Event()
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        self.starts.append(0)
+        if len(self.starts) <= self.failures:
+            raise self.error
+        ready()
+        await self.die.wait()
+        self.die.clear()
+        raise OSError(errno.EIO, "the port is gone")
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+async def test_a_dead_publisher_is_started_again_more_and_more_rarely(
+    clock: FakeClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    component = Health(clock).component("serial")
+    publisher = Flaky(failures=8)
+    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
+    starts_at = []
+    with caplog.at_level(logging.WARNING, "altd"):
+        for second in range(130):
+            await clock.advance(1.0)
+            if len(publisher.starts) > len(starts_at):
+                starts_at += [second] * (len(publisher.starts) - len(starts_at))
+    assert component.state is State.OK
+    assert component.counters["failures"] == 8
+    gaps = [later - earlier for earlier, later in itertools.pairwise(starts_at)]
+    assert gaps[-1] == 30
+    assert gaps == sorted(gaps)
+    assert len(caplog.records) == 1  # one line, not one a try
+    publisher.die.set()
+    await settle()
+    assert component.state is State.FAILED
+    assert "the port is gone" in component.message
+    await clock.advance(0.5)
+    assert component.state is State.OK
+    await stop(task)
+
+
+async def test_an_address_in_use_at_the_start_is_a_mistake_in_the_config(clock: FakeClock) -> None:
+    taken = OSError(errno.EADDRINUSE, "Address already in use")
+    with pytest.raises(BadInputError, match=r"http 127\.0\.0\.1:80: Address already in use"):
+        await keep_running("http 127.0.0.1:80", Flaky(1, taken), Health(clock).component("http"), clock)
+
+
+async def test_an_address_that_is_taken_later_is_waited_for(clock: FakeClock) -> None:
+    component = Health(clock).component("http")
+    publisher = Flaky()
+    task = asyncio.create_task(keep_running("http", publisher, component, clock))
+    await settle()
+    publisher.failures, publisher.error = 3, OSError(errno.EADDRINUSE, "Address already in use")
+    publisher.die.set()
+    await clock.advance(10)
+    assert component.state is State.OK
+    await stop(task)

@@ -1,0 +1,77 @@
+"""The command line as a person calls it: a process with its output and its exit status."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: int
+    out: str
+    err: str
+
+    @property
+    def objects(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.out.splitlines()]
+
+
+def altd(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outcome:
+    done = subprocess.run(
+        [sys.executable, "-m", module, *map(str, arguments)],
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def refusal(outcome: Outcome) -> str:
+    """The one line on stderr of a command that refused its input: status 2, no output, no traceback."""
+    assert outcome.status == 2, outcome
+    assert outcome.out == ""
+    lines = outcome.err.splitlines()
+    assert len(lines) == 1, outcome.err
+    return lines[0]
+
+
+CONFIG = """
+[unit]
+serial = "TEST-1"
+calibration = "{calibration}"
+
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+
+[cameras.front]
+driver = "recording"
+path = "{recording}"
+repeat = true
+
+[cameras.rear]
+driver = "recording"
+path = "{recording}"
+repeat = true
+
+[measuring]
+window = 4
+"""
+
+
+def write_config(path: Path, calibration: Path, recording: Path, more: str = "") -> Path:
+    path.write_text(CONFIG.format(calibration=calibration, recording=recording) + more)
+    return path

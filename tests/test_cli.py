@@ -1,0 +1,256 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.cli import altd, refusal, write_config
+from support.frames import Blob, frame, light
+from support.recordings import place_px, write, write_beams, write_scan
+
+BEAMS = [(10.0, 5.0, 0.02, -0.03), (-30.0, 20.0, -0.05, 0.04), (0.0, -12.5, 0.1, 0.05)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scan, its calibration, a measurement and a config that plays it."""
+    path = tmp_path_factory.mktemp("unit")
+    write_scan(path / "scan")
+    write_beams(path / "beams", BEAMS)
+    outcome = altd("calibrate", path / "scan", "-o", path / "cal.json")
+    assert outcome.status == 0, outcome.err
+    assert outcome.err == ""
+    assert "front   4 × 3" in outcome.out
+    write_config(path / "altd.toml", path / "cal.json", path / "beams")
+    return path
+
+
+def back_to_back(folder: Path) -> tuple[object, ...]:
+    return "--calibration", folder / "cal.json", "--window", 4, "--every", 4
+
+
+def test_a_calibrated_unit_measures_its_beams(folder: Path) -> None:
+    outcome = altd(
+        "replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
+    )
+    assert (outcome.status, outcome.err) == (0, "")
+    assert len(outcome.objects) == len(BEAMS)
+    for number, (line, (x, y, slope_x, slope_y)) in enumerate(zip(outcome.objects, BEAMS, strict=True)):
+        assert line["valid"]
+        assert (line["sequence"], line["frames"], line["status"]) == (4 * number + 3, 4, [])
+        assert line["t_s"] == pytest.approx((4 * number + 1.5) / 20)  # the middle of the exposures
+        assert line["time"] is None  # the recording does not know it
+        assert line["roll_deg"] is None
+        assert (line["x_mm"], line["y_mm"]) == pytest.approx((x, y), abs=0.03)
+        assert line["yaw_mm_per_m"] == pytest.approx(1000 * slope_x, abs=0.15)
+        assert line["pitch_mm_per_m"] == pytest.approx(1000 * slope_y, abs=0.15)
+        assert line["rear"]["x_mm"] == pytest.approx(x + 280 * slope_x, abs=0.03)
+        assert 0 < line["sigma"]["x_mm"] < 0.03
+
+
+def test_the_sliding_mean_gives_a_line_after_every_exposure(folder: Path) -> None:
+    outcome = altd("replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4)
+    assert [line["sequence"] for line in outcome.objects] == list(range(12))
+    assert outcome.objects[0]["status"] == ["warming_up"]
+    assert outcome.objects[5]["status"] == ["unsteady"]  # half the window before, half after the beam moved
+    assert [outcome.objects[n]["valid"] for n in (3, 7, 11)] == [True] * 3
+
+
+def test_a_start_time_in_the_recording_gives_utc(folder: Path, tmp_path: Path) -> None:
+    beam = (10.0, 5.0)
+    rec = write(tmp_path / "rec", "measurement", [(beam, beam, None)] * 2, start="2026-11-20T08:15:30Z")
+    outcome = altd("replay", rec, "--calibration", folder / "cal.json", "--window", 2, "--every", 2)
+    assert outcome.objects[0]["time"] == "2026-11-20T08:15:30.025Z"
+
+
+def test_locate_gives_an_object_an_image(folder: Path, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "spot.png"), frame(light(Blob(300.5, 200.25)) * 200, bits=16).pixels)
+    cv2.imwrite(str(tmp_path / "dark.pgm"), np.full((100, 120), 7, np.uint8))
+    outcome = altd("locate", tmp_path / "spot.png", tmp_path / "dark.pgm")
+    spot, dark = outcome.objects
+    assert (spot["u_px"], spot["v_px"]) == pytest.approx((300.5, 200.25), abs=0.01)
+    assert spot["sigma_px"] > 0
+    assert dark["reason"] == "spot_missing"
+    assert dark["u_px"] is dark["v_px"] is dark["sigma_px"] is None
+
+
+def test_map_turns_px_into_mm_or_says_why_not(folder: Path) -> None:
+    u, v = place_px("rear", 12.0, -20.0)
+    outcome = altd("map", "--calibration", folder / "cal.json", "--target", "rear", stdin=f"{u} {v}\n\n1 1\n")
+    assert outcome.status == 0
+    inside, outside = outcome.out.splitlines()
+    x, y, sigma_x, sigma_y = map(float, inside.split())
+    assert (x, y) == pytest.approx((12.0, -20.0), abs=0.02)
+    assert 0 < sigma_x < 0.02
+    assert 0 < sigma_y < 0.02
+    assert outside == "invalid out_of_range"
+
+
+def test_check_config_says_good(folder: Path) -> None:
+    outcome = altd("check-config", folder / "altd.toml")
+    assert outcome.status == 0
+    assert "good: unit TEST-1, 2 targets" in outcome.out
+
+
+def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> None:
+    outcome = altd("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
+    assert outcome.status == 0, outcome.err
+    kept = altd(
+        "replay", tmp_path / "kept", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
+    )
+    original = altd(
+        "replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
+    )
+    assert kept.objects[0]["x_mm"] == original.objects[0]["x_mm"]
+    assert kept.objects[1]["yaw_deg"] == original.objects[1]["yaw_deg"]
+    assert kept.objects[0]["time"].endswith("Z")
+    header = json.loads((tmp_path / "kept" / "recording.json").read_text())
+    assert header["note"] == "altd record, playback"
+    assert "not an empty folder" in refusal(
+        altd("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
+    )
+
+
+class TestBadInput:
+    """One clear line on stderr that names file and place, exit status 2, no output, nothing half written."""
+
+    def replay(self, folder: Path, recording: Path, calibration: str = "cal.json") -> str:
+        return refusal(altd("replay", recording, "--calibration", folder / calibration))
+
+    def test_recording_with_a_missing_frame(self, folder: Path, tmp_path: Path) -> None:
+        rec = write_beams(tmp_path / "rec", BEAMS)
+        (rec / "rear0011.png").unlink()
+        assert f"{rec}/frames.csv: row 25: rear0011.png: No such file" in self.replay(folder, rec)
+        assert "rear0011.png" in refusal(altd("calibrate", rec, "-o", tmp_path / "new.json"))
+        assert not (tmp_path / "new.json").exists()
+
+    def test_recording_with_a_torn_table(self, folder: Path, tmp_path: Path) -> None:
+        rec = write_beams(tmp_path / "rec", BEAMS)
+        text = (rec / "frames.csv").read_text()
+        (rec / "frames.csv").write_text(text[:-25])
+        assert "frames.csv: row 25: is torn" in self.replay(folder, rec)
+
+    def test_recording_of_another_size_or_another_unit(self, folder: Path, tmp_path: Path) -> None:
+        other = write(tmp_path / "other", "measurement", [((0, 0), (0, 0), None)], serial="TEST-2")
+        assert "is for unit 'TEST-1', this is unit 'TEST-2'" in self.replay(folder, other)
+        small = write_beams(tmp_path / "small", BEAMS[:1])
+        header = json.loads((small / "recording.json").read_text())
+        header["cameras"]["front"] = {"width": 640, "height": 480, "bits": 8}
+        (small / "recording.json").write_text(json.dumps(header))
+        assert "row 2: front0000.png is 752 × 480, expected 640 × 480" in self.replay(folder, small)
+        for path in small.glob("front*.png"):
+            cv2.imwrite(str(path), np.zeros((480, 640), np.uint8))
+        assert "target 'front' was calibrated at 752 × 480, not 640 × 480" in self.replay(folder, small)
+
+    def test_calibration_that_is_damaged_or_missing(self, folder: Path, tmp_path: Path) -> None:
+        text = (folder / "cal.json").read_text()
+        (tmp_path / "cal.json").write_text(text.replace("280.0", "281.0", 1))
+        assert "cal.json: checksum does not fit" in self.replay(tmp_path, folder / "beams")
+        (tmp_path / "cal.json").write_text(text.replace("altd-calibration/1", "altd-calibration/7"))
+        assert "format is 'altd-calibration/7'" in self.replay(tmp_path, folder / "beams")
+        assert "No such file" in self.replay(tmp_path, folder / "beams", "none.json")
+
+    def test_config_that_is_wrong(self, folder: Path, tmp_path: Path) -> None:
+        good = (folder / "altd.toml").read_text()
+        for old, new, message in (
+            ('serial = "TEST-1"', 'serial = "TEST-1"\nnumber = 1', "unit.number: unknown key"),
+            ("window = 4", 'window = "four"', "measuring.window: Input should be a valid integer"),
+            ("z_mm = 280.0", "z_mm = 281.0", "target 'rear' was calibrated at z 280 mm, not 281"),
+            ('serial = "TEST-1"', 'serial = "OTHER"', "is for unit 'TEST-1', this is unit 'OTHER'"),
+            (str(folder / "beams"), "nowhere", "nowhere/recording.json: No such file"),
+            ('"front"\nz_mm', '"middle"\nz_mm', "does not know target 'middle'"),
+        ):
+            path = tmp_path / "altd.toml"
+            path.write_text(good.replace(old, new))
+            for command in (("run", "--config", path), ("check-config", path)):
+                assert message in refusal(altd(*command)), command
+        assert "No such file" in refusal(altd("run", "--config", tmp_path / "none.toml"))
+
+    @pytest.mark.parametrize("face", ["modbus_tcp", "http"])
+    def test_a_port_in_use(self, folder: Path, tmp_path: Path, face: str) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            more = f'[{face}]\nhost = "127.0.0.1"\nport = {port}\n'
+            config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beams", more)
+            line = refusal(altd("run", "--config", config))
+            assert f"{face} 127.0.0.1:{port}: Address already in use" in line
+
+    def test_images_that_are_none(self, tmp_path: Path) -> None:
+        (tmp_path / "text.png").write_text("hello")
+        cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((64, 64, 3), np.uint8))
+        assert "text.png: is not an image" in refusal(altd("locate", tmp_path / "text.png"))
+        assert "colour.png: is not an 8- or 16-bit grey image" in refusal(
+            altd("locate", tmp_path / "colour.png")
+        )
+        assert "no such file" in refusal(altd("locate", tmp_path / "none.png"))
+
+    def test_lines_that_are_no_positions(self, folder: Path) -> None:
+        arguments = ("map", "--calibration", folder / "cal.json", "--target")
+        assert "stdin: line 1: expected 'u v', got '12 north'" in refusal(
+            altd(*arguments, "rear", stdin="12 north\n")
+        )
+        assert "does not know target 'side'" in refusal(altd(*arguments, "side", stdin=""))
+
+    def test_arguments_that_are_wrong(self, folder: Path) -> None:
+        for arguments in (("replay",), ("fly",), ("replay", folder, "--calibration", "x", "--window", "0")):
+            outcome = altd(*arguments)
+            assert outcome.status == 2
+            assert outcome.err.startswith("usage: altd")
+            assert "Traceback" not in outcome.err
+
+    def test_an_output_that_cannot_be_written(self, folder: Path, tmp_path: Path) -> None:
+        assert "its folder does not exist" in refusal(
+            altd("calibrate", folder / "scan", "-o", tmp_path / "none" / "cal.json")
+        )
+
+
+def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
+    config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beams", more)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)],
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONWARNINGS": "error"},
+    )
+    try:
+        answer: dict[str, object] = {}
+        deadline = time.monotonic() + 20
+        while not answer.get("valid") and time.monotonic() < deadline:
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/measurement", timeout=2) as page:
+                    answer = json.load(page)
+            except OSError:
+                time.sleep(0.05)
+        assert answer["valid"]
+        assert answer["status"] == ["playback"]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+    finally:
+        process.kill()
+        _, err = process.communicate()
+    assert err == b""
+
+
+def test_a_reader_that_goes_away_ends_replay_without_a_traceback(folder: Path) -> None:
+    replay = subprocess.Popen(
+        [sys.executable, "-m", "altd.cli", "replay", folder / "beams", "--calibration", folder / "cal.json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert replay.stdout is not None
+    replay.stdout.close()
+    assert replay.stderr is not None
+    with replay.stderr as errors:
+        assert b"Traceback" not in errors.read()
+    assert replay.wait(20) != 0

@@ -1,0 +1,140 @@
+"""Every fault of the simulated unit gives its reason and no number, on the chain that the daemon uses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from support.cli import altd
+
+from altd.calibration.file import load_calibration
+from altd.calibration.model import Calibration
+from altd.config import Installation, Measuring
+from altd.measurement_json import as_line
+from altd.ports import CameraTimeoutError
+from altd.records import Measurement
+from altd.service.chain import MeasuringChain, View
+from hw_sim.beam import BeamPose
+from hw_sim.camera import make_cameras
+from hw_sim.faults import Fault
+from hw_sim.unit import Unit, UnitConfig
+
+SEED = 3
+WINDOW = 4
+NUMBERS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per_m", "roll_deg")
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    folder = tmp_path_factory.mktemp("sim")
+    assert altd("scan", "-o", folder / "scan", "--seed", SEED, module="hw_sim").status == 0
+    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
+    return load_calibration(Path(folder / "cal.json"))
+
+
+def measure(unit: Unit, calibration: Calibration, exposures: int = 12) -> list[Measurement]:
+    chain = MeasuringChain(
+        [View("front", "front"), View("rear", "rear")],
+        calibration,
+        Measuring(window=WINDOW, max_skew_ms=10.0),
+        Installation(),
+    )
+    cameras = make_cameras(unit, real_time=False)
+    out: list[Measurement] = []
+    for camera in cameras:
+        camera.open()
+    for _ in range(exposures):
+        for camera in cameras:
+            try:
+                out += chain.push(camera.next_frame(0.001))
+            except CameraTimeoutError:
+                continue
+    for camera in cameras:
+        camera.close()
+    return out + chain.flush()
+
+
+def numbers_in(measurement: Measurement) -> list[object]:
+    line = json.loads(as_line(measurement))
+    points = [value for target in ("front", "rear") for value in line[target].values()]
+    return [line[name] for name in NUMBERS] + [*line["sigma"].values()] + points
+
+
+CASES = {
+    Fault.NO_LASER: {"front_spot_missing", "rear_spot_missing"},
+    Fault.FRONT_SPOT_MISSING: {"front_spot_missing"},
+    Fault.REAR_SPOT_MISSING: {"rear_spot_missing"},
+    Fault.FRONT_SECOND_SPOT: {"front_ambiguous"},
+    Fault.REAR_SECOND_SPOT: {"rear_ambiguous"},
+    Fault.SATURATED: {"front_saturated", "rear_saturated"},
+    Fault.BLACK: {"front_spot_missing", "rear_spot_missing"},
+    Fault.WHITE: {"front_saturated", "rear_saturated"},
+    Fault.NOISE_ONLY: {"front_spot_missing", "rear_spot_missing"},
+    Fault.CUT_BY_EDGE: {"front_cut_by_edge"},
+    Fault.OUT_OF_AREA: {"out_of_range"},
+    Fault.OUT_OF_STEP: {"out_of_step"},
+    Fault.FRONT_SILENT: {"front_camera_silent"},
+    Fault.REAR_SILENT: {"rear_camera_silent"},
+    Fault.LEDS_ON: {"front_ambiguous", "rear_ambiguous"},
+}
+
+
+@pytest.mark.parametrize("fault", CASES, ids=str)
+def test_a_fault_gives_its_reason_and_no_number(fault: Fault, calibration: Calibration) -> None:
+    unit = Unit(UnitConfig(seed=SEED, faults=frozenset({fault})))
+    unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
+    measurements = measure(unit, calibration)
+    assert measurements
+    for measurement in measurements:
+        assert not measurement.valid, measurement
+        assert numbers_in(measurement) == [None] * len(numbers_in(measurement))
+        assert measurement.status
+    reasons = {str(reason) for reason in measurements[-1].status}
+    assert CASES[fault] <= reasons, reasons
+
+
+def test_every_fault_has_its_case() -> None:
+    assert set(Fault) - set(CASES) == {Fault.DROPPED_FRAMES}
+
+
+def test_without_a_fault_the_same_unit_measures(calibration: Calibration) -> None:
+    unit = Unit(UnitConfig(seed=SEED))
+    unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
+    last = measure(unit, calibration)[-1]
+    assert last.beam is not None
+    assert (last.beam.x_mm, last.beam.y_mm) == pytest.approx((8.0, -6.0), abs=0.04)
+    assert (last.beam.yaw_mm_per_m, last.beam.pitch_mm_per_m) == pytest.approx((20.0, 10.0), abs=0.2)
+    assert None not in [number for number in numbers_in(last) if number is not last.roll_deg]
+
+
+def test_dropped_frames_cost_exposures_but_no_truth(calibration: Calibration) -> None:
+    unit = Unit(UnitConfig(seed=SEED, faults=frozenset({Fault.DROPPED_FRAMES})))
+    unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
+    for measurement in measure(unit, calibration, exposures=40):
+        if measurement.beam is None:
+            assert measurement.status
+        else:
+            assert measurement.beam.x_mm == pytest.approx(8.0, abs=0.04)
+
+
+def test_a_beam_that_goes_and_comes_back_is_invalid_at_once_and_valid_again(calibration: Calibration) -> None:
+    unit = Unit(UnitConfig(seed=SEED))
+    unit.place(BeamPose(8.0, -6.0))
+    chain = MeasuringChain(
+        [View("front", "front"), View("rear", "rear")], calibration, Measuring(window=20), Installation()
+    )
+    cameras = make_cameras(unit, real_time=False)
+    for camera in cameras:
+        camera.open()
+    valid = []
+    for exposure in range(60):
+        if exposure == 25:
+            unit.inject(Fault.NO_LASER)
+        if exposure == 35:
+            unit.clear()
+        for camera in cameras:
+            valid += [measurement.valid for measurement in chain.push(camera.next_frame(0.1))]
+    assert valid[9:25] == [True] * 16  # half a window is enough
+    assert valid[27:35] == [False] * 8  # three exposures without a spot, and the beam is gone
+    assert valid[45:] == [True] * 15
