@@ -64,6 +64,7 @@ class _Localiser(_Table):
     min_fill: float
     like_size: float
     max_saturated: float
+    max_sigma_px: float
     full_well_electrons: float
 
 

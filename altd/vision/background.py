@@ -1,4 +1,4 @@
-"""The grey plane that ambient light leaves, found robustly on a coarse picture of the frame."""
+"""What ambient light leaves in a frame, found robustly on a coarse picture of it."""
 
 from __future__ import annotations
 
@@ -11,30 +11,46 @@ import numpy.typing as npt
 
 from altd.records import FloatArray, PixelArray
 
+Image = npt.NDArray[np.float32]
+
 CELL_PX = 8
 """Side of a coarse cell. It covers more than one printed dot, so the print does not show."""
 
 _TILE_ROWS, _TILE_COLUMNS = 6, 8
 _OUTLIER_SIGMAS = 2.5
+_REFINEMENTS = 3
 _MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
-class Plane:
-    """Background over a frame: level + slope_u · u + slope_v · v, in counts, (u, v) in px."""
+class Background:
+    """Smooth background over a frame, counts: a polynomial of second degree in (u, v) px.
 
-    level: float
-    slope_u: float
-    slope_v: float
+    Ambient light seen through a lens falls off towards the corners, which a plane would miss.
+    ``coefficients`` belong to 1, u, v, u², uv, v², with (u, v) in units of ``scale_px``.
+    """
 
-    def over(self, left: int, top: int, width: int, height: int) -> npt.NDArray[np.float32]:
-        """The plane on a window of pixels, (height, width)."""
-        u = (self.level + self.slope_u * np.arange(left, left + width)).astype(np.float32)
-        v = (self.slope_v * np.arange(top, top + height)).astype(np.float32)
-        return v[:, None] + u[None, :]
+    coefficients: tuple[float, float, float, float, float, float]
+    scale_px: float
+
+    @property
+    def level(self) -> float:
+        """The background in the frame's first pixel."""
+        return self.coefficients[0]
+
+    def at(self, u_px: FloatArray, v_px: FloatArray) -> Image:
+        """The background on the grid of columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
+        c0, cu, cv, cuu, cuv, cvv = self.coefficients
+        u, v = u_px / self.scale_px, v_px / self.scale_px
+        along_u = (c0 + u * (cu + u * cuu)).astype(np.float32)
+        along_v = (v * (cv + v * cvv)).astype(np.float32)
+        mixed = np.outer(v.astype(np.float32), (cuv * u).astype(np.float32))
+        mixed += along_u[None, :]
+        mixed += along_v[:, None]
+        return mixed
 
 
-def coarse_picture(pixels: PixelArray) -> npt.NDArray[np.float32]:
+def coarse_picture(pixels: PixelArray) -> Image:
     """Means over CELL_PX × CELL_PX cells, without single hot pixels.
 
     Halfway down, a 3 × 3 median removes what is smaller than about 8 px. Rows and columns that do not fill
@@ -48,7 +64,7 @@ def coarse_picture(pixels: PixelArray) -> npt.NDArray[np.float32]:
     return np.asarray(coarse, dtype=np.float32)
 
 
-def fit_plane(coarse: npt.NDArray[np.float32]) -> Plane:
+def fit_background(coarse: Image) -> Background:
     """Least squares through the medians of 6 × 8 tiles, without the tiles in which something shines."""
     rows, columns = coarse.shape
     tile_rows, tile_columns = min(_TILE_ROWS, rows), min(_TILE_COLUMNS, columns)
@@ -56,44 +72,46 @@ def fit_plane(coarse: npt.NDArray[np.float32]) -> Plane:
     tiles = coarse[: height * tile_rows, : width * tile_columns]
     tiles = tiles.reshape(tile_rows, height, tile_columns, width).swapaxes(1, 2)
     values = np.median(tiles.reshape(tile_rows * tile_columns, -1), axis=1).astype(np.float64)
-    design = _tile_design(tile_rows, tile_columns, height, width)
+    scale_px = float(max(rows, columns) * CELL_PX)
+    design = _tile_design(tile_rows, tile_columns, height, width, scale_px)
     kept = values <= np.median(values) + _OUTLIER_SIGMAS * _sigma(values - np.median(values)) + 1.0
-    solution: FloatArray = np.zeros(3)
-    for _ in range(3):
+    solution: FloatArray = np.array([np.median(values), 0, 0, 0, 0, 0])
+    for _ in range(_REFINEMENTS):
+        if np.count_nonzero(kept) < len(values) // 3:
+            break
         solution = np.asarray(np.linalg.lstsq(design[kept], values[kept], rcond=None)[0])
         residual = values - design @ solution
         kept = np.abs(residual) <= _OUTLIER_SIGMAS * _sigma(residual[kept]) + 0.5
-        if np.count_nonzero(kept) < len(values) // 3:
-            break
-    return Plane(float(solution[0]), float(solution[1]), float(solution[2]))
+    c0, cu, cv, cuu, cuv, cvv = (float(value) for value in solution)
+    return Background((c0, cu, cv, cuu, cuv, cvv), scale_px)
 
 
 @lru_cache(maxsize=8)
-def _tile_design(tile_rows: int, tile_columns: int, height: int, width: int) -> FloatArray:
-    """Rows (1, u, v) at the tiles' middles, in px of the frame."""
-    u = (np.arange(tile_columns) + 0.5) * width * CELL_PX - 0.5
-    v = (np.arange(tile_rows) + 0.5) * height * CELL_PX - 0.5
-    grid_u, grid_v = np.meshgrid(u, v)
-    return np.column_stack([np.ones(grid_u.size), grid_u.ravel(), grid_v.ravel()])
+def _tile_design(tile_rows: int, tile_columns: int, height: int, width: int, scale_px: float) -> FloatArray:
+    """Rows (1, u, v, u², uv, v²) at the tiles' middles, in units of ``scale_px``."""
+    u = ((np.arange(tile_columns) + 0.5) * width * CELL_PX - 0.5) / scale_px
+    v = ((np.arange(tile_rows) + 0.5) * height * CELL_PX - 0.5) / scale_px
+    grid_u, grid_v = (grid.ravel() for grid in np.meshgrid(u, v))
+    return np.column_stack([np.ones(grid_u.size), grid_u, grid_v, grid_u**2, grid_u * grid_v, grid_v**2])
 
 
-def excess_over(coarse: npt.NDArray[np.float32], plane: Plane) -> npt.NDArray[np.float32]:
-    """The coarse picture without the background plane, in counts."""
+def excess_over(coarse: Image, background: Background) -> Image:
+    """The coarse picture without the background, in counts."""
     rows, columns = coarse.shape
     middle = (CELL_PX - 1) / 2
-    u = plane.level + plane.slope_u * (np.arange(columns) * CELL_PX + middle)
-    v = plane.slope_v * (np.arange(rows) * CELL_PX + middle)
-    return coarse - (v[:, None] + u[None, :]).astype(np.float32)
+    u_px = np.arange(columns, dtype=np.float64) * CELL_PX + middle
+    v_px = np.arange(rows, dtype=np.float64) * CELL_PX + middle
+    return np.subtract(coarse, background.at(u_px, v_px))
 
 
-def robust_sigma(values: npt.NDArray[np.float32]) -> float:
+def robust_sigma(values: Image) -> float:
     """Standard deviation by the median absolute value, deaf to what shines; for values about zero."""
     magnitudes = np.abs(values.ravel())
     middle = magnitudes.size // 2
     return _MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
 
 
-def pixel_noise(pixels: PixelArray, plane: Plane) -> float:
+def pixel_noise(pixels: PixelArray, background: Background) -> float:
     """Noise of one background pixel in counts, from a sparse sample of the frame.
 
     The median absolute deviation only sets the limit up to which deviations are averaged, since on integer
@@ -101,9 +119,10 @@ def pixel_noise(pixels: PixelArray, plane: Plane) -> float:
     """
     step_v, step_u = max(pixels.shape[0] // 40, 1), max(pixels.shape[1] // 50, 1)
     sample = pixels[::step_v, ::step_u].astype(np.float32)
-    sample -= plane.level
-    sample -= (plane.slope_u * step_u * np.arange(sample.shape[1])).astype(np.float32)
-    sample -= (plane.slope_v * step_v * np.arange(sample.shape[0])).astype(np.float32)[:, None]
+    sample -= background.at(
+        step_u * np.arange(sample.shape[1], dtype=np.float64),
+        step_v * np.arange(sample.shape[0], dtype=np.float64),
+    )
     limit = 4.0 * (robust_sigma(sample) + 0.5)
     inner = sample[np.abs(sample) <= limit]
     return float(np.sqrt(np.mean(np.square(inner)) + 1 / 12)) if inner.size else limit

@@ -10,11 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import Frame, NoSpot, PixelArray, Reason, Spot
-from altd.vision.background import pixel_noise
+from altd.vision.background import Image, pixel_noise
 from altd.vision.search import Region, Search, search
 from altd.vision.settings import SpotSettings
 
-Image = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.uint8]
 
 _MARGIN_SIGMAS = 3.0
@@ -33,7 +32,7 @@ def locate(frame: Frame, settings: SpotSettings | None = None) -> Spot | NoSpot:
     settings = settings or SpotSettings()
     found = search(frame.pixels)
     saturated_from = _SATURATED_FROM * frame.full_scale
-    if found.plane.level >= saturated_from:
+    if found.background.level >= saturated_from:
         return NoSpot(Reason.SATURATED, "the whole frame is saturated")
     if not found.regions:
         return NoSpot(Reason.SPOT_MISSING, "nothing stands out of the background")
@@ -73,7 +72,9 @@ def _patch_around(frame: Frame, region: Region, found: Search, settings: SpotSet
         left, top = max(region.left - margin, 0), max(region.top - margin, 0)
         right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
         excess = without_hot_pixels(frame.pixels[top:bottom, left:right])
-        excess -= found.plane.over(left, top, right - left, bottom - top)
+        excess -= found.background.at(
+            np.arange(left, right, dtype=np.float64), np.arange(top, bottom, dtype=np.float64)
+        )
         smooth = _smoothed(excess, settings.smoothing_px)
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
         if peak <= 0:
@@ -192,7 +193,7 @@ def _shape(mask: Mask) -> tuple[float, float]:
 
 def _moment(
     frame: Frame, patch: _Patch, found: Search, settings: SpotSettings, diameter_px: float, peak: float
-) -> Spot:
+) -> Spot | NoSpot:
     """Eq. 2.7 with I replaced by (I − T)₊, and the noise of the result."""
     over = np.maximum(patch.smooth - np.float32(settings.threshold * patch.peak), np.float32(0))
     over[patch.mask == 0] = 0
@@ -201,8 +202,10 @@ def _moment(
     total = float(columns.sum())
     u = float(columns @ np.arange(len(columns))) / total
     v = float(rows @ np.arange(len(rows))) / total
-    noise = pixel_noise(frame.pixels, found.plane)
+    noise = pixel_noise(frame.pixels, found.background)
     sigma_px = _moment_sigma_px(patch, over, total, (u, v), noise, frame.full_scale, settings)
+    if sigma_px > settings.max_sigma_px:
+        return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {sigma_px:.1f} px")
     return Spot(patch.left + u, patch.top + v, sigma_px, diameter_px, peak)
 
 

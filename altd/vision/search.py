@@ -6,10 +6,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from altd.records import PixelArray
-from altd.vision.background import CELL_PX, Plane, coarse_picture, excess_over, fit_plane, robust_sigma
+from altd.vision.background import (
+    CELL_PX,
+    Background,
+    Image,
+    coarse_picture,
+    excess_over,
+    fit_background,
+    robust_sigma,
+)
 
 _DETECTION_SIGMAS = 8.0
 _DETECTION_COUNTS = 1.5
@@ -36,7 +43,7 @@ class Region:
 class Search:
     """What the coarse search saw: the background and the bright regions, most light first."""
 
-    plane: Plane
+    background: Background
     regions: tuple[Region, ...]
 
 
@@ -47,18 +54,18 @@ def search(pixels: PixelArray) -> Search:
     usual) and be no dimmer than a tenth of the brightest.
     """
     coarse = coarse_picture(pixels)
-    plane = fit_plane(coarse)
-    excess = excess_over(coarse, plane)
+    background = fit_background(coarse)
+    excess = excess_over(coarse, background)
     detection = max(_DETECTION_SIGMAS * robust_sigma(excess), _DETECTION_COUNTS)
     brightest = float(excess.max())
     if brightest < detection:
-        return Search(plane, ())
+        return Search(background, ())
     regions = _regions(excess, max(detection / 2, _REGION_FRACTION * brightest))
     worthy = [region for region in regions if region.peak >= max(detection, _EQUAL_PEAK * brightest)]
-    return Search(plane, tuple(sorted(worthy, key=lambda region: -region.light)))
+    return Search(background, tuple(sorted(worthy, key=lambda region: -region.light)))
 
 
-def _regions(excess: npt.NDArray[np.float32], level: float) -> list[Region]:
+def _regions(excess: Image, level: float) -> list[Region]:
     mask = (excess > level).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     flat = np.asarray(labels, dtype=np.int64).ravel()
