@@ -17,7 +17,7 @@ TcpPort = Annotated[int, Field(ge=0, le=65535)]
 class Table(BaseModel):
     """A table of the file: its keys are all known, its values do not change."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class Unit(Table):
@@ -33,6 +33,7 @@ class Target(Table):
     """One target that the beam meets, in beam order."""
 
     name: Name
+    """The name in the calibration file and in all outputs; small letters, digits and _."""
     z_mm: float
     """Distance from the front target's printed face along the beam."""
     camera: Name
@@ -43,6 +44,7 @@ class RecordingCamera(Table):
     """A camera that plays a recording; every output then says ``playback``."""
 
     driver: Literal["recording"]
+    """The only driver of this release."""
     path: Path
     """The recording's folder, relative to the config file."""
     pace: Literal["realtime", "fast"] = "realtime"
@@ -65,7 +67,8 @@ class Measuring(Table):
     silent_after_s: Annotated[float, Field(gt=0, le=60)] = 0.4
     """A camera is silent when no frame came for this long."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
-    """A value that was not followed by a new one for this long is not shown any more."""
+    """A value that was not followed by a new one for this long is not shown any more. Keep it longer than
+    ``every`` exposures take."""
 
 
 class Installation(Table):
@@ -74,10 +77,12 @@ class Installation(Table):
     reference_plane_mm: float = 0.0
     """The plane z in which the displacement is given."""
     sign_x: Literal[-1, 1] = 1
+    """-1 turns the axis round."""
     sign_y: Literal[-1, 1] = 1
     sign_yaw: Literal[-1, 1] = 1
     sign_pitch: Literal[-1, 1] = 1
     offset_x_mm: float = 0.0
+    """Added after the sign."""
     offset_y_mm: float = 0.0
     offset_yaw_deg: float = 0.0
     offset_pitch_deg: float = 0.0
@@ -87,23 +92,31 @@ class ModbusTcp(Table):
     """Modbus TCP server."""
 
     host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The address to listen on; 0.0.0.0 is every address of the unit."""
     port: TcpPort = 502
+    """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus unit identifier; 0 and 255 are answered too."""
 
 
 class Http(Table):
     """HTTP server: measurement, status and a stream."""
 
     host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The address to listen on; 0.0.0.0 is every address of the unit."""
     port: TcpPort = 8080
+    """TCP port."""
 
 
 class SerialPort(Table):
     """One serial port and what it speaks."""
 
     device: Path
+    """The port, best by its stable name, such as /dev/serial/by-id/…"""
     speaks: Literal["telegram", "console", "modbus_rtu"]
+    """What travels on it."""
     baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
+    """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1

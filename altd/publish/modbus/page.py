@@ -114,9 +114,9 @@ Each value is there twice: as floating point (f32, IEEE 754 single precision) in
 
 {_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type))}
 
-A value that is not known is never 0 and never an old one. With bit 0 at 0 a single number may still be known:
-when only the rear spot is missing, `front_x` and `front_y` are there. A number too large for its type is held
-at the type's end, so `age` stops at 65534. Addresses without a name read 0.
+A value that is not known is never 0 and never an old one. With bit 0 at 0 none of the values is
+known. A number too large for its type is held at the type's end, so `age` stops at 65534.
+Addresses without a name read 0.
 
 ## Bits of `status`
 
