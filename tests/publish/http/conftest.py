@@ -8,10 +8,11 @@ import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
+from support.clock import FakeClock
 
 from altd.config import Http
 from altd.publish.http.publisher import HttpPublisher
@@ -20,22 +21,6 @@ from altd.service.board import Board
 from altd.service.health import Component, Health
 
 START = datetime(2026, 11, 20, 8, 15, 22, 125_000, UTC)
-
-
-class HandClock:
-    """Time stands still until a test moves it."""
-
-    def __init__(self) -> None:
-        self.now_ns = 8_000_000_000
-
-    def monotonic_ns(self) -> int:
-        return self.now_ns
-
-    def utc(self, t_ns: int) -> datetime | None:
-        return START + timedelta(microseconds=t_ns / 1000)
-
-    async def sleep(self, seconds: float) -> None:
-        raise AssertionError("nothing here sleeps on the unit's clock")
 
 
 @dataclass
@@ -129,17 +114,17 @@ Served = Callable[[], AbstractAsyncContextManager[Unit]]
 
 
 @pytest.fixture
-def clock() -> HandClock:
-    return HandClock()
+def clock() -> FakeClock:
+    return FakeClock(8_000_000_000)
 
 
 @pytest.fixture
-def board(clock: HandClock) -> Board:
+def board(clock: FakeClock) -> Board:
     return Board(clock, stale_after_s=1.0)
 
 
 @pytest.fixture
-def health(clock: HandClock) -> Health:
+def health(clock: FakeClock) -> Health:
     health = Health(clock)
     health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
     return health

@@ -8,6 +8,7 @@ import urllib.request
 from dataclasses import replace
 
 import pytest
+from support.clock import FakeClock
 
 from altd.measurement_json import as_object
 from altd.publish.http.publisher import PATHS
@@ -15,7 +16,7 @@ from altd.records import Fault, Measurement, Reason
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 
-from .conftest import HandClock, Served
+from .conftest import Served
 
 
 async def test_the_measurement_is_the_object_of_replay(
@@ -59,7 +60,7 @@ async def test_an_invalid_measurement_is_an_answer_without_numbers(
 
 
 async def test_an_old_measurement_is_stale(
-    served: Served, board: Board, clock: HandClock, measured: Measurement
+    served: Served, board: Board, clock: FakeClock, measured: Measurement
 ) -> None:
     board.publish(measured)
     clock.now_ns += 1_100_000_000

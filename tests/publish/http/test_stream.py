@@ -8,6 +8,7 @@ import socket
 from dataclasses import replace
 
 import pytest
+from support.clock import FakeClock
 
 from altd.measurement_json import as_object
 from altd.publish.http import server, stream
@@ -15,7 +16,7 @@ from altd.records import Measurement
 from altd.service.board import Board
 from altd.service.health import Component
 
-from .conftest import HandClock, Served
+from .conftest import Served
 
 
 async def test_the_latest_comes_at_once_and_then_every_new_one(
@@ -50,7 +51,7 @@ async def test_silence_is_told_by_a_comment(
 async def test_a_measurement_that_goes_stale_is_told_once(
     served: Served,
     board: Board,
-    clock: HandClock,
+    clock: FakeClock,
     measured: Measurement,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -6,11 +6,12 @@ import asyncio
 import contextlib
 import os
 from collections.abc import AsyncIterator, Iterator
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
 from publish.modbus.wire import UNIT, Client, Measured, Serving, connected
+from support.clock import FakeClock
 
 from altd.config import ModbusTcp
 from altd.publish.modbus.tcp import ModbusTcpPublisher
@@ -19,40 +20,23 @@ from altd.service.board import Board
 from altd.service.health import Component
 
 
-class ManualClock:
-    """A clock that stands still until a test moves it."""
-
-    def __init__(self) -> None:
-        self.now_ns = 50_000_000_000
-
-    def monotonic_ns(self) -> int:
-        return self.now_ns
-
-    def utc(self, t_ns: int) -> datetime | None:
-        return datetime(2026, 11, 20, 8, 15, tzinfo=UTC) + timedelta(microseconds=t_ns // 1000)
-
-    async def sleep(self, seconds: float) -> None:
-        await asyncio.sleep(0)
-        self.now_ns += round(seconds * 1e9)
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock(50_000_000_000)
 
 
 @pytest.fixture
-def clock() -> ManualClock:
-    return ManualClock()
-
-
-@pytest.fixture
-def board(clock: ManualClock) -> Board:
+def board(clock: FakeClock) -> Board:
     return Board(clock, stale_after_s=1.0)
 
 
 @pytest.fixture
-def component(clock: ManualClock) -> Component:
+def component(clock: FakeClock) -> Component:
     return Component("modbus", clock)
 
 
 @pytest.fixture
-def measured(clock: ManualClock) -> Measured:
+def measured(clock: FakeClock) -> Measured:
     """Makes a valid measurement whose exposures lie 520 ms back; keywords replace its fields."""
 
     def measurement(**fields: Any) -> Measurement:

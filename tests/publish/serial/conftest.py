@@ -7,10 +7,11 @@ import os
 import tty
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from support.clock import FakeClock
 
 from altd.config import SerialPort
 from altd.records import Beam, Measurement
@@ -18,41 +19,6 @@ from altd.service.board import Board
 from altd.service.health import Component, Health
 
 START = datetime(2026, 11, 20, 8, 15, 22, 125_000, UTC)
-
-
-class TestClock:
-    __test__ = False
-
-    def __init__(self) -> None:
-        self.now_ns = 8_000_000_000
-        self._sleepers: list[tuple[int, asyncio.Future[None]]] = []
-
-    def monotonic_ns(self) -> int:
-        return self.now_ns
-
-    def utc(self, t_ns: int) -> datetime | None:
-        return START + timedelta(microseconds=t_ns / 1000)
-
-    async def sleep(self, seconds: float) -> None:
-        future = asyncio.get_running_loop().create_future()
-        self._sleepers.append((self.now_ns + round(seconds * 1e9), future))
-        await future
-
-    async def advance(self, seconds: float) -> None:
-        """Let time pass once the code under test sleeps, and let it do what was due."""
-        await settle()
-        self.now_ns += round(seconds * 1e9)
-        due = [future for t_ns, future in self._sleepers if t_ns <= self.now_ns]
-        self._sleepers = [(t_ns, future) for t_ns, future in self._sleepers if t_ns > self.now_ns]
-        for future in due:
-            if not future.done():
-                future.set_result(None)
-        await settle()
-
-
-async def settle() -> None:
-    for _ in range(10):
-        await asyncio.sleep(0)
 
 
 @dataclass
@@ -99,17 +65,17 @@ def wire() -> Iterator[Wire]:
 
 
 @pytest.fixture
-def clock() -> TestClock:
-    return TestClock()
+def clock() -> FakeClock:
+    return FakeClock(8_000_000_000)
 
 
 @pytest.fixture
-def board(clock: TestClock) -> Board:
+def board(clock: FakeClock) -> Board:
     return Board(clock, stale_after_s=1.0)
 
 
 @pytest.fixture
-def health(clock: TestClock) -> Health:
+def health(clock: FakeClock) -> Health:
     health = Health(clock)
     health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
     return health

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 
 import pytest
+from support.clock import FakeClock
 
 from altd.config import SerialPort
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
@@ -16,7 +17,7 @@ from altd.records import Measurement
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 
-from .conftest import TestClock, Wire
+from .conftest import Wire
 
 GONE = r"hung up|Input/output"
 
@@ -38,7 +39,7 @@ async def serving(publisher: TelegramPublisher | ConsolePublisher) -> AsyncItera
 class TestTelegram:
     @pytest.fixture
     def publisher(
-        self, wire: Wire, board: Board, component: Component, clock: TestClock
+        self, wire: Wire, board: Board, component: Component, clock: FakeClock
     ) -> TelegramPublisher:
         return TelegramPublisher(wire.settings(interval_s=0.5), board, component, clock)
 
@@ -47,50 +48,50 @@ class TestTelegram:
         wire: Wire,
         board: Board,
         component: Component,
-        clock: TestClock,
+        clock: FakeClock,
         measured: Measurement,
         publisher: TelegramPublisher,
     ) -> None:
         async with serving(publisher):
             assert parse(await wire.receive(lines(2))).reasons == ("warming_up",)
             board.publish(measured)
-            await clock.advance(0.5)
+            await clock.jump(0.5)
             assert parse(await wire.receive(lines(2))).x_mm == 10.012
             board.publish(replace(measured, sequence=161))
-            await clock.advance(0.5)
+            await clock.jump(0.5)
             assert parse(await wire.receive(lines(2))).sequence == 161
-            await clock.advance(2.0)
+            await clock.jump(2.0)
             stale = parse(await wire.receive(lines(2)))
             assert (stale.mode, stale.x_mm, stale.reasons) == ("V", None, ("stale",))
         assert component.counters == {"telegrams_sent": 4}
         assert component.state is State.OK
 
     async def test_lost_time_is_not_made_up_by_a_burst(
-        self, wire: Wire, clock: TestClock, component: Component, publisher: TelegramPublisher
+        self, wire: Wire, clock: FakeClock, component: Component, publisher: TelegramPublisher
     ) -> None:
         async with serving(publisher):
-            await clock.advance(10.0)
-            await clock.advance(0.4)
+            await clock.jump(10.0)
+            await clock.jump(0.4)
             assert component.counters == {"telegrams_sent": 2}
-            await clock.advance(0.1)
+            await clock.jump(0.1)
             assert component.counters == {"telegrams_sent": 3}
 
     async def test_what_comes_in_is_ignored(
-        self, wire: Wire, clock: TestClock, publisher: TelegramPublisher
+        self, wire: Wire, clock: FakeClock, publisher: TelegramPublisher
     ) -> None:
         async with serving(publisher) as task:
             wire.send(b"hello\r\n" * 100)
             await asyncio.sleep(0.05)
-            await clock.advance(0.5)
+            await clock.jump(0.5)
             assert b"hello" not in await wire.receive(lines(4))
             assert not task.done()
 
     async def test_nobody_reads_then_telegrams_are_left_out_whole(
-        self, wire: Wire, clock: TestClock, component: Component, publisher: TelegramPublisher
+        self, wire: Wire, clock: FakeClock, component: Component, publisher: TelegramPublisher
     ) -> None:
         async with serving(publisher):
             for _ in range(3000):
-                await clock.advance(0.5)
+                await clock.jump(0.5)
                 if component.counters.get("telegrams_dropped", 0) >= 5:
                     break
             assert component.state is State.DEGRADED
@@ -99,12 +100,12 @@ class TestTelegram:
             telegrams = received.splitlines(keepends=True)
             assert len(telegrams) == 2 * sent
             assert set(telegrams) == set(telegrams[:2])
-            await clock.advance(0.5)
+            await clock.jump(0.5)
             assert parse(await wire.receive(lines(2))).reasons == ("warming_up",)
         assert component.state is State.OK
 
     async def test_a_line_that_is_too_slow_is_told(
-        self, wire: Wire, board: Board, component: Component, clock: TestClock, measured: Measurement
+        self, wire: Wire, board: Board, component: Component, clock: FakeClock, measured: Measurement
     ) -> None:
         board.publish(measured)
         async with serving(
@@ -123,7 +124,7 @@ class TestTelegram:
                 await asyncio.wait_for(task, 1.0)
 
     async def test_a_missing_port_is_an_error_before_it_is_ready(
-        self, board: Board, component: Component, clock: TestClock
+        self, board: Board, component: Component, clock: FakeClock
     ) -> None:
         settings = SerialPort.model_validate({"device": "/dev/none", "speaks": "telegram"})
         with pytest.raises(FileNotFoundError, match="/dev/none"):
@@ -133,7 +134,7 @@ class TestTelegram:
 class TestConsole:
     @pytest.fixture
     def publisher(
-        self, wire: Wire, board: Board, health: Health, component: Component, clock: TestClock
+        self, wire: Wire, board: Board, health: Health, component: Component, clock: FakeClock
     ) -> ConsolePublisher:
         return ConsolePublisher(wire.settings(speaks="console"), board, health, component, clock)
 
@@ -142,7 +143,7 @@ class TestConsole:
         wire: Wire,
         board: Board,
         component: Component,
-        clock: TestClock,
+        clock: FakeClock,
         measured: Measurement,
         publisher: ConsolePublisher,
     ) -> None:
@@ -155,12 +156,12 @@ class TestConsole:
             await wire.receive(lines(4))
             await asyncio.sleep(0.03)
             for _ in range(3):
-                await clock.advance(0.5)
+                await clock.jump(0.5)
                 assert b"10.012" in await wire.receive(lines(1))
                 board.publish(measured)
             wire.send(b"q")
             assert await wire.receive(lambda data: data.endswith(b"> ")) == b"> "
-            await clock.advance(0.5)
+            await clock.jump(0.5)
             wire.send(b"rubbish\r")
             assert b"no command 'rubbish'" in await wire.receive(lambda data: data.endswith(b"\n> "))
         assert component.counters == {"commands": 2}

@@ -1,0 +1,91 @@
+"""What the lock, the Makefile and the wheel promise."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from importlib.metadata import entry_points, version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from support.cli import altd
+
+import altd as package
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LOCK = (ROOT / "requirements.lock").read_text()
+
+
+def locked() -> dict[str, str]:
+    return dict(re.findall(r"^(\S+)==(\S+)", LOCK, re.MULTILINE))
+
+
+def required() -> list[str]:
+    extras = PROJECT["project"]["optional-dependencies"].values()
+    return [
+        *PROJECT["project"]["dependencies"],
+        *(line for extra in extras for line in extra),
+        *PROJECT["build-system"]["requires"],
+    ]
+
+
+class TestLock:
+    def test_names_no_registry_and_no_place(self) -> None:
+        said = [line for line in LOCK.splitlines() if not line.startswith("#")]
+        expected = re.compile(r"[a-z0-9.-]+==\S+( ; [^#]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
+        assert [line for line in said if not expected.fullmatch(line)] == []
+        assert not re.search(r"https?:|file:|/", LOCK)
+
+    @pytest.mark.parametrize("line", required())
+    def test_has_what_the_project_asks_for(self, line: str) -> None:
+        wanted = Requirement(line)
+        assert wanted.specifier.contains(locked()[canonicalize_name(wanted.name)])
+
+    def test_is_what_these_tests_run_with(self) -> None:
+        """Else they prove nothing about it; ``make test`` sees to that."""
+        assert {name: version(name) for name in locked()} == locked()
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The names of the files in the wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "pip", "wheel", "-qq", "--no-deps", "--no-build-isolation", "--no-index"]
+    subprocess.run([*build, "--wheel-dir", folder, ROOT], check=True)
+    (path,) = folder.glob("*.whl")
+    with zipfile.ZipFile(path) as archive:
+        return archive.namelist()
+
+
+class TestWheel:
+    def test_has_the_daemon_with_all_that_it_reads(self, wheel: list[str]) -> None:
+        sources = {str(path.relative_to(ROOT)) for path in (ROOT / "altd").rglob("*") if path.is_file()}
+        assert {name for name in sources if "__pycache__" not in name} <= set(wheel)
+        assert {"altd/py.typed", "altd/publish/http/index.html"} <= set(wheel)
+
+    def test_has_nothing_else(self, wheel: list[str]) -> None:
+        assert {name.split("/")[0] for name in wheel} == {"altd", f"altd-{package.__version__}.dist-info"}
+
+
+class TestInstalled:
+    def test_the_command_says_the_version(self) -> None:
+        assert altd("--version").out == f"altd {package.__version__}\n"
+        assert version("altd") == package.__version__
+
+    @pytest.mark.parametrize("name", PROJECT["project"]["scripts"])
+    def test_each_command_is_there(self, name: str) -> None:
+        (command,) = entry_points(group="console_scripts", name=name)
+        assert callable(command.load())
+
+
+class TestMakefile:
+    def test_alone_it_says_what_there_is(self) -> None:
+        said = subprocess.run(["make", "-C", ROOT], capture_output=True, text=True, check=True).stdout
+        for target in ("demo", "test", "check", "bench", "docs"):
+            assert f"make {target} " in said

@@ -1,0 +1,176 @@
+"""The unit file before systemd's own judge, and the daemon's words to systemd on a real socket."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from support.cli import altd, refusal, write_config
+from support.foreign import need
+from support.recordings import write_beams, write_scan
+
+UNIT = Path(__file__).parents[1] / "systemd" / "altd.service"
+WIDEST_PAUSE_S = 2.0
+"""Between two words of a daemon that is well: ten times what it aims at, for a busy machine."""
+
+
+def settings(unit: str) -> dict[str, str]:
+    lines = (line.partition("=") for line in unit.splitlines() if not line.startswith(("#", "[")))
+    return {key: value for key, _, value in lines if key}
+
+
+@pytest.fixture(scope="module")
+def unit_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The unit as it is, but for a program that exists here: a missing one is a complaint too."""
+    text = UNIT.read_text()
+    program = settings(text)["ExecStart"].split()[0]
+    copy = tmp_path_factory.mktemp("unit") / UNIT.name
+    copy.write_text(text.replace(program, sys.executable))
+    return copy
+
+
+class TestUnitFile:
+    def test_systemd_has_nothing_to_say_about_it(self, unit_copy: Path) -> None:
+        judged = subprocess.run(
+            [systemd_analyze(), "verify", unit_copy], capture_output=True, text=True, check=False
+        )
+        assert (judged.stdout, judged.stderr, judged.returncode) == ("", "", 0)
+
+    def test_its_exposure_is_low(self, unit_copy: Path) -> None:
+        judge = [systemd_analyze(), "security", "--offline=true", "--threshold=20", "--no-pager", unit_copy]
+        judged = subprocess.run(judge, capture_output=True, text=True, check=False)
+        assert judged.returncode == 0, judged.stdout.splitlines()[-1:] + judged.stderr.splitlines()
+
+    def test_a_bad_config_is_not_tried_again(self, tmp_path: Path) -> None:
+        unit = settings(UNIT.read_text())
+        program, *arguments, config = unit["ExecStart"].split()
+        refused = altd(*arguments, tmp_path / Path(config).name)
+        assert Path(program).name == "altd"
+        assert "altd.toml: No such file" in refusal(refused)
+        assert unit["Restart"] == "on-failure"
+        assert unit["RestartPreventExitStatus"] == str(refused.status)
+
+
+def systemd_analyze() -> str:
+    program = shutil.which("systemd-analyze") or ""
+    need(bool(program), "systemd-analyze is not installed (Debian package systemd)")
+    version = subprocess.run(
+        [program, "--version"], capture_output=True, text=True, check=True
+    ).stdout.split()[1]
+    need(int(version) >= 252, f"systemd-analyze {version} cannot judge a file; 252 can")
+    return program
+
+
+class Daemon:
+    """``altd run`` with this test in systemd's place."""
+
+    def __init__(self, process: subprocess.Popen[str], link: socket.socket) -> None:
+        self.process = process
+        self._link = link
+
+    def word(self) -> list[str]:
+        """The assignments of the next datagram."""
+        return self._link.recv(4096).decode().splitlines()
+
+    def is_quiet(self, seconds: float) -> bool:
+        """Whether nothing comes for so long."""
+        self._link.settimeout(seconds)
+        try:
+            self._link.recv(4096)
+        except TimeoutError:
+            return True
+        finally:
+            self._link.settimeout(20)
+        return False
+
+    def drain(self) -> None:
+        while not self.is_quiet(0.05):
+            pass
+
+    def end(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(20)
+
+
+@contextmanager
+def running(config: Path, folder: Path) -> Iterator[Daemon]:
+    address = folder / "notify"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        link.bind(str(address))
+        link.settimeout(20)
+        with subprocess.Popen(
+            [sys.executable, "-m", "altd.cli", "run", "--config", config],
+            env=os.environ | {"NOTIFY_SOCKET": str(address)},
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process:
+            try:
+                yield Daemon(process, link)
+            finally:
+                process.kill()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibration and a recording of a beam, a second long."""
+    folder = tmp_path_factory.mktemp("unit")
+    scan = write_scan(folder / "scan", columns=5, rows=4)
+    assert altd("calibrate", scan, "-o", folder / "cal.json").status == 0
+    write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=20)
+    return folder
+
+
+@pytest.fixture
+def config(folder: Path, tmp_path: Path) -> Path:
+    return write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beam")
+
+
+class TestDaemonToSystemd:
+    def test_is_ready_with_the_first_word_on_the_board_and_then_alive(
+        self, config: Path, tmp_path: Path
+    ) -> None:
+        warming_up, measuring = "not measuring: warming_up, playback", "measuring (playback)"
+        with running(config, tmp_path) as daemon:
+            assert daemon.word() == ["READY=1", f"STATUS={warming_up}", "WATCHDOG=1"]
+            last_s = time.monotonic()
+            for _ in range(8):
+                word = daemon.word()
+                now_s = time.monotonic()
+                assert word in ([f"STATUS={warming_up}", "WATCHDOG=1"], [f"STATUS={measuring}", "WATCHDOG=1"])
+                assert now_s - last_s < WIDEST_PAUSE_S
+                last_s = now_s
+            assert word[0] == f"STATUS={measuring}"
+            assert daemon.end() == 0
+            assert daemon.process.stderr is not None
+            assert daemon.process.stderr.read() == ""
+
+    def test_cameras_that_fell_silent_are_said_by_a_daemon_that_is_alive(
+        self, config: Path, tmp_path: Path
+    ) -> None:
+        config.write_text(config.read_text().replace("repeat = true", "repeat = false"))
+        silent = "STATUS=not measuring: front_camera_silent, rear_camera_silent, playback"
+        with running(config, tmp_path) as daemon:
+            assert daemon.word()[0] == "READY=1"
+            while daemon.word() != [silent, "WATCHDOG=1"]:
+                pass
+            assert daemon.word() == [silent, "WATCHDOG=1"]
+            assert daemon.end() == 0
+
+    def test_a_daemon_that_stands_still_is_not_alive(self, config: Path, tmp_path: Path) -> None:
+        with running(config, tmp_path) as daemon:
+            assert daemon.word()[0] == "READY=1"
+            daemon.process.send_signal(signal.SIGSTOP)
+            daemon.drain()
+            assert daemon.is_quiet(1.0)
+            daemon.process.send_signal(signal.SIGCONT)
+            assert "WATCHDOG=1" in daemon.word()
+            assert daemon.end() == 0
