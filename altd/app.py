@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -18,21 +16,16 @@ from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.ports import Camera, Clock
 from altd.recording import Recording, UnitHeader, open_recording, refuse_used_folder
-from altd.records import Measurement
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
 from altd.service.grabbing import grab
 from altd.service.health import Health, State
 from altd.service.inbox import Inbox
-from altd.service.notify import notify
+from altd.service.manager import ServiceManager
 from altd.service.pipeline import Pipeline
 from altd.service.record import record
 from altd.service.supervision import Publisher, keep_running
-
-log = logging.getLogger("altd")
-
-_WATCHDOG_WORD_EVERY_S = 0.2
 
 
 class Daemon:
@@ -64,7 +57,6 @@ class Daemon:
             (camera.origin for camera in self._cameras.values()),
             self.clock.utc,
         )
-        self._manager = _ServiceManager(self.board)
 
     async def run(self) -> None:
         """Measure and publish until cancelled.
@@ -74,9 +66,11 @@ class Daemon:
         """
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
         inbox = Inbox(self._cameras)
+        faces = dict(self._publishers())
+        manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(faces))
         try:
             async with asyncio.TaskGroup() as tasks:
-                for place, publisher in self._publishers():
+                for place, publisher in faces.items():
                     component = self.health.component(place)
                     tasks.create_task(keep_running(place, publisher, component, self.clock), name=place)
                 for name, camera in self._cameras.items():
@@ -89,7 +83,7 @@ class Daemon:
                     self.health.component("measuring"),
                     self.clock,
                     self.config.measuring.silent_after_s,
-                    self._manager.progress,
+                    manager.progress,
                 )
                 tasks.create_task(pipeline.run(), name="pipeline")
         except* BadInputError as group:
@@ -123,36 +117,6 @@ class Daemon:
         if port.speaks == "telegram":
             return TelegramPublisher(port, self.board, component, self.clock)
         return ConsolePublisher(port, self.board, self.health, component, self.clock)
-
-
-class _ServiceManager:
-    """Tells systemd what is true: ready with the first word on the board, alive by progress only."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-        self._last_word_s = -1.0
-        self._ready = False
-
-    def progress(self) -> None:
-        """The pipeline put something on the board."""
-        now_s = time.monotonic()
-        if self._ready and now_s - self._last_word_s < _WATCHDOG_WORD_EVERY_S:
-            return
-        self._last_word_s = now_s
-        latest = self._board.read()
-        words = [f"STATUS={status_line(latest)}", "WATCHDOG=1"]
-        notify(*(words if self._ready else ["READY=1", *words]))
-        self._ready = True
-
-
-def status_line(measurement: Measurement | None) -> str:
-    """One line for people: measuring, or why not."""
-    if measurement is None:
-        return "starting"
-    reasons = ", ".join(str(fault) for fault in measurement.status)
-    if measurement.valid:
-        return f"measuring ({reasons})" if reasons else "measuring"
-    return f"not measuring: {reasons}"
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:

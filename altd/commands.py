@@ -39,7 +39,7 @@ def _run(options: argparse.Namespace) -> int:
     from altd.app import daemon_of
     from altd.config import load_config
 
-    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, format="altd: %(message)s", stream=sys.stderr)
     daemon = daemon_of(load_config(options.config), options.config)
     asyncio.run(until_signal(daemon.run()))
     return 0

@@ -139,13 +139,13 @@ def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
             absent = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
             if absent:
                 raise BadInputError(f"{path}: row 1", f"column {absent[0]!r} is missing")
-            last_t_s = -math.inf
+            last_t_s: dict[str, float] = {}
             for record in reader:
                 place = f"{path}: row {reader.line_num}"
                 row = _read_row(place, reader.line_num, record, header)
-                if row.t_s < last_t_s:
-                    raise BadInputError(place, f"t_s {row.t_s} is before the row above")
-                last_t_s = row.t_s
+                if row.t_s < last_t_s.get(row.camera, row.t_s):
+                    raise BadInputError(place, f"t_s {row.t_s} is before the camera's frame above it")
+                last_t_s[row.camera] = row.t_s
                 yield row
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be read") from error

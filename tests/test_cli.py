@@ -239,7 +239,10 @@ def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path,
     finally:
         process.kill()
         _, err = process.communicate()
-    assert err == b""
+    lines = err.decode().splitlines()
+    assert lines[0] == f"altd: unit TEST-1: http 127.0.0.1:{port}"
+    assert lines[1] == "altd: not measuring: warming_up, playback"
+    assert all(line.startswith("altd: ") for line in lines)
 
 
 def test_a_reader_that_goes_away_ends_replay_without_a_traceback(folder: Path) -> None:

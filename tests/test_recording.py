@@ -63,7 +63,7 @@ def test_rows_and_frames_are_read_and_unknown_columns_ignored(recording: Path) -
         (3, "rear0000.png", "/etc/passwd", "row 3: file '/etc/passwd' is not a path inside the recording"),
         (4, "0.050000", "soon", "row 4: t_s 'soon' is not a number"),
         (4, "0.050000", "nan", "row 4: t_s 'nan' is not a number"),
-        (2, "0.000000", "1.0", "row 3: t_s 0.0 is before the row above"),
+        (2, "0.000000", "1.0", "row 4: t_s 0.05 is before the camera's frame above it"),
         (2, "front,", "left,", "row 2: camera 'left' is not in recording.json"),
         (2, "off", "dim", "row 2: leds must be on or off, not 'dim'"),
         (2, ",off,,,", ",off,1.0,,", "row 2: x_mm and y_mm must both be given or both be empty"),

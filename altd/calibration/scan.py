@@ -14,7 +14,7 @@ from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import Fit, fit_tensor_map
 from altd.recording import Recording, Row
-from altd.records import FloatArray, Frame, NoSpot, Reason
+from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.leds import locate_leds
 from altd.vision.localise import locate
 from altd.vision.settings import SpotSettings
@@ -23,15 +23,35 @@ Progress = Callable[[int, int], None]
 """Told how many of how many frames are done."""
 
 _LARGEST_MISSING_SHARE = 0.2
+_SAME_NODE_MM = 0.5
+"""Exposures whose stage positions round to the same half millimetre belong to one node."""
+
+
+@dataclass(slots=True)
+class _Node:
+    """The exposures at one node: stage positions mm, spots px, and why the others have none."""
+
+    positions_mm: list[tuple[float, float]] = field(default_factory=list)
+    spots_px: list[tuple[float, float]] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+    @property
+    def usable(self) -> bool:
+        """Whether most of its exposures have a spot."""
+        return len(self.spots_px) > len(self.complaints)
 
 
 @dataclass(slots=True)
 class _Seen:
     """What a target's camera saw during the scan."""
 
-    nodes: dict[tuple[float, float], list[tuple[float, float]]] = field(default_factory=dict)
-    refused: dict[tuple[float, float], str] = field(default_factory=dict)
+    nodes: dict[tuple[int, int], _Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
+
+    @property
+    def refused(self) -> list[_Node]:
+        """The nodes that cannot be used."""
+        return [node for node in self.nodes.values() if not node.usable]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +92,9 @@ def calibrate_scan(
         targets=targets,
     )
     refused = [
-        f"{name} node x {x:g} y {y:g} mm: {why}"
+        f"{name} node x {node.positions_mm[0][0]:g} y {node.positions_mm[0][1]:g} mm: {node.complaints[0]}"
         for name, of_target in seen.items()
-        for (x, y), why in of_target.refused.items()
+        for node in of_target.refused
     ]
     return ScanResult(calibration, tuple(refused))
 
@@ -91,9 +111,6 @@ def _look(recording: Recording, localiser: SpotSettings, progress: Progress) -> 
         elif not row.leds_on:
             _take_node(seen[row.camera], frame, row, localiser)
     progress(len(recording.rows), len(recording.rows))
-    for of_camera in seen.values():
-        for node in of_camera.refused:
-            of_camera.nodes.pop(node, None)
     return seen
 
 
@@ -108,13 +125,15 @@ def _take_reference(seen: _Seen, frame: Frame, dark: dict[str, Frame]) -> None:
 
 def _take_node(seen: _Seen, frame: Frame, row: Row, localiser: SpotSettings) -> None:
     assert row.position_mm is not None  # noqa: S101  the caller looked
+    x_mm, y_mm = row.position_mm
+    node = seen.nodes.setdefault((round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)), _Node())
+    node.positions_mm.append(row.position_mm)
     spot = locate(frame, localiser)
     if isinstance(spot, NoSpot):
-        seen.refused[row.position_mm] = f"{spot.reason} in {row.file}" + (
-            f" ({spot.detail})" if spot.detail else ""
-        )
+        detail = f" ({spot.detail})" if spot.detail else ""
+        node.complaints.append(f"{spot.reason} in {row.file}{detail}")
     else:
-        seen.nodes.setdefault(row.position_mm, []).append((spot.u_px, spot.v_px))
+        node.spots_px.append((spot.u_px, spot.v_px))
 
 
 def _target(
@@ -125,16 +144,15 @@ def _target(
     localiser: SpotSettings,
     degree: tuple[int, int] | None,
 ) -> TargetCalibration:
-    total = len(seen.nodes) + len(seen.refused)
-    if len(seen.refused) > _LARGEST_MISSING_SHARE * total or not seen.nodes:
-        why = next(iter(seen.refused.values()), str(Reason.SPOT_MISSING))
-        raise BadInputError(
-            recording.path, f"{name}: {len(seen.refused)} of {total} nodes have no spot: {why}"
-        )
-    nodes_mm = np.array(list(seen.nodes), dtype=np.float64)
-    nodes_px = np.array([np.mean(spots, axis=0) for spots in seen.nodes.values()])
-    repeatability_px = _repeatability_px(list(seen.nodes.values()))
-    exposures = np.mean([len(spots) for spots in seen.nodes.values()])
+    nodes = [node for node in seen.nodes.values() if node.usable]
+    refused, total = seen.refused, len(seen.nodes)
+    if len(refused) > _LARGEST_MISSING_SHARE * total or not nodes:
+        why = refused[0].complaints[0] if refused else "no row has a position"
+        raise BadInputError(recording.path, f"{name}: {len(refused)} of {total} nodes have no spot: {why}")
+    nodes_mm = np.array([np.mean(node.positions_mm, axis=0) for node in nodes])
+    nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+    repeatability_px = _repeatability_px([node.spots_px for node in nodes])
+    exposures = np.mean([len(node.spots_px) for node in nodes])
     exposure_noise_px = float(np.sqrt(np.mean(np.square(repeatability_px)) / exposures))
     try:
         fit = fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree, exposure_noise_px)

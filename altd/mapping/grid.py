@@ -10,6 +10,7 @@ import numpy as np
 from altd.records import FloatArray
 
 _SAME_MM = 1e-3
+_UNEVEN_STEPS = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +37,22 @@ class Axis:
 
     @classmethod
     def through(cls, mm: FloatArray) -> Self:
-        """The axis through scattered positions that lie on equidistant nodes.
+        """The axis through positions that lie near equidistant nodes, as a stage reports them.
 
-        Raises ValueError when there are fewer than two nodes or the steps differ by more than 1 µm.
+        Positions closer together than a third of the widest gap count as one node; the nodes' means may
+        lie off equal steps by a tenth of a step, since the fit uses the positions themselves. Raises
+        ValueError when there are fewer than two nodes or the steps differ by more.
         """
-        levels = np.unique(np.round(mm / _SAME_MM)) * _SAME_MM
-        if len(levels) < 2:
+        ordered = np.sort(mm)
+        gaps = np.diff(ordered)
+        if not len(gaps) or gaps.max() <= _SAME_MM:
             raise ValueError("all nodes have the same position")
-        steps = np.diff(levels)
-        if steps.max() - steps.min() > 2 * _SAME_MM:
-            raise ValueError(f"steps from {steps.min():.3f} to {steps.max():.3f} mm are not equidistant")
-        return cls(float(levels[0]), float((levels[-1] - levels[0]) / (len(levels) - 1)), len(levels))
+        nodes = np.array(
+            [part.mean() for part in np.split(ordered, np.flatnonzero(gaps > gaps.max() / 3) + 1)]
+        )
+        step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
+        off = nodes - (nodes[0] + step * np.arange(len(nodes)))
+        if np.abs(off).max() > _UNEVEN_STEPS * step:
+            steps = np.diff(nodes)
+            raise ValueError(f"steps from {steps.min():.3f} to {steps.max():.3f} mm are not equal")
+        return cls(float(nodes[0]), step, len(nodes))

@@ -106,16 +106,27 @@ def test_a_pixel_that_no_point_maps_to_is_nan() -> None:
 
 
 def test_nodes_that_cannot_carry_a_map_are_refused() -> None:
-    bumped = grid()
-    bumped[0, 0] += 3.0
+    uneven = grid()
+    uneven[uneven[:, 0] > 0, 0] += 10.0
     for nodes, message in (
         (grid(4, 4), "16 nodes are too few for degree 3 × 3, which has 16 coefficients"),
         (grid(3, 5), "a grid of 3 × 5 nodes is too small for a map"),
         (grid(1, 5), "all nodes have the same position"),
-        (bumped, "steps from 3.000 to 25.000 mm are not equidistant"),
+        (uneven, "steps from 25.000 to 35.000 mm are not equal"),
     ):
         with pytest.raises(ValueError, match=message):
             fit(nodes, lens(nodes))
+
+
+def test_nodes_need_not_lie_exactly_where_they_were_meant_to() -> None:
+    rng = np.random.default_rng(6)
+    meant = grid()
+    reached = meant + rng.normal(0, 0.02, meant.shape)
+    inverse = InverseMap.of(fit(reached, lens(reached)).map)
+    points = inside(50, rng)
+    found, _, _ = inverse.to_mm(lens(points))
+    exact, _, _ = InverseMap.of(fit(meant, lens(meant)).map).to_mm(lens(points))
+    assert found == pytest.approx(exact, abs=1e-3)
 
 
 def test_distances_to_the_hull_are_negative_inside() -> None:

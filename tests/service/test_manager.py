@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import logging
+import socket
+from pathlib import Path
+
+import pytest
+from support.clock import FakeClock
+from support.measurements import measurement
+
+from altd.records import Reason
+from altd.service.board import Board
+from altd.service.manager import ServiceManager
+
+
+@pytest.fixture
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> socket.socket:
+    """The service manager's end of the socket."""
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    link.bind(str(tmp_path / "notify"))
+    link.setblocking(False)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    return link
+
+
+def words(link: socket.socket) -> list[str]:
+    out = []
+    while True:
+        try:
+            out.append(link.recv(4096).decode())
+        except BlockingIOError:
+            return out
+
+
+async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only(told: socket.socket) -> None:
+    clock = FakeClock(10**9)
+    board = Board(clock, 1.0)
+    manager = ServiceManager(board, clock, "unit A", ["http"])
+    board.publish(measurement(1, 0, Reason.WARMING_UP))
+    manager.progress()
+    assert words(told) == ["READY=1\nSTATUS=not measuring: warming_up\nWATCHDOG=1"]
+    for number in range(2, 22):
+        await clock.advance(0.05)
+        board.publish(measurement(number))
+        manager.progress()
+    assert words(told) == ["STATUS=measuring\nWATCHDOG=1"] * 5
+    await clock.advance(60)
+    assert words(told) == []
+    told.close()
+
+
+async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_a_second(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock = FakeClock(10**9)
+    board = Board(clock, 1.0)
+    manager = ServiceManager(board, clock, "unit A", ["http"])
+    with caplog.at_level(logging.INFO, "altd"):
+        for number in range(200):
+            board.publish(measurement(number, 0, *([Reason.UNSTEADY] if number % 10 < 5 else [])))
+            manager.progress()
+            await clock.advance(0.25)
+    assert caplog.messages[0] == "unit A: http"
+    assert len(caplog.messages) <= 52
+    assert {"measuring", "not measuring: unsteady"} == set(caplog.messages[1:])
