@@ -64,6 +64,10 @@ class Measuring(Table):
     """What makes one exposure of two frames: triggered cameras count together, free ones do not."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
     """Largest difference in time between the frames of one exposure."""
+    max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
+    """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
+    max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
+    """The same for yaw and pitch."""
     silent_after_s: Annotated[float, Field(gt=0, le=60)] = 0.4
     """A camera is silent when no frame came for this long."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0

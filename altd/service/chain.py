@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -53,6 +54,7 @@ class MeasuringChain:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
         self._calibration = {target.name: target for target in calibration.targets}
+        self._measuring = measuring
         self._installation = installation
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
         self._pairer: Pairer[Spot | NoSpot] = Pairer(
@@ -120,7 +122,12 @@ class MeasuringChain:
         points = self._points(mean)
         if isinstance(points, Fault):
             return self._invalid(exposure.sequence, mean.t_ns, (points,))
-        return self._valid(exposure.sequence, mean, points)
+        z_mm = [self._calibration[target].z_mm for target in mean.targets]
+        covariance = joint_covariance_mm2(mean, points)
+        beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        if (fault := self._too_uncertain(beam)) is not None:
+            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
+        return self._valid(exposure.sequence, mean, points, beam)
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
         points = []
@@ -132,10 +139,19 @@ class MeasuringChain:
             points.append(point)
         return points
 
-    def _valid(self, sequence: int, mean: MeanSpots, points: Sequence[TargetPoint]) -> Measurement:
-        z_mm = [self._calibration[target].z_mm for target in mean.targets]
-        covariance = joint_covariance_mm2(mean, points)
-        beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+    def _too_uncertain(self, beam: Beam) -> Fault | None:
+        """What scatters beyond the accuracy that is asked for is no measurement."""
+        sigma_mm = max(beam.sigma_x_mm, beam.sigma_y_mm)
+        sigma_mm_per_m = 1000 * math.radians(max(beam.sigma_yaw_deg, beam.sigma_pitch_deg))
+        if sigma_mm > self._measuring.max_sigma_mm:
+            return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
+        if sigma_mm_per_m > self._measuring.max_sigma_mm_per_m:
+            return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
+        return None
+
+    def _valid(
+        self, sequence: int, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
+    ) -> Measurement:
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         return Measurement(
             sequence=sequence,

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from support.recordings import picture, write_scan
+
+from altd.calibration.model import Calibration
+from altd.calibration.scan import calibrate_scan
+from altd.config import Installation, Measuring
+from altd.recording import open_recording
+from altd.records import Frame, Measurement, Origin
+from altd.service.chain import MeasuringChain, View
+
+VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    scan = open_recording(write_scan(tmp_path_factory.mktemp("scan") / "rec"))
+    return calibrate_scan(scan).calibration
+
+
+def chain(calibration: Calibration, origin: Origin = Origin.CAMERA, **installation: float) -> MeasuringChain:
+    return MeasuringChain(
+        VIEWS, calibration, Measuring(window=4), Installation.model_validate(installation), [origin, origin]
+    )
+
+
+def shots(places_mm: Sequence[tuple[float, float]], leds_on: bool = False) -> list[Frame]:
+    rng = np.random.default_rng(1)
+    return [
+        Frame(camera, number, number * 50_000_000, picture(target, x, y, rng), 8, leds_on)
+        for number, (x, y) in enumerate(places_mm)
+        for target, camera in (("front", "left"), ("rear", "right"))
+    ]
+
+
+def last(measured: MeasuringChain, frames: Sequence[Frame]) -> Measurement:
+    return [measurement for frame in frames for measurement in measured.push(frame)][-1]
+
+
+def test_signs_and_offsets_are_applied_to_the_published_beam_only(calibration: Calibration) -> None:
+    frames = shots([(10.0, 5.0)] * 4)
+    plain = last(chain(calibration), frames)
+    turned = last(
+        chain(calibration, sign_x=-1, offset_x_mm=100.0, sign_pitch=-1, offset_pitch_deg=1.0), frames
+    )
+    assert plain.beam is not None
+    assert turned.beam is not None
+    assert turned.beam.x_mm == pytest.approx(100.0 - plain.beam.x_mm)
+    assert turned.beam.pitch_deg == pytest.approx(1.0 - plain.beam.pitch_deg)
+    assert (turned.beam.y_mm, turned.beam.yaw_deg) == (plain.beam.y_mm, plain.beam.yaw_deg)
+    assert (turned.beam.sigma_x_mm, turned.points_mm) == (plain.beam.sigma_x_mm, plain.points_mm)
+
+
+def test_a_far_reference_plane_moves_the_displacement_and_widens_its_sigma(calibration: Calibration) -> None:
+    frames = shots([(10.0, 5.0)] * 4)
+    near = last(chain(calibration), frames)
+    far = last(chain(calibration, reference_plane_mm=-1000.0), frames)
+    assert near.beam is not None
+    assert far.beam is not None
+    assert far.beam.x_mm == pytest.approx(near.beam.x_mm - near.beam.yaw_mm_per_m, abs=1e-6)
+    assert far.beam.sigma_x_mm > 3 * near.beam.sigma_x_mm
+
+
+def test_frames_that_are_not_live_are_said_to_be_so_valid_or_not(calibration: Calibration) -> None:
+    measured = chain(calibration, Origin.PLAYBACK)
+    frames = shots([(10.0, 5.0)] * 4)
+    statuses = [[str(f) for f in m.status] for frame in frames for m in measured.push(frame)]
+    assert statuses == [["warming_up", "playback"], ["playback"], ["playback"], ["playback"]]
+    assert [str(fault) for fault in measured.silence(0).status][-1] == "playback"
+
+
+def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    assert [m for frame in shots([(10.0, 5.0)] * 4, leds_on=True) for m in measured.push(frame)] == []
+
+
+def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Calibration) -> None:
+    wandering = last(chain(calibration), shots([(0.0, 0.0), (1.5, 0.0), (3.0, 0.0), (4.5, 0.0)]))
+    assert [str(fault) for fault in wandering.status] == ["unsteady"]
+    assert wandering.status[0].detail.startswith("displacement is uncertain by ")
+    drifting = last(chain(calibration), shots([(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0)]))
+    assert drifting.beam is not None
+    assert drifting.beam.x_mm == pytest.approx(0.075, abs=0.03)
+
+
+def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 4)
+    last(measured, frames)
+    later = [
+        Frame(f.camera, f.sequence + 100, f.t_ns + 5_000_000_000, f.pixels) for f in shots([(20.0, 5.0)] * 4)
+    ]
+    measurements = [m for frame in later for m in measured.push(frame)]
+    assert [str(f) for f in measurements[0].status] == ["warming_up"]
+    assert measurements[1].beam is not None
+    assert measurements[1].beam.x_mm == pytest.approx(20.0, abs=0.05)
+
+
+def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    last(measured, shots([(10.0, 5.0)] * 4))
+    silent = measured.silence(9_000_000_000)
+    assert [str(f) for f in silent.status] == ["front_camera_silent", "rear_camera_silent"]
+    assert (silent.sequence, silent.t_ns, silent.beam) == (3, 9_000_000_000, None)
