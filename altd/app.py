@@ -86,8 +86,11 @@ class Daemon:
                     manager.progress,
                 )
                 tasks.create_task(pipeline.run(), name="pipeline")
-        except* BadInputError as group:
-            raise _first(group) from None
+        except BaseExceptionGroup as group:  # not except*: Python 3.11.2 wraps what is raised in it
+            refused = group.subgroup(BadInputError)
+            if refused is None:
+                raise
+            raise _first(refused) from None
 
     def _publishers(self) -> Iterator[tuple[str, Publisher]]:
         """The faces that the config asks for, with their places in it. Imported only when wanted."""

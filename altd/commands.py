@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import json
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Coroutine
@@ -39,7 +40,8 @@ def _run(options: argparse.Namespace) -> int:
     from altd.app import daemon_of
     from altd.config import load_config
 
-    logging.basicConfig(level=logging.INFO, format="altd: %(message)s", stream=sys.stderr)
+    prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
+    logging.basicConfig(level=logging.INFO, format=f"{prefix}%(message)s", stream=sys.stderr)
     daemon = daemon_of(load_config(options.config), options.config)
     asyncio.run(until_signal(daemon.run()))
     return 0

@@ -68,7 +68,7 @@ class Measuring(Table):
     """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """The same for yaw and pitch."""
-    silent_after_s: Annotated[float, Field(gt=0, le=60)] = 0.4
+    silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
     """A camera is silent when no frame came for this long."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
     """A value that was not followed by a new one for this long is not shown any more. Keep it longer than

@@ -29,11 +29,11 @@ def replay(recording_path: Path, calibration_path: Path, window: int, every: int
     missing = [name for name in calibration.target_names if name not in header.cameras]
     if missing:
         raise BadInputError(recording_path, f"has no camera {missing[0]!r}")
-    silent_after_s = min(60.0, max(0.4, _SILENT_AFTER_EXPOSURES / header.fps))
+    silent_after_s = max(0.4, _SILENT_AFTER_EXPOSURES / header.fps)
     chain = MeasuringChain(
         [View(name, name) for name in calibration.target_names],
         calibration,
-        Measuring(window=window, every=every, silent_after_s=silent_after_s),
+        Measuring(window=window, every=every).model_copy(update={"silent_after_s": silent_after_s}),
         Installation(),
         utc=lambda t_ns: _utc(header.start, t_ns),
     )

@@ -17,7 +17,7 @@ class Pipeline:
     """One daemon's pipeline.
 
     When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time
-    something was put on the board, and only then: it feeds the watchdog.
+    frames were measured or something was put on the board, and only then: it feeds the watchdog.
     """
 
     def __init__(
@@ -55,18 +55,19 @@ class Pipeline:
             self._inbox.tick()
 
     def _measure(self, frames: Sequence[Frame]) -> None:
+        now_ns = self._clock.monotonic_ns()
+        if not frames and now_ns - self._heard_ns < self._silent_after_s * 1e9:
+            return
+        self._heard_ns = now_ns
         for frame in frames:
             for measurement in self._chain.push(frame):
                 self._put_up(measurement)
-        now_ns = self._clock.monotonic_ns()
-        if frames:
-            self._heard_ns = now_ns
-        elif now_ns - self._heard_ns >= self._silent_after_s * 1e9:
-            self._heard_ns = now_ns
+        if not frames:
             self._put_up(self._chain.silence(now_ns))
         self._component.counters["late_frames"] = self._chain.late_frames
         for camera, dropped in self._inbox.dropped.items():
             self._component.counters[f"dropped_{camera}"] = dropped
+        self._progress()
 
     def _put_up(self, measurement: Measurement) -> None:
         self._board.publish(measurement)
@@ -77,4 +78,3 @@ class Pipeline:
         else:
             reasons = (fault for fault in measurement.status if not fault.reason.is_warning)
             self._component.say(State.DEGRADED, ", ".join(map(str, reasons)))
-        self._progress()

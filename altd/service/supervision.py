@@ -17,7 +17,8 @@ log = logging.getLogger("altd")
 FIRST_RETRY_S = 0.5
 LONGEST_RETRY_S = 30.0
 
-_FATAL_AT_START = {errno.EADDRINUSE, errno.EADDRNOTAVAIL, errno.EACCES}
+_FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
+"""An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
 
 
 class Publisher(Protocol):

@@ -49,6 +49,41 @@ async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only
     told.close()
 
 
+async def test_a_manager_that_does_not_read_or_is_gone_holds_nothing(told: socket.socket) -> None:
+    clock = FakeClock(10**9)
+    board = Board(clock, 1.0)
+    manager = ServiceManager(board, clock, "unit A", ["http"])
+    board.publish(measurement(1))
+    for _ in range(200):  # far more than a socket's queue holds
+        manager.progress()
+        await clock.advance(0.25)
+    assert len(words(told)) < 200
+    told.close()
+    manager.progress()
+
+
+async def test_ready_is_repeated_until_it_was_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "later"))
+    clock = FakeClock(10**9)
+    board = Board(clock, 10.0)
+    manager = ServiceManager(board, clock, "unit A", ["http"])
+    manager.progress()  # nothing on the board yet
+    board.publish(measurement(1))
+    await clock.advance(0.25)
+    manager.progress()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        link.bind(str(tmp_path / "later"))
+        link.setblocking(False)
+        for _ in range(3):
+            await clock.advance(0.25)
+            manager.progress()
+        assert [word.split("\n")[0] for word in words(link)] == [
+            "READY=1",
+            "STATUS=measuring",
+            "STATUS=measuring",
+        ]
+
+
 async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_a_second(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -1,0 +1,63 @@
+# Sets up, runs, checks and measures altd; `make` alone says what there is.
+# Each target works in a bare clone: .ci/venv makes .venv first, and again when requirements.lock or pyproject.toml
+# changed. PYTHON=python3.12 chooses the interpreter that .venv is made with.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+.PHONY: help demo test check bench docs lock clean venv programs
+
+export PYTHON ?= python3
+python := .venv/bin/python
+
+# Pages of docs/ and the modules that write them.
+pages := \
+    modbus:altd.publish.modbus.page \
+    telegram:altd.publish.serial.telegram_page \
+    console:altd.publish.serial.console_page \
+    http:altd.publish.http.page \
+    config:altd.config_page
+
+help:
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
+
+demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
+	@exec $(python) -m hw_sim demo
+
+test: venv programs ## the tests
+	@exec $(python) -m pytest
+
+check: venv ## style, types, layers, generated pages
+	@$(python) -m ruff check
+	$(python) -m ruff format --check
+	$(python) -m mypy
+	.venv/bin/lint-imports --no-logo
+	for page in $(pages); do
+		file=docs/$${page%:*}.md
+		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
+	done
+	echo "generated pages are up to date"
+
+bench: venv ## time per stage, highest rate, latency
+	@exec $(python) -m benchmarks.measure
+
+docs: venv ## write the generated pages of docs/
+	@for page in $(pages); do
+		file=docs/$${page%:*}.md
+		$(python) -m "$${page#*:}" >"$$file.new" || { rm -f "$$file.new"; exit 1; }
+		mv "$$file.new" "$$file"
+	done
+
+lock: venv ## write requirements.lock with today's newest packages
+	@.ci/lock
+
+clean: ## remove .venv and all that tools leave behind
+	@rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find altd hw_sim tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+venv:
+	@.ci/venv
+
+programs: # foreign programs that tests use
+	@.ci/programs may mbpoll socat systemd-analyze=systemd

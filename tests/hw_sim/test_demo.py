@@ -1,0 +1,303 @@
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import functools
+import http.client
+import json
+import operator
+import os
+import re
+import select
+import shlex
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from altd.app import Daemon
+from altd.records import Measurement
+from altd.service.clock import SystemClock
+from altd.service.health import Health
+from hw_sim.demo_figures import Figures
+from hw_sim.demo_lines import Line
+from hw_sim.unit import Unit
+
+DEMO = [sys.executable, "-m", "hw_sim", "demo", "--seed", "3"]
+NUMBER = r"([+-]?\d+\.\d+)"
+VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)")
+
+
+class Output:
+    """What comes out of a descriptor, read with patience but not for ever."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self.data = b""
+
+    def until(self, enough: Callable[[bytes], object], timeout_s: float = 15.0) -> bytes:
+        deadline = time.monotonic() + timeout_s
+        while not enough(self.data):
+            left = deadline - time.monotonic()
+            assert left > 0, self.data.decode(errors="replace")[-3000:]
+            if select.select([self._descriptor], [], [], left)[0]:
+                self.data += os.read(self._descriptor, 65536)
+        return self.data
+
+
+@pytest.fixture
+def temporary(tmp_path: Path) -> Iterator[dict[str, str]]:
+    """The environment of a demo whose temporary files must be gone at the end."""
+    yield {**os.environ, "TMPDIR": str(tmp_path), "LANG": "C.UTF-8"}
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def crc16(frame: bytes) -> bytes:
+    crc = 0xFFFF
+    for byte in frame:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0xA001 * (crc & 1)
+    return crc.to_bytes(2, "little")
+
+
+READ_50 = struct.pack(">BBHH", 1, 4, 0, 50)
+"""Unit 1, input registers 0 to 49: header and floating point of docs/modbus.md."""
+
+
+def values_of(registers: bytes) -> tuple[int, list[float]]:
+    """Sequence, and x, y, yaw, pitch."""
+    assert registers[:3] == bytes([1, 4, 100])
+    return struct.unpack_from(">I", registers, 3 + 16)[0], list(struct.unpack_from(">4f", registers, 3 + 40))
+
+
+def over_tcp(port: int) -> tuple[int, list[float]]:
+    with socket.create_connection(("127.0.0.1", port), timeout=3) as connection:
+        connection.sendall(struct.pack(">HHH", 7, 0, len(READ_50)) + READ_50)
+        answer = b""
+        while len(answer) < 6 + 103:
+            answer += connection.recv(1024)
+    return values_of(answer[6:])
+
+
+@contextmanager
+def opened(device: str) -> Iterator[Callable[[bytes, Callable[[bytes], object]], bytes]]:
+    """Says something on a serial line and gives back what it hears."""
+    descriptor = os.open(device, os.O_RDWR | os.O_NOCTTY)
+
+    def ask(question: bytes, enough: Callable[[bytes], object]) -> bytes:
+        os.write(descriptor, question)
+        return Output(descriptor).until(enough, timeout_s=4.0)
+
+    try:
+        yield ask
+    finally:
+        os.close(descriptor)
+
+
+def over_rtu(device: str) -> tuple[int, list[float]]:
+    with opened(device) as ask:
+        answer = ask(READ_50 + crc16(READ_50), lambda data: len(data) >= 105)
+    assert crc16(answer[:-2]) == answer[-2:]
+    return values_of(answer)
+
+
+def over_telegram(device: str) -> tuple[int, list[float]]:
+    with opened(device) as ask:
+        heard = ask(b"", lambda data: data.count(b"\r\n") >= 2).decode("ascii")
+    sentences = heard.split("\r\n")[:2]
+    for sentence in sentences:
+        assert sentence[0] == "$"
+        body, checksum = sentence[1:].split("*")
+        assert int(checksum, 16) == functools.reduce(operator.xor, body.encode("ascii"))
+    name, _, mode, sequence, *values = sentences[0].split("*")[0].split(",")
+    assert (name, mode) == ("$PALTM", "S")
+    assert sentences[1].endswith(",simulated*" + sentences[1][-2:])
+    return int(sequence), [float(value) for value in values[:4]]
+
+
+def get(port: int, path: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    assert answer.status == 200
+    return answer
+
+
+def quantities(measurement: dict[str, Any]) -> list[float]:
+    return [measurement[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
+
+
+def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary: dict[str, str]) -> None:
+    demo = subprocess.Popen(DEMO, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=temporary)
+    with ended(demo):
+        assert demo.stdout is not None
+        output = Output(demo.stdout.fileno())
+        text = output.until(lambda data: data.count(b"s  valid") >= 1).decode()
+        http_port = int(re.search(r"curl -s http://127.0.0.1:(\d+)/api/measurement", text)[1])  # type: ignore[index]
+        tcp_port = int(re.search(r"mbpoll .* -r 20 -c 15 -p (\d+) 127.0.0.1", text)[1])  # type: ignore[index]
+        rtu, telegram, console = re.findall(r"(?:15|cat|picocom) (/dev/pts/\d+)", text)
+
+        stream = get(http_port, "/api/stream")
+        answers = [over_tcp(tcp_port), over_telegram(telegram), over_rtu(rtu)]
+        told: dict[int, dict[str, Any]] = {}
+        while max(told, default=0) < max(sequence for sequence, _ in answers):
+            line = stream.readline()
+            if line.startswith(b"data: "):
+                measurement = json.loads(line[6:])
+                told[measurement["sequence"]] = measurement
+        stream.close()
+        for sequence, values in answers:
+            assert values == pytest.approx(quantities(told[sequence]), abs=6e-4)
+        now = json.load(get(http_port, "/api/measurement"))
+        assert now["sequence"] >= max(sequence for sequence, _ in answers)
+        assert (now["valid"], now["status"]) == (True, ["simulated"])
+        with opened(console) as ask:
+            assert b"simulated" in ask(b"measure\r", lambda data: b"NOT LIVE" in data)
+
+        output.until(lambda data: data.count(b"s  valid") >= 2)
+        demo.send_signal(signal.SIGINT)
+        rest, errors = demo.communicate(timeout=5)
+
+    text = (output.data + rest).decode()
+    assert demo.returncode == 0
+    assert errors == b""
+    lines = [line for line in text.splitlines() if "s  valid" in line]
+    assert len(lines) >= 2
+    assert all(line.endswith("simulated") for line in lines)
+    for line in lines:
+        shown = VALUE.findall(line)
+        assert [name for name, *_ in shown] == ["x", "y", "yaw", "pitch"]
+        for _, _, sigma, difference, _ in shown:
+            assert abs(float(difference)) < 5 * float(sigma)
+    assert "SIMULATED" in text
+    lost = re.search(r"measured, (\d+) pairs lost, (\d+) frames dropped", text)
+    assert lost
+    assert int(lost[1]) <= 3, "a machine that is busy with other tests may lose some"
+
+
+def rows_of(data: bytes) -> dict[int, str]:
+    """What a terminal shows: the last text that was written to each row."""
+    drawn = re.findall(r"\x1b\[(\d+);1H\x1b\[[\d;]*m([^\x1b]*)", data.decode(errors="replace"))
+    return {int(row): text for row, text in drawn}
+
+
+def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, str]) -> None:
+    terminal, device = os.openpty()
+    try:
+        fcntl.ioctl(device, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        before = termios.tcgetattr(device)
+        name = os.ttyname(device)
+        # the leader of a session gets the first terminal that it opens as its own
+        command = f"exec {shlex.join(DEMO)} <{name} >{name} 2>&1"
+        demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=temporary)
+        with ended(demo):
+            output = Output(terminal)
+
+            def showing(text: str) -> Callable[[bytes], bool]:
+                return lambda data: any(text in row for row in rows_of(data).values())
+
+            output.until(showing("VALID, mean of 20 exposures; simulated"))
+            rows = rows_of(output.data)
+            assert len(rows) == 24, "made for 80 columns and 24 rows"
+            assert all(len(row) < 80 for row in rows.values())
+            for number, quantity in enumerate(("x     mm", "y     mm", "yaw   deg", "pitch deg"), start=3):
+                assert re.fullmatch(rf"  {quantity}( +{NUMBER}){{5}}", rows[number]), rows[number]
+            assert termios.tcgetattr(device)[3] & termios.ECHO == 0
+
+            os.write(terminal, b"b")
+            output.until(showing("NOT VALID: front_spot_missing, rear_spot_missing, simulated"))
+            rows = rows_of(output.data)
+            assert re.fullmatch(rf"  x     mm +- +- +{NUMBER} +- +-", rows[3]), "truth, and nothing measured"
+            url = re.search(r"127.0.0.1:(\d+)/api/measurement", "\n".join(rows.values()))
+            assert url
+            answer = json.load(get(int(url[1]), "/api/measurement"))
+            assert answer["valid"] is False
+            assert quantities(answer) == [None] * 4
+
+            os.write(terminal, b"c")
+            output.until(lambda data: b"VALID, mean" in data[data.rindex(b"NOT VALID") :])
+            os.write(terminal, b"q")
+            output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
+            assert demo.wait(5) == 0
+        farewell = output.data[output.data.rindex(b"\x1b[?1049l") :]
+        assert b"\x1b[?25h" in output.data[output.data.rindex(b"\x1b[?25l") :]
+        assert b"The demo has ended" in farewell
+        assert b"Traceback" not in output.data
+        assert termios.tcgetattr(device) == before
+    finally:
+        os.close(device)
+        os.close(terminal)
+
+
+async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -> None:
+    with Line() as line:
+        carrying = asyncio.create_task(line.carry())
+        unit = os.open(line.unit_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            for round_ in (b"1", b"2"):
+                os.write(unit, b"nobody hears " + round_)
+                await asyncio.sleep(0.1)
+                far = os.open(line.far_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                await asyncio.sleep(0.1)
+                os.write(unit, b"out " + round_)
+                os.write(far, b"in " + round_)
+                await asyncio.sleep(0.1)
+                assert os.read(far, 100) == b"out " + round_
+                assert os.read(unit, 100) == b"in " + round_
+                os.write(unit, b"not read " + round_)
+                await asyncio.sleep(0.1)
+                os.close(far)
+                await asyncio.sleep(0.1)
+        finally:
+            os.close(unit)
+            carrying.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await carrying
+
+
+@pytest.mark.parametrize(
+    ("front", "rear", "measured", "dropped", "late", "lost"),
+    [
+        (100, 100, 100, 0, 0, 0),
+        (101, 100, 100, 0, 0, 0),
+        (100, 97, 100, 0, 0, 3),
+        (99, 97, 100, 0, 0, 4),
+        (99, 99, 99, 0, 0, 1),
+        (100, 100, 100, 1, 0, 1),
+        (100, 100, 99, 2, 0, 1),
+        (100, 100, 100, 0, 1, 1),
+    ],
+    ids=["none", "one on its way", "rear", "each its own", "the same", "dropped", "both dropped", "late"],
+)
+async def test_a_pair_is_lost_once_however_its_frames_are(
+    front: int, rear: int, measured: int, dropped: int, late: int, lost: int
+) -> None:
+    health = Health(SystemClock())
+    health.component("camera front").count("frames", front)
+    health.component("camera rear").count("frames", rear)
+    health.component("measuring").count("dropped_front", dropped)
+    health.component("measuring").count("late_frames", late)
+    figures = Figures(cast("Daemon", SimpleNamespace(health=health)), cast("Unit", None))
+    figures.take(Measurement(99, 0, None, 0, None, {}), skipped=measured - 1)
+    assert figures.pairs_lost == lost
