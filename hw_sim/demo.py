@@ -1,0 +1,232 @@
+"""``python -m hw_sim demo``: a simulated unit, measured by the real daemon, to be watched and asked."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import io
+import logging
+import os
+import signal
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+
+from altd.app import Daemon, calibration_of
+from altd.config import Config, Http, ModbusTcp, SerialPort, Target
+from altd.config import Unit as UnitTable
+from altd.errors import BadInputError
+from hw_sim.arguments import natural
+from hw_sim.camera import make_cameras
+from hw_sim.demo_figures import Figures
+from hw_sim.demo_lines import Line
+from hw_sim.demo_screen import Screen, keys
+from hw_sim.demo_view import CLEAR_KEY, FAULT_KEYS, QUIT_KEY, Faces, View
+from hw_sim.motion import Drive, Vibration
+from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
+
+DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
+"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 62.5 × 50."""
+
+REDRAW_S = 0.2
+LINE_S = 1.0
+
+LOCALHOST = "127.0.0.1"
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the demo takes on the command line."""
+    parser.add_argument(
+        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
+    )
+    parser.add_argument("--seconds", type=_seconds, metavar="N", help="end after so long (default: never)")
+    parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Show the demo until its time is over, ``q`` or a signal; raises BadInputError."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # for a terminal without ±
+    try:
+        asyncio.run(_until_stopped(arguments))
+    except KeyboardInterrupt:  # before or after the loop, which knows what to do about it
+        return 0
+    except BrokenPipeError:  # the reader of our output went away; there is nobody to tell
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    finally:
+        for number in _ENDING:  # it is ending: who asks for it a second time need not be told
+            signal.signal(number, signal.SIG_IGN)
+    return 0
+
+
+async def _until_stopped(arguments: argparse.Namespace) -> None:
+    """The demo, cancelled once, however often somebody asks for its end; raises what it fails with."""
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in _ENDING:
+        loop.add_signal_handler(number, stop.set)
+    demo = asyncio.create_task(_demo(arguments, stop.set), name="demo")
+    stopped = asyncio.create_task(stop.wait(), name="stop")
+    await asyncio.wait({demo, stopped}, return_when=asyncio.FIRST_COMPLETED)
+    for task in (demo, stopped):
+        task.cancel()
+    with contextlib.suppress(asyncio.CancelledError):
+        await demo
+
+
+async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None:
+    """Make a unit, calibrate it, measure with it; ends by cancellation or with what failed."""
+    with tempfile.TemporaryDirectory(prefix="altd-demo-") as folder, contextlib.ExitStack() as open_lines:
+        calibration = Path(folder, "calibration.json")
+        await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
+        unit = Unit(UnitConfig(seed=arguments.seed, drive=DRIVE, vibration=Vibration()))
+        telegram, console, modbus_rtu = (open_lines.enter_context(Line()) for _ in range(3))
+        faces = Faces(
+            http_port=arguments.http_port or _free_port(),
+            modbus_port=arguments.modbus_port or _free_port(),
+            telegram=telegram,
+            console=console,
+            modbus_rtu=modbus_rtu,
+        )
+        cameras = {camera.name: camera for camera in make_cameras(unit)}
+        config = _config(unit, calibration, faces)
+        daemon = Daemon(config, calibration_of(config, cameras), cameras)
+        figures = Figures(daemon, unit)
+        view = View(daemon, unit, faces, figures)
+        show = _on_screen if sys.stdout.isatty() else _line_by_line
+        if arguments.seconds is not None:
+            asyncio.get_running_loop().call_later(arguments.seconds, stop)
+        try:
+            await _together(
+                daemon.run(),
+                figures.follow(),
+                telegram.carry(),
+                console.carry(),
+                modbus_rtu.carry(),
+                show(view, unit, stop),
+            )
+        finally:
+            if figures.exposures:
+                print("The demo has ended.", *figures.summary(), sep="\n", flush=True)
+
+
+async def _together(*work: Coroutine[None, None, None]) -> None:
+    """Until cancelled or until one fails; a failure that has a line of its own comes out bare."""
+    try:
+        async with asyncio.TaskGroup() as tasks:
+            for one in work:
+                tasks.create_task(one)
+    except* (BadInputError, BrokenPipeError) as group:
+        error: BaseException = group
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        raise error from None
+
+
+async def _on_screen(view: View, unit: Unit, stop: Callable[[], None]) -> None:
+    """Redraw a terminal in place and listen to its keys."""
+    logging.getLogger("altd").addHandler(logging.NullHandler())  # the screen says it, by the faces' states
+
+    def pressed(key: str) -> None:
+        if key in FAULT_KEYS:
+            unit.inject(FAULT_KEYS[key].fault)
+        elif key == CLEAR_KEY:
+            unit.clear()
+        elif key == QUIT_KEY:
+            stop()
+
+    screen = Screen()
+    with screen.open(), keys(pressed) as there_are_keys:
+        while True:
+            await screen.draw(view.screen(there_are_keys))
+            await asyncio.sleep(REDRAW_S)
+
+
+async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> None:
+    """Write a line a second for a file, a pipe or a log."""
+    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
+    text = "\n".join([view.title, *view.commands(), view.heading])
+    while True:
+        # in a thread: a pipe that nobody empties must not hold up the unit
+        await asyncio.to_thread(print, text, flush=True)
+        await asyncio.sleep(LINE_S)
+        text = view.line()
+
+
+async def _calibrate(seed: int, scan: Path, calibration: Path) -> None:
+    """What is done with every new unit before it is used, by the same two commands."""
+    print(f"Recording a calibration scan of simulated unit {seed} (python -m hw_sim scan) ...", flush=True)
+    await _command("hw_sim", "scan", "--seed", str(seed), "-o", str(scan))
+    print("Fitting the unit's maps to it (altd calibrate) ...", flush=True)
+    await _command("altd.cli", "calibrate", str(scan), "-o", str(calibration))
+
+
+async def _command(module: str, *arguments: str) -> None:
+    """Run a command to its end; raises BadInputError when it fails, having said why on standard error."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        module,
+        *arguments,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.DEVNULL,
+        start_new_session=True,  # Ctrl-C goes to the demo alone, which ends the command
+    )
+    try:
+        status = await process.wait()
+    except asyncio.CancelledError:
+        process.kill()
+        await process.wait()
+        raise
+    if status != 0:
+        raise BadInputError(f"{module} {arguments[0]}", f"ended with status {status}")
+
+
+def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
+    """The settings of an ordinary unit with all of its faces, on this machine only."""
+    return Config(
+        unit=UnitTable(serial=unit.config.serial, calibration=calibration),
+        targets=(
+            Target(name=FRONT, z_mm=0.0, camera=FRONT),
+            Target(name=REAR, z_mm=unit.config.target_distance_mm, camera=REAR),
+        ),
+        modbus_tcp=ModbusTcp(host=LOCALHOST, port=faces.modbus_port),
+        http=Http(host=LOCALHOST, port=faces.http_port),
+        serial=(
+            SerialPort(device=faces.telegram.unit_end, speaks="telegram"),
+            SerialPort(device=faces.console.unit_end, speaks="console"),
+            # what mbpoll takes unless told otherwise: the Modbus specification's own choice
+            SerialPort(device=faces.modbus_rtu.unit_end, speaks="modbus_rtu", baud=19200, parity="even"),
+        ),
+    )
+
+
+def _free_port() -> int:
+    """A TCP port that is free now."""
+    with socket.create_server((LOCALHOST, 0)) as listener:
+        port: int = listener.getsockname()[1]
+    return port
+
+
+def _port(text: str) -> int:
+    port = int(text) if text.isdecimal() else -1
+    if not 0 <= port <= 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
+    return port
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
+    return seconds

@@ -1,0 +1,180 @@
+"""What the demo keeps an account of: measurements against the truth, exposures, and the process itself."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.app import Daemon
+from altd.records import Beam, Measurement
+from hw_sim.beam import BeamPose
+from hw_sim.unit import CAMERAS, Unit
+
+EARLY_S = 10.0
+"""When the memory has settled; what it grows by from then on is a leak."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One of the numbers that the unit measures; its unit names its fields in ``Beam`` and ``BeamPose``."""
+
+    name: str
+    unit: str
+    decimals: int
+
+    def measured(self, beam: Beam) -> float:
+        """The value."""
+        return float(getattr(beam, f"{self.name}_{self.unit}"))
+
+    def sigma(self, beam: Beam) -> float:
+        """Its published standard deviation."""
+        return float(getattr(beam, f"sigma_{self.name}_{self.unit}"))
+
+    def true(self, pose: BeamPose) -> float:
+        """The value that the simulator knows."""
+        return float(getattr(pose, f"{self.name}_{self.unit}"))
+
+
+QUANTITIES = (
+    Quantity("x", "mm", 3),
+    Quantity("y", "mm", 3),
+    Quantity("yaw", "deg", 4),
+    Quantity("pitch", "deg", 4),
+)
+
+
+class _Squares:
+    """The root of a mean square, one number at a time."""
+
+    def __init__(self) -> None:
+        self._sum = 0.0
+        self._count = 0
+
+    def add(self, value: float) -> None:
+        self._sum += value * value
+        self._count += 1
+
+    @property
+    def rms(self) -> float:
+        return math.sqrt(self._sum / self._count) if self._count else math.nan
+
+
+def truth_of(unit: Unit, measurement: Measurement) -> BeamPose:
+    """What a measurement ought to say: the machine's way at its time, without the drive's shaking.
+
+    A controller steers by where the machine is, not by where it shook to. The measurement is the mean over
+    its window's exposures, and its time is their middle: on a way that is straight for a second that mean is
+    the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the way at that time is
+    the fair truth. What shaking the mean has left is an error of the measurement, and its sigma, taken from
+    the scatter of the exposures, answers for it.
+    """
+    return unit.truth(measurement.t_ns, vibration=False)
+
+
+class Figures:
+    """The account of one run. It sees each measurement once, through a cursor of its own."""
+
+    def __init__(self, daemon: Daemon, unit: Unit) -> None:
+        self._daemon = daemon
+        self._unit = unit
+        self._began_s = time.monotonic()
+        self._cpu_began_s = time.process_time()
+        self._differences = {quantity: _Squares() for quantity in QUANTITIES}
+        self._in_sigmas = {quantity: _Squares() for quantity in QUANTITIES}
+        self._last_sequence = -1
+        self.exposures = 0
+        """Exposures that led to a word on the board, a valid one or not."""
+        self.valid = 0
+        self.early_mib = math.nan
+
+    async def follow(self) -> None:
+        """Take every measurement until cancelled."""
+        cursor = self._daemon.board.cursor()
+        skipped = 0
+        while True:
+            measurement = await cursor.next()
+            self.take(measurement, cursor.skipped - skipped)
+            skipped = cursor.skipped
+
+    def take(self, measurement: Measurement, skipped: int) -> None:
+        """Take one measurement; ``skipped`` are those that came before it and were not seen."""
+        if measurement.sequence <= self._last_sequence:
+            return  # cameras that are silent make no exposure
+        self._last_sequence = measurement.sequence
+        self.exposures += 1 + skipped
+        beam = measurement.beam
+        if beam is None:
+            return
+        self.valid += 1 + skipped
+        truth = truth_of(self._unit, measurement)
+        for quantity in QUANTITIES:
+            difference = quantity.measured(beam) - quantity.true(truth)
+            self._differences[quantity].add(difference)
+            self._in_sigmas[quantity].add(difference / quantity.sigma(beam))
+
+    @property
+    def seconds(self) -> float:
+        """Since the daemon was started."""
+        return time.monotonic() - self._began_s
+
+    @property
+    def cpu_share(self) -> float:
+        """Of one core, daemon and simulator together, since the daemon was started."""
+        return (time.process_time() - self._cpu_began_s) / self.seconds
+
+    @property
+    def frames_dropped(self) -> int:
+        """Frames that replaced one nobody had taken from a camera's slot, or that came too late for it."""
+        counters = self._counters("measuring")
+        return counters.get("late_frames", 0) + sum(counters.get(f"dropped_{name}", 0) for name in CAMERAS)
+
+    @property
+    def pairs_lost(self) -> int:
+        """Exposures, counted by their sequence from 0 on, of which not both frames were measured.
+
+        A frame that is missing at one camera makes a pair that is lost; one missing at both is in both
+        counts, and only there is the exposure without a word on the board: taken off once. A frame that is
+        on its way is ahead of the board and would make the number negative for a moment.
+        """
+        made = self._last_sequence + 1
+        arrived = [self._counters(f"camera {name}").get("frames", 0) for name in CAMERAS]
+        lost = sum(made - count for count in arrived) + self.frames_dropped
+        return max(lost - (made - self.exposures), 0)
+
+    def note_memory(self) -> None:
+        """Keep what the memory is once it has settled; to be called now and then."""
+        if math.isnan(self.early_mib) and self.seconds >= EARLY_S:
+            self.early_mib = memory_mib()
+
+    def summary(self) -> Iterator[str]:
+        """The run in a few lines for people."""
+        early = "" if math.isnan(self.early_mib) else f"{self.early_mib:.1f} MiB after {EARLY_S:g} s, "
+        share = f"{self.valid / self.exposures:.1%}" if self.exposures else "none"
+        yield (
+            f"{self.seconds:.1f} s, {self.exposures} exposures measured, {self.pairs_lost} pairs lost, "
+            f"{self.frames_dropped} frames dropped"
+        )
+        yield f"valid: {self.valid} ({share}; the first half second only warms up)"
+        yield (
+            f"memory: {early}{memory_mib():.1f} MiB at the end; "
+            f"CPU: {self.cpu_share:.0%} of one core, daemon and simulator together"
+        )
+        yield "rms of          difference   difference / sigma"
+        for quantity in QUANTITIES:
+            yield (
+                f"  {quantity.name:<6}{self._differences[quantity].rms:>14.{quantity.decimals + 1}f} "
+                f"{quantity.unit:<4}{self._in_sigmas[quantity].rms:>13.2f}"
+            )
+
+    def _counters(self, component: str) -> Mapping[str, int]:
+        return self._daemon.health.component(component).counters
+
+
+def memory_mib() -> float:
+    """Resident memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20

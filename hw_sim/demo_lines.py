@@ -1,0 +1,85 @@
+"""Serial lines without hardware: each is two pseudo-terminals with a cable between them.
+
+The unit opens one end, a person the other, with any program that opens a device. As on a real line, what is
+sent while nobody has the far end open is lost: who opens it sees what comes from then on, nothing old.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import select
+import tty
+from pathlib import Path
+from typing import Self
+
+CHUNK = 4096
+
+LOOK_S = 0.05
+"""How often a line looks whether somebody has opened its far end; what they send meanwhile waits."""
+
+
+class Line:
+    """One cable; ``unit_end`` and ``far_end`` are devices such as ``/dev/pts/4``."""
+
+    def __init__(self) -> None:
+        self._unit, self._unit_device = os.openpty()
+        self._far, far_device = os.openpty()
+        for device in (self._unit_device, far_device):
+            tty.setraw(device)
+        self.unit_end = Path(os.ttyname(self._unit_device))
+        self.far_end = Path(os.ttyname(far_device))
+        os.set_blocking(self._unit, False)
+        os.set_blocking(self._far, False)
+        # The unit's end stays open here, so that it is there before and after the unit opens it. The far
+        # end does not: the kernel then tells a hang-up for as long as nobody has it open.
+        os.close(far_device)
+        self._hung_up = select.poll()
+        self._hung_up.register(self._far, 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for descriptor in (self._unit, self._unit_device, self._far):
+            os.close(descriptor)
+
+    async def carry(self) -> None:
+        """Carry bytes both ways until cancelled."""
+        loop = asyncio.get_running_loop()
+        loop.add_reader(self._unit, self._from_unit)
+        try:
+            while True:
+                if self._somebody_there():
+                    gone = asyncio.Event()
+                    loop.add_reader(self._far, self._from_far, gone)
+                    await gone.wait()
+                await asyncio.sleep(LOOK_S)
+        finally:
+            loop.remove_reader(self._unit)
+            loop.remove_reader(self._far)
+
+    def _somebody_there(self) -> bool:
+        return not self._hung_up.poll(0)
+
+    def _from_unit(self) -> None:
+        data = os.read(self._unit, CHUNK)
+        if self._somebody_there():
+            _send(self._far, data)
+
+    def _from_far(self, gone: asyncio.Event) -> None:
+        try:
+            data = os.read(self._far, CHUNK)
+        except OSError:  # the last one has closed it
+            asyncio.get_running_loop().remove_reader(self._far)
+            tty.setraw(self._far)  # throws away what was not read, undoes what a terminal program has set
+            gone.set()
+        else:
+            _send(self._unit, data)
+
+
+def _send(descriptor: int, data: bytes) -> None:
+    """Send what the other end has room for; a line does not wait."""
+    with contextlib.suppress(BlockingIOError):
+        os.write(descriptor, data)

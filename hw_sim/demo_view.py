@@ -1,0 +1,187 @@
+"""What the demo says: the table on a terminal, the line a second elsewhere, the commands to try."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from altd.app import Daemon
+from altd.records import Measurement
+from hw_sim.demo_figures import QUANTITIES, Figures, memory_mib, truth_of
+from hw_sim.demo_lines import Line
+from hw_sim.demo_screen import Style, StyledLine
+from hw_sim.faults import Fault
+from hw_sim.unit import Unit
+
+FLOATS, FLOAT_COUNT = 20, 15
+"""Where docs/modbus.md has the values in floating point, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class FaultKey:
+    """What a key does to the unit."""
+
+    fault: Fault
+    does: str
+
+
+FAULT_KEYS = {
+    "b": FaultKey(Fault.NO_LASER, "block beam"),
+    "f": FaultKey(Fault.FRONT_SPOT_MISSING, "lose front spot"),
+    "s": FaultKey(Fault.REAR_SILENT, "silence rear camera"),
+    "l": FaultKey(Fault.LEDS_ON, "LEDs stuck on"),
+}
+CLEAR_KEY, QUIT_KEY = "c", "q"
+
+
+@dataclass(frozen=True, slots=True)
+class Faces:
+    """Where the unit answers: TCP ports of this machine, and serial lines."""
+
+    http_port: int
+    modbus_port: int
+    telegram: Line
+    console: Line
+    modbus_rtu: Line
+
+    def commands(self) -> list[tuple[str, str]]:
+        """What to type to try each, with its name. Flags and registers are those of docs/modbus.md."""
+        url = f"http://127.0.0.1:{self.http_port}"
+        floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {FLOAT_COUNT}"
+        return [
+            ("browser", f"{url}/"),
+            ("HTTP", f"curl -s {url}/api/measurement"),
+            ("", f"curl -N {url}/api/stream"),
+            ("Modbus TCP", f"mbpoll {floats} -p {self.modbus_port} 127.0.0.1"),
+            ("Modbus RTU", f"mbpoll -m rtu {floats} {self.modbus_rtu.far_end}"),
+            ("telegram", f"cat {self.telegram.far_end}"),
+            ("console", f"picocom {self.console.far_end}    (then help; Ctrl-A Ctrl-X leaves)"),
+        ]
+
+    def components(self) -> dict[str, str]:
+        """For people's names of the faces, the names of their components in the unit's health."""
+        return {
+            "HTTP": f"http 127.0.0.1:{self.http_port}",
+            "Modbus TCP": f"modbus_tcp 127.0.0.1:{self.modbus_port}",
+            "RTU": f"serial {self.modbus_rtu.unit_end}",
+            "telegram": f"serial {self.telegram.unit_end}",
+            "console": f"serial {self.console.unit_end}",
+        }
+
+
+class View:
+    """Puts into words what the unit measures and what the simulator knows."""
+
+    heading = (
+        "each value ± its sigma, in brackets the difference from the simulator's truth; "
+        "every measurement carries the warning `simulated`"
+    )
+
+    def __init__(self, daemon: Daemon, unit: Unit, faces: Faces, figures: Figures) -> None:
+        self._daemon = daemon
+        self._unit = unit
+        self._faces = faces
+        self._figures = figures
+        self.title = f"Active Laser Target {unit.config.serial}, SIMULATED: nothing here is live"
+
+    def commands(self) -> list[str]:
+        """The commands to try, one a line."""
+        faces = self._faces
+        return [
+            *(f"  {name:<11} {command}" for name, command in faces.commands()),
+            f"  {'':<11} (the unit's own ends: "
+            f"{faces.modbus_rtu.unit_end}, {faces.telegram.unit_end}, {faces.console.unit_end})",
+        ]
+
+    def line(self) -> str:
+        """The moment in one line."""
+        measurement = self._daemon.board.read()
+        self._figures.note_memory()
+        head = f"{self._figures.seconds:7.1f} s  "
+        if measurement is None:
+            return f"{head}NOT VALID  nothing measured so far"
+        status = " ".join(str(fault) for fault in measurement.status)
+        beam = measurement.beam
+        if beam is None:
+            return f"{head}NOT VALID  {status}"
+        truth = truth_of(self._unit, measurement)
+        values = "  ".join(
+            f"{q.name} {q.measured(beam):8.{q.decimals}f} ±{q.sigma(beam):.{q.decimals}f} "
+            f"({q.measured(beam) - q.true(truth):+.{q.decimals}f}) {q.unit}"
+            for q in QUANTITIES
+        )
+        return f"{head}valid  {values}  {status}"
+
+    def screen(self, keys: bool) -> list[StyledLine]:
+        """The screen of a terminal, made for 80 columns and 24 rows; with the keys when there are any."""
+        measurement = self._daemon.board.read()
+        self._figures.note_memory()
+        minutes, seconds = divmod(int(self._figures.seconds), 60)
+        faults = ", ".join(sorted(self._unit.faults))
+        return [
+            (f"{self.title:<72}{minutes:4d}:{seconds:02d}", Style.BOLD),
+            (
+                f"{'':12}{'measured':>12}{'± sigma':>11}{'truth':>13}{'difference':>13}{'/ sigma':>10}",
+                Style.DIM,
+            ),
+            *((row, Style.BOLD) for row in self._rows(measurement)),
+            ("", Style.PLAIN),
+            _verdict(measurement),
+            *((f"  {line}", Style.PLAIN) for line in self._account()),
+            ("", Style.PLAIN),
+            (
+                f"  {'faults present: ' + faults if faults else 'no faults'}",
+                Style.BAD if faults else Style.PLAIN,
+            ),
+            *((f"  {line}", Style.PLAIN) for line in (_KEYS if keys else ())),
+            ("", Style.PLAIN),
+            ("Try in another terminal (Debian packages curl, mbpoll, picocom):", Style.BOLD),
+            *((line, Style.PLAIN) for line in self.commands()),
+        ]
+
+    def _rows(self, measurement: Measurement | None) -> Iterator[str]:
+        truth = truth_of(self._unit, measurement) if measurement else None
+        beam = measurement.beam if measurement else None
+        for q in QUANTITIES:
+            measured = sigma = difference = in_sigmas = "-"
+            if beam is not None and truth is not None:
+                off = q.measured(beam) - q.true(truth)
+                measured, difference = f"{q.measured(beam):.{q.decimals}f}", f"{off:+.{q.decimals}f}"
+                sigma, in_sigmas = f"{q.sigma(beam):.{q.decimals}f}", f"{off / q.sigma(beam):+.1f}"
+            true = f"{q.true(truth):.{q.decimals}f}" if truth else "-"
+            cells = f"{measured:>12}{sigma:>11}{true:>13}{difference:>13}{in_sigmas:>10}"
+            yield f"  {q.name:<6}{q.unit:<4}{cells}"
+
+    def _account(self) -> Iterator[str]:
+        figures = self._figures
+        yield (
+            f"{figures.exposures} exposures, {figures.pairs_lost} pairs lost, {figures.frames_dropped} "
+            f"frames dropped, {memory_mib():.0f} MiB, {figures.cpu_share:.0%} of one core"
+        )
+        words = []
+        for name, place in self._faces.components().items():
+            component = self._daemon.health.component(place)
+            count = component.counters.get
+            answered = count("requests", 0) + count("telegrams_sent", 0) + count("commands", 0)
+            skipped = count("events_skipped", 0) + count("telegrams_dropped", 0) + count("answers_dropped", 0)
+            words.append(
+                f"{name} {answered}"
+                + (f", skipped {skipped}" if skipped else "")
+                + ("" if component.state == "ok" else f" {component.state.upper()}")
+            )
+        yield f"answers: {'; '.join(words)}"
+
+
+def _verdict(measurement: Measurement | None) -> StyledLine:
+    if measurement is None:
+        return "  NOT VALID: nothing measured so far", Style.BAD
+    status = ", ".join(str(fault) for fault in measurement.status)
+    if not measurement.valid:
+        return f"  NOT VALID: {status}", Style.BAD
+    return f"  VALID, mean of {measurement.frames} exposures; {status}", Style.GOOD
+
+
+_KEYS = (
+    ", ".join(f"{key} {action.does}" for key, action in FAULT_KEYS.items()),
+    f"{CLEAR_KEY} clear all faults, {QUIT_KEY} quit",
+)
