@@ -1,0 +1,229 @@
+"""The real daemon on cameras that deliver from memory: CPU, latency and the highest rate."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from altd.app import Daemon
+from altd.config import Config
+from benchmarks.cameras import Source
+from benchmarks.frames import CAMERAS, FPS, WINDOW, Material, make_config
+from benchmarks.stages import pure_rate
+
+_SETTLE_S = 1.2
+"""Until the window is full and every client is attached."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """From a pair's last frame handed over to its value in a reader's hands, ms."""
+
+    pairs: int
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFigures:
+    """What the daemon's process costs, all threads; a share of 1 is one core."""
+
+    name: str
+    seconds: float
+    pairs: int
+    lost: int
+    cpu_share: float
+    cpu_ms_a_pair: float | None
+    latency: Latency | None
+    answers: dict[str, int]
+    """What the attached clients got."""
+
+
+@dataclass(frozen=True, slots=True)
+class RateFigures:
+    """Pairs/s on one core."""
+
+    core: int
+    seconds: float
+    held: float
+    pairs: int
+    chain_alone: float
+    refused: tuple[float, ...]
+    """Rates that lost a pair, in the order tried."""
+    others_share: float
+    """What other processes took of that core meanwhile: while they run, frames of this one are replaced."""
+
+
+def measure_load(
+    material: Material, name: str, pairs_per_s: float, seconds: float, faces: bool
+) -> LoadFigures:
+    """Run the daemon and watch it; with ``faces`` its publishers have clients, in another process."""
+    if not faces:
+        return asyncio.run(_load(material, name, pairs_per_s, seconds, make_config(), dict))
+    modbus_port, http_port = free_port(), free_port()
+    with _terminal() as (far, device):
+        config = make_config(modbus_port, http_port, device)
+        arguments = [str(number) for number in (modbus_port, http_port, far)]
+        with subprocess.Popen(  # noqa: S603  our own interpreter and module
+            [sys.executable, "-m", "benchmarks.clients", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=[far],
+        ) as clients:
+
+            def dismiss() -> dict[str, int]:
+                answers: dict[str, int] = json.loads(clients.communicate()[0])
+                return answers
+
+            return asyncio.run(_load(material, name, pairs_per_s, seconds, config, dismiss))
+
+
+def measure_rate(material: Material, probe_s: float, probes: int, seconds: float) -> RateFigures:
+    """The highest rate at which one core loses no pair for ``seconds``.
+
+    Bisection below the chain's own rate with short probes; then the best of them for the whole time, and
+    a little less each time that it fails. A trial ends with the first loss.
+    """
+    allowed = os.sched_getaffinity(0)
+    core = max(allowed)
+    _pin({core})
+    busy_s, own_s, wall_s = _busy_s(core), time.process_time(), time.monotonic()
+    try:
+        bound = pure_rate(material, probe_s)
+        refused: list[float] = []
+        low, high = 0.0, bound
+        for _ in range(probes):
+            rate = (low + high) / 2
+            if asyncio.run(_holds(material, rate, probe_s)):
+                low = rate
+            else:
+                high = rate
+                refused.append(rate)
+        rate, pairs = low, 0
+        while rate > FPS and not (pairs := asyncio.run(_holds(material, rate, seconds))):
+            refused.append(rate)
+            rate *= 0.94
+        busy_s, own_s, wall_s = _busy_s(core) - busy_s, time.process_time() - own_s, time.monotonic() - wall_s
+        others_share = max(busy_s - own_s, 0.0) / wall_s
+        return RateFigures(core, seconds, rate if pairs else 0.0, pairs, bound, tuple(refused), others_share)
+    finally:
+        _pin(allowed)
+
+
+def free_port() -> int:
+    """A TCP port that nobody has at the moment."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
+async def _load(
+    material: Material,
+    name: str,
+    pairs_per_s: float,
+    seconds: float,
+    config: Config,
+    dismiss: Callable[[], dict[str, int]],
+) -> LoadFigures:
+    source = Source(material, pairs_per_s)
+    async with _running(source, config) as daemon:
+        waits_ns: list[int] = []
+        watching = asyncio.create_task(_watch(daemon, source, waits_ns))
+        await asyncio.sleep(_SETTLE_S)
+        seen, cpu_s, wall_s = len(waits_ns), time.process_time(), time.monotonic()
+        await asyncio.sleep(seconds)
+        waits_ms = np.array(waits_ns[seen:]) * 1e-6
+        cpu_s, wall_s = time.process_time() - cpu_s, time.monotonic() - wall_s
+        watching.cancel()
+        answers = await asyncio.to_thread(dismiss)
+        lost = _lost(daemon) if pairs_per_s else 0
+    latency = None
+    if len(waits_ms):
+        p50_ms, p99_ms = (float(value) for value in np.percentile(waits_ms, (50, 99)))
+        latency = Latency(len(waits_ms), p50_ms, p99_ms, float(waits_ms.max()))
+    each_ms = 1e3 * cpu_s / len(waits_ms) if len(waits_ms) else None
+    return LoadFigures(name, wall_s, len(waits_ms), lost, cpu_s / wall_s, each_ms, latency, answers)
+
+
+async def _watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
+    """A reader like any other: notes how old the frames of a valid value are when it has it in hands."""
+    cursor = daemon.board.cursor()
+    while True:
+        measurement = await cursor.next()
+        now_ns = time.monotonic_ns()
+        if measurement.valid:
+            waits_ns.append(now_ns - source.handed_ns[measurement.sequence])
+
+
+async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:
+    """The number of pairs measured when none was lost, else 0."""
+    source = Source(material, pairs_per_s)
+    async with _running(source, make_config()) as daemon:
+        end_ns = source.start_ns() + round(seconds * 1e9)
+        source.stop_at_ns = end_ns
+        while time.monotonic_ns() < end_ns and not _lost(daemon):  # noqa: ASYNC110  there is no event
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(0.1)
+        measured = daemon.health.component("measuring").counters.get("measurements", 0)
+        return measured if not _lost(daemon) and measured >= source.planned(seconds) else 0
+
+
+def _lost(daemon: Daemon) -> int:
+    """Frames that were dropped or came late, and exposures after the first half window without a value."""
+    counters = daemon.health.component("measuring").counters
+    dropped = sum(counters.get(f"dropped_{camera}", 0) for camera in CAMERAS)
+    useless = counters.get("measurements", 0) - counters.get("valid", 0) - (WINDOW // 2 - 1)
+    return dropped + counters.get("late_frames", 0) + max(useless, 0)
+
+
+@contextlib.asynccontextmanager
+async def _running(source: Source, config: Config) -> AsyncIterator[Daemon]:
+    daemon = Daemon(config, source.material.calibration, source.cameras)
+    task = asyncio.create_task(daemon.run(), name="daemon")
+    try:
+        yield daemon
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+def _busy_s(core: int) -> float:
+    """Seconds that a core has worked since the machine started, for whomever (proc(5), /proc/stat)."""
+    line = next(
+        line for line in Path("/proc/stat").read_text().splitlines() if line.startswith(f"cpu{core} ")
+    )
+    user, nice, system, _, _, irq, softirq, steal = (int(ticks) for ticks in line.split()[1:9])
+    return (user + nice + system + irq + softirq + steal) / os.sysconf("SC_CLK_TCK")
+
+
+def _pin(cores: set[int]) -> None:
+    """Every thread of this process, those that wait included."""
+    for thread in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(ProcessLookupError):
+            os.sched_setaffinity(int(thread.name), cores)
+
+
+@contextlib.contextmanager
+def _terminal() -> Iterator[tuple[int, Path]]:
+    """A pseudo terminal: the far end's descriptor and the device for the daemon."""
+    far, near = os.openpty()
+    tty.setraw(near)
+    try:
+        yield far, Path(os.ttyname(near))
+    finally:
+        os.close(far)
+        os.close(near)

@@ -1,0 +1,101 @@
+"""The material: exposure pairs of a simulated, moving and shaking unit, rendered before anything is timed."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from altd.calibration.file import save_calibration
+from altd.calibration.model import Calibration
+from altd.calibration.scan import calibrate_scan
+from altd.config import Config, Http, ModbusTcp, SerialPort, Target, Unit
+from altd.recording import open_recording
+from altd.records import Frame
+from hw_sim import unit as simulated
+from hw_sim.beam import BeamPose
+from hw_sim.motion import Drive, Vibration
+from hw_sim.recording import recording
+from hw_sim.scan import record_scan
+from hw_sim.stage import Stage
+
+SEED = 1
+FPS = 20.0
+WINDOW = 20
+CAMERAS = simulated.CAMERAS
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """Pairs (front, rear) one exposure apart, and the calibration of the unit that they come from."""
+
+    pairs: tuple[tuple[Frame, Frame], ...]
+    calibration: Calibration
+
+    def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
+        """Exposure number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps."""
+        last = len(self.pairs) - 1
+        front, rear = self.pairs[last - abs(last - sequence % (2 * last))]
+        return (
+            replace(front, sequence=sequence, t_ns=t_ns),
+            replace(rear, sequence=sequence, t_ns=t_ns),
+        )
+
+
+def make_material(pairs: int, exposures_a_node: int) -> Material:
+    """Render the pairs and calibrate their unit by a scan of its own."""
+    unit = simulated.Unit(simulated.UnitConfig(seed=SEED, fps=FPS, vibration=Vibration(), drive=Drive()))
+    unit.place(BeamPose(4.0, -3.0, 0.02, -0.03))
+    rendered = []
+    for sequence in range(pairs):
+        t_ns = sequence * unit.config.period_ns
+        front, rear = (unit.expose(camera, sequence, t_ns) for camera in CAMERAS)
+        rendered.append((front, rear))
+    with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
+        scan = Path(folder, "scan")
+        still = simulated.Unit(simulated.UnitConfig(seed=SEED))
+        stage = Stage(np.random.default_rng(SEED))
+        record_scan(scan, still, stage, exposures_a_node, lambda done, planned: None)
+        calibration = calibrate_scan(open_recording(scan)).calibration
+    return Material(tuple(rendered), calibration)
+
+
+def make_config(
+    modbus_port: int | None = None, http_port: int | None = None, telegram: Path | None = None
+) -> Config:
+    """An ordinary unit's config; the cameras are handed to the daemon by who makes it."""
+    local = "127.0.0.1"
+    return Config(
+        unit=Unit(serial=f"SIM-{SEED}", calibration=Path("in-memory")),
+        targets=(
+            Target(name="front", z_mm=0.0, camera="front"),
+            Target(name="rear", z_mm=280.0, camera="rear"),
+        ),
+        modbus_tcp=ModbusTcp(host=local, port=modbus_port) if modbus_port else None,
+        http=Http(host=local, port=http_port) if http_port else None,
+        serial=(SerialPort(device=telegram, speaks="telegram", baud=115200, interval_s=0.1),)
+        if telegram
+        else (),
+    )
+
+
+def write_run_folder(folder: Path, calibration: Calibration, http_port: int, exposures: int) -> Path:
+    """A config for ``altd run`` that plays a recording in real time, with all that it needs beside it."""
+    still = simulated.Unit(simulated.UnitConfig(seed=SEED))
+    with recording(folder / "recording", still, "measurement", exposures, lambda done, planned: None) as made:
+        for _ in range(exposures):
+            made.expose(BeamPose(4.0, -3.0, 0.02, -0.03))
+    save_calibration(calibration, folder / "calibration.json")
+    config = folder / "altd.toml"
+    config.write_text(
+        f'[unit]\nserial = "SIM-{SEED}"\ncalibration = "calibration.json"\n'
+        f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n'
+        + "".join(
+            f'[[targets]]\nname = "{name}"\nz_mm = {z_mm}\ncamera = "{name}"\n'
+            f'[cameras.{name}]\ndriver = "recording"\npath = "recording"\nrepeat = true\n'
+            for name, z_mm in (("front", 0.0), ("rear", 280.0))
+        )
+    )
+    return config

@@ -1,0 +1,234 @@
+"""Microseconds per stage of the chain, each over many frames that no cache holds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+from unittest import mock
+
+import cv2
+import numpy as np
+
+import altd.vision.search as search_room
+from altd.averaging import ExposureWindow
+from altd.beam import fit_beam, joint_covariance_mm2
+from altd.pairing import Pairer
+from altd.records import Exposure, Frame, MeanSpots, Origin, Spot, TargetPoint
+from altd.service.chain import MeasuringChain, View
+from altd.vision.background import coarse_picture, fit_background
+from altd.vision.localise import locate, spot_in
+from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
+
+PERIOD_NS = 50_000_000
+COPY, PICTURE, SEARCH, CHAIN = "memory pass: copy", "coarse picture", "coarse search", "whole chain"
+
+
+@dataclass(frozen=True, slots=True)
+class StageFigures:
+    """One stage: how often a pair needs it, and a call's time; ``passes`` is the time in memory passes.
+
+    A stage whose ``part_of`` is not empty is within another one.
+    """
+
+    name: str
+    part_of: str
+    calls_a_pair: int
+    median_us: float
+    p99_us: float
+    passes: float
+
+
+@dataclass(slots=True)
+class _Stage:
+    name: str
+    calls_a_pair: int
+    works: Sequence[Callable[[], object]]
+    part_of: str = ""
+    samples_us: list[float] = field(default_factory=list)
+
+    def take(self) -> None:
+        clock = time.perf_counter_ns
+        for work in self.works:
+            before = clock()
+            work()
+            self.samples_us.append((clock() - before) * 1e-3)
+
+
+def measure_stages(material: Material, rounds: int) -> list[StageFigures]:
+    """Every stage over all frames, in turn, ``rounds`` times: what disturbs, disturbs all alike.
+
+    Before its turn comes again a frame has left the caches, as one has that a camera has just written.
+    """
+    stages = [
+        *_memory_stages(material),
+        *_vision_stages(material),
+        *_stages_after_vision(material, rounds),
+    ]
+    inside: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        for stage in stages:
+            if stage.name == SEARCH:
+                _take_search(stage, inside)
+            else:
+                stage.take()
+    for at, (name, samples_us) in enumerate(inside.items(), [s.name for s in stages].index(SEARCH) + 1):
+        stages.insert(at, _Stage(name, 2, (), SEARCH, samples_us))
+    one_pass_us = float(np.median(stages[0].samples_us))
+    return [_figures(stage, one_pass_us) for stage in stages]
+
+
+def pure_rate(material: Material, seconds: float) -> float:
+    """Pairs/s of the chain alone, called back to back."""
+    chain = _chain(material)
+    count, begun = 0, time.perf_counter()
+    while time.perf_counter() - begun < seconds:
+        for frame in material.pair(count, count * PERIOD_NS):
+            chain.push(frame)
+        count += 1
+    return count / (time.perf_counter() - begun)
+
+
+def _figures(stage: _Stage, one_pass_us: float) -> StageFigures:
+    median_us, p99_us = (float(value) for value in np.percentile(stage.samples_us, (50, 99)))
+    return StageFigures(
+        stage.name, stage.part_of, stage.calls_a_pair, median_us, p99_us, median_us / one_pass_us
+    )
+
+
+def _chain(material: Material) -> MeasuringChain:
+    config = make_config()
+    views = [View(target.name, target.camera) for target in config.targets]
+    return MeasuringChain(
+        views, material.calibration, config.measuring, config.installation, [Origin.SIMULATED]
+    )
+
+
+def _memory_stages(material: Material) -> list[_Stage]:
+    """The least that touching every pixel of a frame costs."""
+    frames = [frame.pixels for pair in material.pairs for frame in pair]
+    kept = np.empty_like(frames[0])
+    size = kept.shape[1] // 8, kept.shape[0] // 8
+
+    def copy(pixels: Any) -> None:
+        np.copyto(kept, pixels)
+
+    def shrink(pixels: Any) -> None:
+        cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+
+    return [
+        _Stage(COPY, 2, [_call(copy, pixels) for pixels in frames]),
+        _Stage("memory pass: cv2.resize to 1/8", 2, [_call(shrink, pixels) for pixels in frames]),
+    ]
+
+
+def _vision_stages(material: Material) -> list[_Stage]:
+    stages = [
+        _Stage(SEARCH, 2, [_call(search_room.search, f.pixels) for pair in material.pairs for f in pair])
+    ]
+    for index, name in enumerate(CAMERAS):
+        frames = [pair[index] for pair in material.pairs]
+        target = material.calibration.target(name)
+        assert target is not None  # noqa: S101  the scan has both
+        works = []
+        for frame in frames:
+            found = search_room.search(frame.pixels)
+            works.append(_call(spot_in, frame, found.regions[0], found, target.localiser))
+        stages.append(_Stage(f"fine localisation {name}", 1, works))
+    return stages
+
+
+def _take_search(stage: _Stage, inside: dict[str, list[float]]) -> None:
+    """Time the search and, in the very same calls, its parts; the rest of it finds the regions."""
+    spent = {
+        PICTURE: inside.setdefault(PICTURE, []),
+        "background": inside.setdefault("background", []),
+    }
+    regions = inside.setdefault("regions", [])
+    before = len(stage.samples_us)
+    with (
+        mock.patch.object(search_room, "coarse_picture", _timed(coarse_picture, spent[PICTURE])),
+        mock.patch.object(search_room, "fit_background", _timed(fit_background, spent["background"])),
+    ):
+        stage.take()
+    parts = zip(stage.samples_us[before:], *(samples[before:] for samples in spent.values()), strict=True)
+    regions += [whole - picture - background for whole, picture, background in parts]
+
+
+def _timed(work: Callable[[Any], object], samples_us: list[float]) -> Callable[[Any], object]:
+    def timed(argument: Any) -> object:
+        before = time.perf_counter_ns()
+        result = work(argument)
+        samples_us.append((time.perf_counter_ns() - before) * 1e-3)
+        return result
+
+    return timed
+
+
+def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
+    """Pairing to beam, and the whole chain: they remember, so their frames are those of one long run."""
+    calls = len(material.pairs)
+    run = [material.pair(k, k * PERIOD_NS) for k in range(rounds * calls)]
+    spots = {id(frame.pixels): _spot(material, frame) for pair in material.pairs for frame in pair}
+    exposures = [
+        Exposure(pair[0].sequence, pair[0].t_ns, {f.camera: spots[id(f.pixels)] for f in pair})
+        for pair in run
+    ]
+    pairer: Pairer[Spot] = Pairer(CAMERAS, "sequence", 10_000_000, 400_000_000)
+    window = ExposureWindow(CAMERAS, WINDOW, 1)
+    chain = _chain(material)
+    to_pair, to_average, to_chain = iter(run), iter(exposures), iter(run)
+
+    def pair_two() -> None:
+        for frame in next(to_pair):
+            pairer.add(frame.camera, frame.sequence, frame.t_ns, spots[id(frame.pixels)])
+
+    def through_chain() -> None:
+        for frame in next(to_chain):
+            chain.push(frame)
+
+    means, points = _means_and_points(material, exposures[:calls])
+    map_works = [
+        _call(target.point, float(u), float(v))
+        for mean in means
+        for target, (u, v) in zip(material.calibration.targets, mean.px, strict=True)
+    ]
+    return [
+        _Stage("pairing", 1, [pair_two] * calls),
+        _Stage(f"averaging over {WINDOW}", 1, [lambda: window.add(next(to_average))] * calls),
+        _Stage("mapping, one point", 2, map_works),
+        _Stage("beam fit", 1, [_call(_beam, m, p) for m, p in zip(means, points, strict=True)]),
+        _Stage(CHAIN, 1, [through_chain] * calls),
+    ]
+
+
+def _spot(material: Material, frame: Frame) -> Spot:
+    target = material.calibration.target(frame.camera)
+    spot = locate(frame, target.localiser if target else None)
+    if not isinstance(spot, Spot):
+        raise TypeError(f"the material has a frame without a spot: {spot}")
+    return spot
+
+
+def _means_and_points(
+    material: Material, exposures: Sequence[Exposure]
+) -> tuple[list[MeanSpots], list[list[TargetPoint]]]:
+    window = ExposureWindow(CAMERAS, WINDOW, 1)
+    means = [mean for exposure in exposures if isinstance(mean := window.add(exposure), MeanSpots)]
+    points = []
+    for mean in means:
+        mapped = [
+            target.point(float(u), float(v))
+            for target, (u, v) in zip(material.calibration.targets, mean.px, strict=True)
+        ]
+        points.append([point for point in mapped if point is not None])
+    return means, points
+
+
+def _beam(mean: MeanSpots, points: Sequence[TargetPoint]) -> None:
+    fit_beam((0.0, 280.0), points, joint_covariance_mm2(mean, points))
+
+
+def _call(function: Callable[..., object], *arguments: object) -> Callable[[], object]:
+    return lambda: function(*arguments)
