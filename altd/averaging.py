@@ -60,8 +60,7 @@ def mean_spots(
         return _why_not(exposures)
     spots = [[_spot(exposure, target) for target in targets] for exposure in usable]
     px = np.array([[c for spot in row for c in (spot.u_px, spot.v_px)] for row in spots])
-    noise = np.array([[spot.sigma_px for spot in row for _ in range(2)] for row in spots])
-    typical_noise = np.median(noise, axis=0)
+    typical_noise = np.repeat(_median(np.array([[spot.sigma_px for spot in row] for row in spots])), 2)
     kept = _without_outliers(px, typical_noise)
     too_many = np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable)
     if too_many or _has_two_places(px[kept], typical_noise):
@@ -71,11 +70,21 @@ def mean_spots(
         targets=targets,
         px=mean.reshape(len(targets), 2),
         covariance_px2=_covariance_of_mean(px[kept] - mean, typical_noise),
-        t_ns=round(np.mean([e.t_ns - usable[0].t_ns for e, k in zip(usable, kept, strict=True) if k]))
-        + usable[0].t_ns,
+        t_ns=_middle_ns([exposure.t_ns for exposure, near in zip(usable, kept, strict=True) if near]),
         frames=int(np.count_nonzero(kept)),
         lost=len(exposures) - len(usable),
     )
+
+
+def _middle_ns(times_ns: Sequence[int]) -> int:
+    return times_ns[0] + round(sum(t_ns - times_ns[0] for t_ns in times_ns) / len(times_ns))
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """``np.median`` along the first axis, which on twenty values spends its time on checks."""
+    ordered = np.sort(values, axis=0)
+    middle: FloatArray = (ordered[(len(values) - 1) // 2] + ordered[len(values) // 2]) / 2
+    return middle
 
 
 def _spot(exposure: Exposure, target: str) -> Spot:
@@ -89,9 +98,9 @@ def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int
     count = len(px)
     if count < 3:
         return np.ones(count, bool)
-    distance = np.abs(px - np.median(px, axis=0))
+    distance = np.abs(px - _median(px))
     # n / (n − 0.8) takes out most of the MAD's bias in small samples
-    scale = _MAD_TO_SIGMA * np.median(distance, axis=0) * count / (count - 0.8)
+    scale = _MAD_TO_SIGMA * _median(distance) * count / (count - 0.8)
     near: np.ndarray[tuple[int], np.dtype[np.bool_]] = np.all(
         distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1
     )
@@ -105,7 +114,7 @@ def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
     is far wider than what lies on either side of it; steady motion and vibration leave no such gap.
     """
     ordered = np.sort(px, axis=0)
-    gaps = np.diff(ordered, axis=0)
+    gaps = ordered[1:] - ordered[:-1]
     if not len(gaps):
         return False
     for column in np.flatnonzero(gaps.max(axis=0) > _GAP_SIGMAS * noise):

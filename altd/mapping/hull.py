@@ -14,10 +14,8 @@ def convex_hull_mm(points_mm: FloatArray) -> FloatArray:
     return np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
-def distance_outside_mm(points_mm: FloatArray, hull_mm: FloatArray) -> FloatArray:
-    """How far points (n, 2) lie beyond the edge lines of a counter-clockwise hull; negative inside."""
-    start = hull_mm
-    edge = np.roll(hull_mm, -1, axis=0) - start
+def edge_lines(hull_mm: FloatArray) -> FloatArray:
+    """The edges of a counter-clockwise hull as (n, 3): a point lies outside by n_x x + n_y y − offset, mm."""
+    edge = np.roll(hull_mm, -1, axis=0) - hull_mm
     outward = np.stack([edge[:, 1], -edge[:, 0]], axis=-1) / np.linalg.norm(edge, axis=1)[:, None]
-    distances = np.einsum("nej,ej->ne", points_mm[:, None, :] - start[None], outward)
-    return np.asarray(distances.max(axis=1))
+    return np.column_stack([outward, np.einsum("ej,ej->e", outward, hull_mm)])

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from altd.mapping.hull import distance_outside_mm
+from altd.mapping.hull import edge_lines
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray
 
@@ -15,16 +16,30 @@ _START_DEGREE = 3
 _MAX_STEPS = 12
 _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
+_SINGULAR = 1e-12
+
+Rows = tuple[tuple[float, ...], ...]
+
+_UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InverseMap:
-    """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3."""
+    """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3.
+
+    A point at a time is what the daemon asks for, and for one point numpy's calls cost ten times the
+    arithmetic: the polynomials are kept as plain numbers, highest power first, for Horner's rule.
+    """
 
     forward: TensorMap
-    _start: FloatArray
-    _centre_px: FloatArray
+    _u: Rows
+    _v: Rows
+    _covariance_px2: FloatArray
+    _start_x: Rows
+    _start_y: Rows
+    _centre_px: tuple[float, float]
     _scale_px: float
+    _edges: Rows
 
     @classmethod
     def of(cls, forward: TensorMap) -> Self:
@@ -35,8 +50,19 @@ class InverseMap:
         px = forward.to_px(points_mm)
         centre = px.mean(axis=0)
         scale = float(np.abs(px - centre).max())
-        start = np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0]
-        return cls(forward, np.asarray(start), np.asarray(centre), scale)
+        start = np.asarray(np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0])
+        u, v, covariance = forward.powers()
+        return cls(
+            forward,
+            _rows(u),
+            _rows(v),
+            covariance,
+            _rows(_triangle(start[:, 0])),
+            _rows(_triangle(start[:, 1])),
+            (float(centre[0]), float(centre[1])),
+            scale,
+            _plain(edge_lines(forward.hull_mm)),
+        )
 
     def to_mm(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Map points (n, 2) px to (n, 2) mm.
@@ -46,43 +72,104 @@ class InverseMap:
         patterns, so no averaging removes it) and what the map itself is uncertain by. A point for which
         Newton does not converge, or that lies outside the hull by more than three of its sigmas, is NaN.
         """
-        guess = _monomials((points_px - self._centre_px) / self._scale_px) @ self._start
-        span = np.array(
-            [
-                self.forward.x_axis.last_mm - self.forward.x_axis.first_mm,
-                self.forward.y_axis.last_mm - self.forward.y_axis.first_mm,
-            ]
-        )
-        converged = np.zeros(len(points_px), bool)
-        inverse_jacobian = np.full((len(points_px), 2, 2), np.nan)
+        mm = np.empty((len(points_px), 2))
+        inverse_jacobian = np.empty((len(points_px), 2, 2))
+        covariance = np.empty((len(points_px), 2, 2))
+        for index, (u_px, v_px) in enumerate(points_px.tolist()):
+            mm[index], inverse_jacobian[index], covariance[index] = self._one(u_px, v_px)
+        return mm, inverse_jacobian, covariance
+
+    def _one(self, u_px: float, v_px: float) -> tuple[tuple[float, float], Rows, Rows]:
+        x_axis, y_axis = self.forward.x_axis, self.forward.y_axis
+        per_x, per_y = x_axis.unit_per_mm, y_axis.unit_per_mm
+        middle_x, middle_y = (x_axis.first_mm + x_axis.last_mm) / 2, (y_axis.first_mm + y_axis.last_mm) / 2
+        reach_x, reach_y = (x_axis.last_mm - x_axis.first_mm) / 4, (y_axis.last_mm - y_axis.first_mm) / 4
+        a, b = (u_px - self._centre_px[0]) / self._scale_px, (v_px - self._centre_px[1]) / self._scale_px
+        x, y = _horner(self._start_x, b, a), _horner(self._start_y, b, a)
         for _ in range(_MAX_STEPS):
-            px, jacobian = self.forward.to_px_with_jacobian(guess)
-            inverse_jacobian = _inverse_2x2(jacobian)
-            miss = points_px - px
-            converged = np.abs(miss).max(axis=1) < _CONVERGED_PX
-            if converged.all():
+            q, r = (x - middle_x) * per_x, (y - middle_y) * per_y
+            u, ux, uy = _horner_with_slopes(self._u, q, r)
+            v, vx, vy = _horner_with_slopes(self._v, q, r)
+            ux, vx, uy, vy = ux * per_x, vx * per_x, uy * per_y, vy * per_y
+            determinant = ux * vy - uy * vx
+            if not abs(determinant) >= _SINGULAR:  # so written, NaN is singular too
                 break
-            step = np.einsum("nij,nj->ni", inverse_jacobian, miss)
-            guess = guess + np.clip(np.nan_to_num(step), -span / 4, span / 4)
-        variance = self.forward.pattern_px**2 + self.forward.variance_px2(guess)
-        covariance = np.einsum("nij,n,nkj->nik", inverse_jacobian, variance, inverse_jacobian)
-        sigma_mm = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-        outside = distance_outside_mm(guess, self.forward.hull_mm) > _HULL_SIGMAS * sigma_mm
-        lost = ~converged | outside | ~np.isfinite(sigma_mm)
-        return np.where(lost[:, None], np.nan, guess), inverse_jacobian, covariance
+            xu, xv, yu, yv = vy / determinant, -uy / determinant, -vx / determinant, ux / determinant
+            miss_u, miss_v = u_px - u, v_px - v
+            if abs(miss_u) < _CONVERGED_PX and abs(miss_v) < _CONVERGED_PX:
+                return self._judged(x, y, ((xu, xv), (yu, yv)))
+            x += min(max(xu * miss_u + xv * miss_v, -reach_x), reach_x)
+            y += min(max(yu * miss_u + yv * miss_v, -reach_y), reach_y)
+        return (math.nan, math.nan), _UNKNOWN, _UNKNOWN
+
+    def _judged(self, x: float, y: float, inverse_jacobian: Rows) -> tuple[tuple[float, float], Rows, Rows]:
+        """A point found, with its covariance; NaN when that leaves it outside the hull."""
+        (xu, xv), (yu, yv) = inverse_jacobian
+        variance = self.forward.pattern_px**2 + self._variance_px2(x, y)
+        xy = variance * (xu * yu + xv * yv)
+        covariance = (
+            (variance * (xu * xu + xv * xv), xy),
+            (xy, variance * (yu * yu + yv * yv)),
+        )
+        allowed_mm = _HULL_SIGMAS * math.sqrt(covariance[0][0] + covariance[1][1])
+        inside = all(nx * x + ny * y - offset <= allowed_mm for nx, ny, offset in self._edges)
+        return (x, y) if inside else (math.nan, math.nan), inverse_jacobian, covariance
+
+    def _variance_px2(self, x: float, y: float) -> float:
+        """Variance of the mapped u, and of v, that the nodes' noise leaves in the map (Eq. 3.46)."""
+        x_axis, y_axis = self.forward.x_axis, self.forward.y_axis
+        q = (x - (x_axis.first_mm + x_axis.last_mm) / 2) * x_axis.unit_per_mm
+        r = (y - (y_axis.first_mm + y_axis.last_mm) / 2) * y_axis.unit_per_mm
+        degree_x, degree_y = self.forward.degree
+        along_x, along_y = [q**j for j in range(degree_x + 1)], [r**i for i in range(degree_y + 1)]
+        row = np.array([y * x for y in along_y for x in along_x])
+        return float(row @ self._covariance_px2 @ row)
+
+
+def _horner(rows: Rows, x: float, y: float) -> float:
+    """Σ c_ij x^j y^i; rows by falling i, coefficients by falling j."""
+    value = 0.0
+    for row in rows:
+        along_x = 0.0
+        for coefficient in row:
+            along_x = along_x * x + coefficient
+        value = value * y + along_x
+    return value
+
+
+def _horner_with_slopes(rows: Rows, x: float, y: float) -> tuple[float, float, float]:
+    """The same with its derivatives by x and by y."""
+    value = slope_x = slope_y = 0.0
+    for row in rows:
+        along_x = slope = 0.0
+        for coefficient in row:
+            slope = slope * x + along_x
+            along_x = along_x * x + coefficient
+        slope_y = slope_y * y + value
+        slope_x = slope_x * y + slope
+        value = value * y + along_x
+    return value, slope_x, slope_y
+
+
+def _rows(powers: FloatArray) -> Rows:
+    """A matrix of coefficients by rising powers, for Horner's rule."""
+    return _plain(powers[::-1, ::-1])
+
+
+def _plain(matrix: FloatArray) -> Rows:
+    return tuple(tuple(row) for row in matrix.tolist())
+
+
+def _triangle(start: FloatArray) -> FloatArray:
+    """The start's coefficients as a matrix: row i of u^i, column j of v^j."""
+    matrix = np.zeros((_START_DEGREE + 1, _START_DEGREE + 1))
+    matrix[[i for i, _ in _EXPONENTS], [j for _, j in _EXPONENTS]] = start
+    return matrix
+
+
+_EXPONENTS = tuple((i, j) for i in range(_START_DEGREE + 1) for j in range(_START_DEGREE + 1 - i))
 
 
 def _monomials(q: FloatArray) -> FloatArray:
     """All monomials up to the start's total degree of points (n, 2)."""
-    u, v = q[:, 0], q[:, 1]
-    return np.stack(
-        [u**i * v**j for i in range(_START_DEGREE + 1) for j in range(_START_DEGREE + 1 - i)], axis=-1
-    )
-
-
-def _inverse_2x2(matrix: FloatArray) -> FloatArray:
-    """Inverses (n, 2, 2); a singular one becomes NaN."""
-    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
-    determinant = a * d - b * c
-    determinant = np.where(np.abs(determinant) < 1e-12, np.nan, determinant)
-    return np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2) / determinant[:, None, None]
+    return np.stack([q[:, 0] ** i * q[:, 1] ** j for i, j in _EXPONENTS], axis=-1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.mapping.gram import gram_basis
+from altd.mapping.gram import gram_basis, gram_powers
 from altd.mapping.grid import Axis
 from altd.records import FloatArray
 
@@ -45,31 +45,23 @@ class TensorMap:
 
     def to_px(self, points_mm: FloatArray) -> FloatArray:
         """Map points (n, 2) mm to (n, 2) px. Not limited to the hull: the inverse needs room to search."""
-        by, _, bx, _ = self._bases(points_mm)
+        degree_x, degree_y = self.degree
+        bx = gram_basis(self.x_axis.to_unit(points_mm[:, 0]), self.x_axis.nodes, degree_x)
+        by = gram_basis(self.y_axis.to_unit(points_mm[:, 1]), self.y_axis.nodes, degree_y)
         px: FloatArray = np.einsum("ni,cij,nj->nc", by, self.spectra, bx)
         return px
 
-    def to_px_with_jacobian(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Map points (n, 2) mm to (n, 2) px, and d(u, v)/d(x, y) as (n, 2, 2) px/mm."""
-        by, by_slope, bx, bx_slope = self._bases(points_mm)
-        along_x = np.einsum("cij,nj->nci", self.spectra, bx)
-        px = np.einsum("nci,ni->nc", along_x, by)
-        d_dx = np.einsum("cij,nj,ni->nc", self.spectra, bx_slope, by) * self.x_axis.unit_per_mm
-        d_dy = np.einsum("nci,ni->nc", along_x, by_slope) * self.y_axis.unit_per_mm
-        return px, np.stack([d_dx, d_dy], axis=-1)
+    def powers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The map by powers y^i x^j in the axes' units, which for one point cost least.
 
-    def variance_px2(self, points_mm: FloatArray) -> FloatArray:
-        """Variance (n,) of the mapped u, and of v, that the nodes' noise leaves in the map (Eq. 3.46)."""
-        by, _, bx, _ = self._bases(points_mm)
-        rows = np.einsum("ni,nj->nij", by, bx).reshape(len(points_mm), -1)
-        gain: FloatArray = np.einsum("nk,kl,nl->n", rows, self.unit_covariance, rows)
-        return gain * self.noise_px**2
-
-    def _bases(self, points_mm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        ũ and ṽ (degree_y + 1, degree_x + 1) by rising i and j, and the covariance px² of either's
+        coefficients, stacked row by row (Eq. 3.46).
+        """
         degree_x, degree_y = self.degree
-        bx, bx_slope = gram_basis(self.x_axis.to_unit(points_mm[:, 0]), self.x_axis.nodes, degree_x)
-        by, by_slope = gram_basis(self.y_axis.to_unit(points_mm[:, 1]), self.y_axis.nodes, degree_y)
-        return by, by_slope, bx, bx_slope
+        gram_x, gram_y = gram_powers(self.x_axis.nodes, degree_x), gram_powers(self.y_axis.nodes, degree_y)
+        u, v = gram_y.T @ self.spectra @ gram_x
+        change = np.kron(gram_y, gram_x)
+        return u, v, change.T @ self.unit_covariance @ change * self.noise_px**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,8 +92,8 @@ def fit_tensor_map(
     if min(x_axis.nodes, y_axis.nodes) < _FEWEST_NODES:
         raise ValueError(f"a grid of {x_axis.nodes} × {y_axis.nodes} nodes is too small for a map")
     degree = degree or (min(_LARGEST_DEGREE, x_axis.nodes - 2), min(_LARGEST_DEGREE, y_axis.nodes - 2))
-    bx, _ = gram_basis(x_axis.to_unit(nodes_mm[:, 0]), x_axis.nodes, degree[0])
-    by, _ = gram_basis(y_axis.to_unit(nodes_mm[:, 1]), y_axis.nodes, degree[1])
+    bx = gram_basis(x_axis.to_unit(nodes_mm[:, 0]), x_axis.nodes, degree[0])
+    by = gram_basis(y_axis.to_unit(nodes_mm[:, 1]), y_axis.nodes, degree[1])
     design = np.einsum("ni,nj->nij", by, bx).reshape(len(nodes_mm), -1)
     freedom = len(nodes_mm) - design.shape[1]
     if freedom < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -44,7 +45,7 @@ class Background:
         u, v = u_px / self.scale_px, v_px / self.scale_px
         along_u = (c0 + u * (cu + u * cuu)).astype(np.float32)
         along_v = (v * (cv + v * cvv)).astype(np.float32)
-        mixed = np.outer(v.astype(np.float32), (cuv * u).astype(np.float32))
+        mixed: Image = v.astype(np.float32)[:, None] * (cuv * u).astype(np.float32)
         mixed += along_u[None, :]
         mixed += along_v[:, None]
         return mixed
@@ -58,10 +59,25 @@ def coarse_picture(pixels: PixelArray) -> Image:
     """
     rows, columns = pixels.shape[0] // CELL_PX, pixels.shape[1] // CELL_PX
     whole = pixels[: rows * CELL_PX, : columns * CELL_PX]
-    half = cv2.resize(whole, (columns * 2, rows * 2), interpolation=cv2.INTER_AREA)
-    half = cv2.medianBlur(half, 3)
+    half = cv2.medianBlur(_quarter_size(whole), 3)
     coarse = cv2.resize(half.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
     return np.asarray(coarse, dtype=np.float32)
+
+
+def _quarter_size(pixels: PixelArray) -> PixelArray:
+    """Rounded means over 4 × 4 px: ``cv2.resize`` with INTER_AREA, in half its time for 8 bits.
+
+    Four rows are added up in 16 bits; then four columns at a time are the lanes of one 64-bit word, whose
+    product with 1 + 2¹⁶ + 2³² + 2⁴⁸ has their sum, at most 16 · 255, in the highest lane.
+    """
+    rows, columns = pixels.shape[0] // 4, pixels.shape[1] // 4
+    if pixels.dtype != np.uint8:
+        return cast("PixelArray", cv2.resize(pixels, (columns, rows), interpolation=cv2.INTER_AREA))
+    four_rows = np.add(pixels[0::4], pixels[1::4], dtype=np.uint16, order="C")
+    four_rows += pixels[2::4]
+    four_rows += pixels[3::4]
+    sums = (four_rows.view(np.uint64) * np.uint64(0x0001_0001_0001_0001)) >> np.uint64(48)
+    return np.rint(sums.astype(np.float32) / 16).astype(np.uint8)
 
 
 def fit_background(coarse: Image) -> Background:
@@ -71,17 +87,20 @@ def fit_background(coarse: Image) -> Background:
     height, width = rows // tile_rows, columns // tile_columns
     tiles = coarse[: height * tile_rows, : width * tile_columns]
     tiles = tiles.reshape(tile_rows, height, tile_columns, width).swapaxes(1, 2)
-    values = np.median(tiles.reshape(tile_rows * tile_columns, -1), axis=1).astype(np.float64)
+    values = _medians(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
     scale_px = float(max(rows, columns) * CELL_PX)
     design = _tile_design(tile_rows, tile_columns, height, width, scale_px)
-    kept = values <= np.median(values) + _OUTLIER_SIGMAS * _sigma(values - np.median(values)) + 1.0
-    solution: FloatArray = np.array([np.median(values), 0, 0, 0, 0, 0])
+    middle = float(_medians(values))
+    kept = values <= middle + _OUTLIER_SIGMAS * _sigma(values - middle) + 1.0
+    solution: FloatArray = np.array([middle, 0, 0, 0, 0, 0])
     for _ in range(_REFINEMENTS):
         if np.count_nonzero(kept) < len(values) // 3:
             break
         solution = np.asarray(np.linalg.lstsq(design[kept], values[kept], rcond=None)[0])
         residual = values - design @ solution
-        kept = np.abs(residual) <= _OUTLIER_SIGMAS * _sigma(residual[kept]) + 0.5
+        kept_before, kept = kept, np.abs(residual) <= _OUTLIER_SIGMAS * _sigma(residual[kept]) + 0.5
+        if np.array_equal(kept, kept_before):
+            break
     c0, cu, cv, cuu, cuv, cvv = (float(value) for value in solution)
     return Background((c0, cu, cv, cuu, cuv, cvv), scale_px)
 
@@ -129,4 +148,14 @@ def pixel_noise(pixels: PixelArray, background: Background) -> float:
 
 
 def _sigma(values: FloatArray) -> float:
-    return _MAD_TO_SIGMA * float(np.median(np.abs(values)))
+    return _MAD_TO_SIGMA * float(_medians(np.abs(values)))
+
+
+def _medians(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """``np.median`` along the last axis, which on fifty values spends its time on checks."""
+    ordered = np.sort(values, axis=-1)
+    count = values.shape[-1]
+    middle: npt.NDArray[Any] = (
+        ordered[..., (count - 1) // 2] + ordered[..., count // 2]
+    ) / values.dtype.type(2)
+    return middle

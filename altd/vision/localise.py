@@ -21,6 +21,8 @@ _HOT_RATIO = 3.0
 _SATURATED_FROM = 0.995
 _NOISE_BLOCK_PX = 4
 _E2 = math.exp(-2.0)
+_RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+"""The eight neighbours of a pixel."""
 
 
 def locate(frame: Frame, settings: SpotSettings | None = None) -> Spot | NoSpot:
@@ -102,10 +104,11 @@ def without_hot_pixels(window: PixelArray) -> Image:
     """
     image: Image = window.astype(np.float32)
     floor = float(np.partition(image.ravel(), image.size // 4)[image.size // 4])
-    ring = np.ones((3, 3), np.uint8)
-    ring[1, 1] = 0
-    brightest_neighbour = cv2.dilate(window, ring).astype(np.float32)
-    hot = image - floor > _HOT_RATIO * np.maximum(brightest_neighbour - floor, 3.0)
+    limit = cv2.dilate(window, _RING).astype(np.float32)
+    np.maximum(limit, floor + 3, out=limit)
+    limit *= _HOT_RATIO
+    limit -= (_HOT_RATIO - 1) * floor  # all of it whole numbers, so nothing is rounded
+    hot = image > limit
     if hot.any():
         image[hot] = cv2.medianBlur(window, 5)[hot]
     return image
@@ -167,11 +170,12 @@ def _brightness(frame: Frame, patch: _Patch) -> tuple[float, float]:
 
 def _second_half_peak(patch: _Patch) -> float:
     """Area of the second largest piece above half the peak, relative to the largest."""
-    _, _, stats, _ = cv2.connectedComponentsWithStats(
-        ((patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)).astype(np.uint8)
-    )
-    areas = np.sort(np.asarray(stats)[1:, cv2.CC_STAT_AREA])[::-1]
-    return float(areas[1] / areas[0]) if len(areas) > 1 else 0.0
+    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
+    count, labels = cv2.connectedComponents(core.astype(np.uint8))
+    if count <= 2:
+        return 0.0
+    areas = np.sort(np.bincount(np.asarray(labels).ravel())[1:])[::-1]
+    return float(areas[1] / areas[0])
 
 
 def _diameter_px(patch: _Patch, settings: SpotSettings) -> float:
@@ -197,13 +201,16 @@ def _moment(
     """Eq. 2.7 with I replaced by (I − T)₊, and the noise of the result."""
     over = np.maximum(patch.smooth - np.float32(settings.threshold * patch.peak), np.float32(0))
     over[patch.mask == 0] = 0
-    weight = np.asarray(cv2.pow(over, settings.power))
-    columns, rows = weight.sum(axis=0, dtype=np.float64), weight.sum(axis=1, dtype=np.float64)
+    weight = np.zeros_like(over)
+    inside = over > 0  # the power of zero is what takes cv2.pow longest
+    weight[inside] = np.asarray(cv2.pow(over[inside], settings.power)).ravel()
+    columns = cv2.reduce(weight, 0, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
+    rows = cv2.reduce(weight, 1, cv2.REDUCE_SUM, dtype=cv2.CV_64F).ravel()
     total = float(columns.sum())
     u = float(columns @ np.arange(len(columns))) / total
     v = float(rows @ np.arange(len(rows))) / total
     noise = pixel_noise(frame.pixels, found.background)
-    sigma_px = _moment_sigma_px(patch, over, total, (u, v), noise, frame.full_scale, settings)
+    sigma_px = _moment_sigma_px(patch, over, weight, total, (u, v), noise, frame.full_scale, settings)
     if sigma_px > settings.max_sigma_px:
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {sigma_px:.1f} px")
     return Spot(patch.left + u, patch.top + v, sigma_px, diameter_px, peak)
@@ -212,6 +219,7 @@ def _moment(
 def _moment_sigma_px(
     patch: _Patch,
     over: Image,
+    weight: Image,
     total: float,
     centre: tuple[float, float],
     noise: float,
@@ -223,12 +231,12 @@ def _moment_sigma_px(
     du = Σ h dI with h = Gauss ⊛ [(u − ū) p (S − T)₊^(p−1) / Σ w]; var u = Σ h² (r² + I/K). It is summed on
     blocks of 4 px, on which h and I hardly change. Returns the root mean square of both axes.
     """
-    slope = np.zeros_like(over)
     # At the contour the root's derivative diverges: nearer to it than the smoothed noise it means nothing.
     floor = noise / max(1.0, 2 * math.sqrt(math.pi) * settings.smoothing_px)
-    inside = over > 0
-    slope[inside] = settings.power * np.maximum(over[inside], floor) ** (settings.power - 1)
-    slope /= total
+    slope = np.where(over > floor, weight, np.float32(floor**settings.power))  # over^p
+    slope *= settings.power / total
+    slope /= np.maximum(over, np.float32(floor))
+    slope[over == 0] = 0
     height, width = slope.shape
     lever_u = slope * (np.arange(width, dtype=np.float32) - np.float32(centre[0]))
     lever_v = slope * (np.arange(height, dtype=np.float32) - np.float32(centre[1]))[:, None]
