@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -26,6 +26,8 @@ from altd.service.manager import ServiceManager
 from altd.service.pipeline import Pipeline
 from altd.service.record import record
 from altd.service.supervision import Publisher, keep_running
+
+_FACES_START_S = 1.0
 
 
 class Daemon:
@@ -70,9 +72,12 @@ class Daemon:
         manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(faces))
         try:
             async with asyncio.TaskGroup() as tasks:
-                for place, publisher in faces.items():
+                tried = [asyncio.Event() for _ in faces]
+                for (place, publisher), first_try in zip(faces.items(), tried, strict=True):
                     component = self.health.component(place)
-                    tasks.create_task(keep_running(place, publisher, component, self.clock), name=place)
+                    face = keep_running(place, publisher, component, self.clock, first_try.set)
+                    tasks.create_task(face, name=place)
+                await _all_of(tried)
                 for name, camera in self._cameras.items():
                     component = self.health.component(f"camera {name}")
                     tasks.create_task(grab(camera, inbox, component), name=f"camera {name}")
@@ -175,6 +180,19 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float) -
     return await record(
         list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds
     )
+
+
+async def _all_of(tried: Sequence[asyncio.Event]) -> None:
+    """Let every face try to start before the first frame comes: a mistake in the config is the first word.
+
+    A face that takes long does not keep the unit from measuring.
+    """
+    try:
+        async with asyncio.timeout(_FACES_START_S):
+            for event in tried:
+                await event.wait()
+    except TimeoutError:
+        return
 
 
 def _first(group: BaseExceptionGroup[BadInputError]) -> BadInputError:

@@ -16,6 +16,7 @@ _LARGEST_OUTLIER_SHARE = 0.3
 _GAP_SIGMAS = 10.0
 _GONE_AFTER = 3
 """So many unusable exposures at the end of a window: the spot is gone, whatever came before."""
+_FEWEST_FOR_MOTION = 4
 _PRIOR_EXPOSURES = 2.0
 """Weight of the spots' own noise estimate against the observed scatter."""
 
@@ -65,12 +66,15 @@ def mean_spots(
     too_many = np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable)
     if too_many or _has_two_places(px[kept], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
+    times_ns = [exposure.t_ns for exposure, near in zip(usable, kept, strict=True) if near]
+    middle_ns = _middle_ns(times_ns)
+    since_middle_ns = np.array([t_ns - middle_ns for t_ns in times_ns], dtype=np.float64)
     mean = px[kept].mean(axis=0)
     return MeanSpots(
         targets=targets,
         px=mean.reshape(len(targets), 2),
-        covariance_px2=_covariance_of_mean(px[kept] - mean, typical_noise),
-        t_ns=_middle_ns([exposure.t_ns for exposure, near in zip(usable, kept, strict=True) if near]),
+        covariance_px2=_covariance_of_mean(px[kept] - mean, since_middle_ns, typical_noise),
+        t_ns=middle_ns,
         frames=int(np.count_nonzero(kept)),
         lost=len(exposures) - len(usable),
     )
@@ -126,11 +130,19 @@ def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
     return False
 
 
-def _covariance_of_mean(deviations: FloatArray, noise: FloatArray) -> FloatArray:
-    """Observed scatter of n exposures over n, drawn towards the spots' own noise while n is small."""
+def _covariance_of_mean(deviations: FloatArray, since_middle_ns: FloatArray, noise: FloatArray) -> FloatArray:
+    """Observed scatter of n exposures over n, drawn towards the spots' own noise while n is small.
+
+    Steady motion is taken out first: it moves no mean that is given for the middle of its exposures.
+    """
     count = len(deviations)
+    freedom = count - 1.0
+    if count >= _FEWEST_FOR_MOTION:
+        speed = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
+        deviations = deviations - since_middle_ns[:, None] * speed
+        freedom -= 1
     scatter = deviations.T @ deviations + _PRIOR_EXPOSURES * np.diag(np.square(noise))
-    covariance: FloatArray = scatter / (count - 1 + _PRIOR_EXPOSURES) / count
+    covariance: FloatArray = scatter / (freedom + _PRIOR_EXPOSURES) / count
     return covariance
 
 

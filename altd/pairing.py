@@ -42,7 +42,8 @@ class Pairer(Generic[Item]):
 
     By sequence: items of one exposure carry one number, and times no further apart than ``max_skew_ns``.
     By time: items whose times are no further apart than that belong together; the number is the first
-    camera's. A camera that delivered nothing for ``silent_after_ns`` is silent, else it is out of step.
+    camera's. A camera from which nothing came since is silent; one that delivers, but nothing that fits, is
+    out of step.
     """
 
     def __init__(
@@ -50,12 +51,10 @@ class Pairer(Generic[Item]):
         cameras: tuple[str, ...],
         by: Literal["sequence", "time"],
         max_skew_ns: int,
-        silent_after_ns: int,
     ) -> None:
         self._cameras = cameras
         self._by_time = by == "time"
         self._max_skew_ns = max_skew_ns
-        self._silent_after_ns = silent_after_ns
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
         self._last_t_ns: dict[str, int] = {}
         self._last_out: int | None = None
@@ -138,5 +137,5 @@ class Pairer(Generic[Item]):
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
         last_ns = self._last_t_ns.get(camera)
-        alive = last_ns is not None and abs(t_ns - last_ns) <= self._silent_after_ns
+        alive = last_ns is not None and last_ns >= t_ns - self._max_skew_ns
         return Reason.OUT_OF_STEP if alive else Reason.CAMERA_SILENT

@@ -71,6 +71,17 @@ def test_the_covariance_of_the_mean_is_that_of_monte_carlo() -> None:
     assert np.sqrt(difference @ expected @ difference) < 0.15 * np.sqrt(expected[0, 0])
 
 
+def test_steady_motion_does_not_count_as_scatter() -> None:
+    rng = np.random.default_rng(5)
+    errors, sigmas = [], []
+    for _ in range(400):
+        path = rng.normal(300, 0.1, 20) + 0.15 * np.arange(20)
+        mean = mean_of([exposure(n, front=(u, 200.0)) for n, u in enumerate(path)])
+        errors.append(mean.px[0, 0] - (300 + 0.15 * mean.t_ns / PERIOD_NS))
+        sigmas.append(np.sqrt(mean.covariance_px2[0, 0]))
+    assert np.mean(sigmas) == pytest.approx(np.std(errors), rel=0.1)
+
+
 def test_one_exposure_has_the_spots_own_noise() -> None:
     assert np.sqrt(np.diag(mean_of([exposure(0)]).covariance_px2)) == pytest.approx(0.02)
 

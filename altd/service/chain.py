@@ -61,7 +61,6 @@ class MeasuringChain:
             tuple(self._views),
             measuring.pair_by,
             max_skew_ns=round(measuring.max_skew_ms * 1e6),
-            silent_after_ns=self._silent_after_ns,
         )
         self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
         self._origin_faults = tuple(Fault(Reason(o)) for o in sorted(set(origins) - {Origin.CAMERA}))

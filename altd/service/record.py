@@ -34,12 +34,8 @@ async def record(
     """
     names = tuple(camera.name for camera in cameras)
     inbox = Inbox(names)
-    pairer: Pairer[Frame] = Pairer(
-        names,
-        measuring.pair_by,
-        max_skew_ns=round(measuring.max_skew_ms * 1e6),
-        silent_after_ns=round(measuring.silent_after_s * 1e9),
-    )
+    max_skew_ns = round(measuring.max_skew_ms * 1e6)
+    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, max_skew_ns)
     sink = _Sink(path, unit, cameras, fps, utc)
     grabbers = [
         asyncio.create_task(grab(camera, inbox, health.component(f"camera {camera.name}")))

@@ -29,8 +29,8 @@ def test_between_the_nodes_values_are_those_of_the_interpolating_polynomial() ->
 
 def test_the_powers_are_the_same_polynomials() -> None:
     x = np.linspace(-1, 1, 11)
-    by_powers = np.polynomial.polynomial.polyval(x, gram_powers(6, 4).T)
-    assert by_powers.T == pytest.approx(gram_basis(x, 6, 4), abs=1e-13)
+    expected = np.polynomial.polynomial.polyval(x, gram_powers(6, 4).T).T
+    assert gram_basis(x, 6, 4) == pytest.approx(expected, abs=1e-13)
 
 
 def test_a_degree_that_the_nodes_cannot_carry_is_refused() -> None:

@@ -18,7 +18,7 @@ from pymodbus.framer import FramerRTU
 from altd.config import SerialPort
 from altd.publish.modbus.responder import Responder
 from altd.service.board import Board
-from altd.service.health import Component
+from altd.service.health import Component, State
 
 LONGEST = 256
 """Bytes of the longest frame (Serial 2.5.1)."""
@@ -70,6 +70,7 @@ class ModbusRtuPublisher:
             )
             try:
                 ready()
+                self._component.say(State.OK, f"Modbus RTU, unit id {self._settings.unit_id}")
                 await self._serve(reader, port.fileno())
             finally:
                 transport.close()

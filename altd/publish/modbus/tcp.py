@@ -16,7 +16,7 @@ from pymodbus.constants import ExcCodes
 from altd.config import ModbusTcp
 from altd.publish.modbus.responder import Responder
 from altd.service.board import Board
-from altd.service.health import Component
+from altd.service.health import Component, State
 
 MBAP = struct.Struct(">HHHB")
 """Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
@@ -61,6 +61,7 @@ class ModbusTcpPublisher:
                 await server.start_serving()
                 self.port = server.sockets[0].getsockname()[1]
                 ready()
+                self._component.say(State.OK, f"Modbus TCP on port {self.port}")
                 await asyncio.get_running_loop().create_future()
             finally:
                 server.close()

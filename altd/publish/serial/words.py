@@ -74,7 +74,7 @@ def status_text(measurement: Measurement | None, health: Health) -> str:
     lines = [_hanging(name, text, width) for name, text in facts.items()]
     components = list(health)
     if components:
-        column = min(max(len(component.name) for component in components), 24) + 2
+        column = min(max(len(component.name) for component in components), 40) + 2
         lines += ["", f"{'component':<{column}}{'state':<10}{'for':<11}".rstrip()]
         lines += [_component_line(component, column) for component in components]
     lines += ["", *_what_to_do(measurement, components)]
