@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from datetime import UTC, datetime
 
 from altd.measurement_json import as_line, as_object
+from altd.publish.example import MEASURED
 from altd.publish.http.publisher import NOTHING_YET, PATHS
 from altd.publish.http.server import CONNECTIONS, HEADER_BYTES, REQUEST_S, STALLED_S
 from altd.publish.http.stream import CLIENTS, QUIET_S
-from altd.records import Beam, Measurement
-
-EXAMPLE = Measurement(
-    sequence=160,
-    t_ns=8_000_000_000,
-    time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC),
-    frames=20,
-    beam=Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011),
-    points_mm={"front": (10.012, 4.987), "rear": (15.613, -3.413)},
-)
 
 
 def page() -> str:
@@ -42,7 +32,7 @@ only: `GET` and `HEAD`. Open `http://UNIT:8080/` in a browser to see the values.
 gives one object, the same that `altd replay` writes:
 
 ```json
-{json.dumps(as_object(EXAMPLE), indent=2)}
+{json.dumps(as_object(MEASURED), indent=2)}
 ```
 
 Displacement in mm, angles in degrees and, as slopes, in mm/m; `sigma` holds standard deviations (1 sigma);
@@ -64,8 +54,8 @@ gives server-sent events, as `EventSource` in a browser reads them: at once the 
 new one. The `id` is its sequence.
 
 ```
-id: {EXAMPLE.sequence}
-data: {as_line(EXAMPLE)}
+id: {MEASURED.sequence}
+data: {as_line(MEASURED)}
 ```
 
 A client that cannot keep up skips measurements: a gap in the `id` shows it. When no exposures come any more,

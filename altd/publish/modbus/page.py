@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 import sys
 from collections.abc import Iterable
-from datetime import UTC, datetime
 
 from altd.config import ModbusTcp, SerialPort
+from altd.publish.example import MEASURED
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -26,17 +26,9 @@ from altd.publish.modbus.registers import (
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
 from altd.publish.modbus.tcp import MAX_CLIENTS
-from altd.records import Beam, Measurement
 
 EXAMPLE = Snapshot(
-    Measurement(
-        sequence=160,
-        t_ns=8_000_000_000,
-        time=datetime(2026, 11, 20, 8, 15, 30, 125_000, tzinfo=UTC),
-        frames=20,
-        beam=Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011),
-        points_mm={"front": (10.012, 4.987), "rear": (15.613, -3.413)},
-    ),
+    MEASURED,
     age_s=0.52,
     published=141,
 )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 
+from altd.publish.example import MEASURED
 from altd.publish.serial.console import COMMANDS, WATCH_S, Console
-from altd.publish.serial.examples import MEASURED, SPOT_LOST, health
+from altd.publish.serial.examples import SPOT_LOST, health
 from altd.publish.serial.lines import LONGEST_LINE
 from altd.records import Measurement
 

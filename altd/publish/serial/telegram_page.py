@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 from altd.config import SerialPort
-from altd.publish.serial.examples import MEASURED, SPOT_LOST
+from altd.publish.example import MEASURED
+from altd.publish.serial.examples import SPOT_LOST
 from altd.publish.serial.port import seconds_on_line
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,

@@ -26,11 +26,6 @@ def clock() -> FakeClock:
 
 
 @pytest.fixture
-def board(clock: FakeClock) -> Board:
-    return Board(clock, stale_after_s=1.0)
-
-
-@pytest.fixture
 def component(clock: FakeClock) -> Component:
     return Component("modbus", clock)
 

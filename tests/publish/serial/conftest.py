@@ -11,14 +11,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from support.clock import FakeClock
 
 from altd.config import SerialPort
 from altd.records import Beam, Measurement
-from altd.service.board import Board
 from altd.service.health import Component, Health
-
-START = datetime(2026, 11, 20, 8, 15, 22, 125_000, UTC)
 
 
 @dataclass
@@ -62,23 +58,6 @@ def wire() -> Iterator[Wire]:
     wire = Wire(far, near, Path(os.ttyname(near)))
     yield wire
     wire.hang_up()
-
-
-@pytest.fixture
-def clock() -> FakeClock:
-    return FakeClock(8_000_000_000)
-
-
-@pytest.fixture
-def board(clock: FakeClock) -> Board:
-    return Board(clock, stale_after_s=1.0)
-
-
-@pytest.fixture
-def health(clock: FakeClock) -> Health:
-    health = Health(clock)
-    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
-    return health
 
 
 @pytest.fixture

@@ -1,0 +1,26 @@
+"""A clock that a test moves, and a board and health that tell its time."""
+
+from __future__ import annotations
+
+import pytest
+from support.clock import FakeClock
+
+from altd.service.board import Board
+from altd.service.health import Health
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock(8_000_000_000)
+
+
+@pytest.fixture
+def board(clock: FakeClock) -> Board:
+    return Board(clock, stale_after_s=1.0)
+
+
+@pytest.fixture
+def health(clock: FakeClock) -> Health:
+    health = Health(clock)
+    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
+    return health
