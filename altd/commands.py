@@ -74,10 +74,11 @@ def _calibrate(options: argparse.Namespace) -> int:
     for line in result.refused:
         print(f"altd calibrate: left out: {line}", file=sys.stderr)
     print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
-    print("target  degree  residual mean / std / max mm   repeatability u / v px   LEDs")
+    print("target  map           left out px   residual mean / std / max mm   repeatability u / v px   LEDs")
     for target in result.calibration.targets:
+        degree = "" if target.map.model == "lens" else f" {target.map.degree[0]} × {target.map.degree[1]}"
         print(
-            f"{target.name:<7} {target.map.degree[0]} × {target.map.degree[1]}   "
+            f"{target.name:<7} {target.map.model + degree:<13} {target.left_out_px:.3f}         "
             f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
             f"            {len(target.leds_px)}"

@@ -37,14 +37,15 @@ class _Axis(_Table):
 
 class _Map(_Table):
     basis: Literal["gram"]
+    model: Literal["tensor", "lens"]
     x_axis: _Axis
     y_axis: _Axis
     degree: tuple[int, int]
     spectrum_u_px: list[list[float]]
     spectrum_v_px: list[list[float]]
-    unit_covariance: list[list[float]]
+    spread_u_px: list[list[float]]
+    spread_v_px: list[list[float]]
     noise_px: Annotated[float, Field(gt=0)]
-    pattern_px: Annotated[float, Field(gt=0)]
     hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
 
 
@@ -76,6 +77,7 @@ class _Target(_Table):
     height: int
     localiser: _Localiser
     map: _Map
+    left_out_px: Annotated[float, Field(gt=0)]
     residuals: _Residuals
     repeatability_px: tuple[float, float]
     leds_px: list[tuple[float, float]]
@@ -187,16 +189,18 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "localiser": asdict(target.localiser),
         "map": {
             "basis": "gram",
+            "model": fitted.model,
             "x_axis": asdict(fitted.x_axis),
             "y_axis": asdict(fitted.y_axis),
             "degree": list(fitted.degree),
             "spectrum_u_px": fitted.spectra[0].tolist(),
             "spectrum_v_px": fitted.spectra[1].tolist(),
-            "unit_covariance": fitted.unit_covariance.tolist(),
+            "spread_u_px": fitted.spread_px[0].tolist(),
+            "spread_v_px": fitted.spread_px[1].tolist(),
             "noise_px": fitted.noise_px,
-            "pattern_px": fitted.pattern_px,
             "hull_mm": fitted.hull_mm.tolist(),
         },
+        "left_out_px": target.left_out_px,
         "residuals": {
             "mean_mm": target.residual_mean_mm,
             "std_mm": target.residual_std_mm,
@@ -225,6 +229,7 @@ def _from_target(target: _Target) -> TargetCalibration:
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
         map=_from_map(target.name, target.map),
+        left_out_px=target.left_out_px,
         residual_mean_mm=target.residuals.mean_mm,
         residual_std_mm=target.residuals.std_mm,
         residual_max_mm=target.residuals.max_mm,
@@ -236,16 +241,18 @@ def _from_target(target: _Target) -> TargetCalibration:
 def _from_map(name: str, content: _Map) -> TensorMap:
     columns, rows = content.degree[0] + 1, content.degree[1] + 1
     return TensorMap(
+        model=content.model,
         x_axis=Axis(**content.x_axis.model_dump()),
         y_axis=Axis(**content.y_axis.model_dump()),
         spectra=_array(
             f"targets.{name}.map.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
         ),
-        unit_covariance=_array(
-            f"targets.{name}.map.unit_covariance", content.unit_covariance, (rows * columns,) * 2
+        spread_px=_array(
+            f"targets.{name}.map.spread",
+            [content.spread_u_px, content.spread_v_px],
+            (2, rows * columns, len(content.spread_u_px[0]) if content.spread_u_px else 0),
         ),
         noise_px=content.noise_px,
-        pattern_px=content.pattern_px,
         hull_mm=np.array(content.hull_mm),
     )
 

@@ -18,9 +18,10 @@ from altd.vision.settings import SpotSettings
 class TargetCalibration:
     """One target: how its spot is localised, the map, and how well it fits.
 
-    ``residual_mean_mm``, ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the
-    map; ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v;
-    ``leds_px`` (n, 2) are the frame LEDs' reference positions.
+    ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
+    ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
+    ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
+    are the frame LEDs' reference positions.
     """
 
     name: str
@@ -29,6 +30,7 @@ class TargetCalibration:
     height: int
     localiser: SpotSettings
     map: TensorMap
+    left_out_px: float
     residual_mean_mm: float
     residual_std_mm: float
     residual_max_mm: float

@@ -12,6 +12,7 @@ from altd.calibration.model import Calibration, TargetCalibration
 from altd.errors import BadInputError
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
+from altd.mapping.lens import fit_lens_map
 from altd.mapping.tensor_map import Fit, fit_tensor_map
 from altd.recording import Recording, Row
 from altd.records import FloatArray, Frame, NoSpot
@@ -151,28 +152,45 @@ def _target(
         raise BadInputError(recording.path, f"{name}: {len(refused)} of {total} nodes have no spot: {why}")
     nodes_mm = np.array([np.mean(node.positions_mm, axis=0) for node in nodes])
     nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
-    repeatability_px = _repeatability_px([node.spots_px for node in nodes])
-    exposures = np.mean([len(node.spots_px) for node in nodes])
-    exposure_noise_px = float(np.sqrt(np.mean(np.square(repeatability_px)) / exposures))
+    size = recording.header.cameras[name].width, recording.header.cameras[name].height
     try:
-        fit = fit_tensor_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), degree, exposure_noise_px)
+        fit = _best_fit(nodes_mm, nodes_px, size, degree)
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
     distance_mm = _residual_distances_mm(fit, nodes_mm)
-    camera = recording.header.cameras[name]
     return TargetCalibration(
         name=name,
         z_mm=z_mm,
-        width=camera.width,
-        height=camera.height,
+        width=size[0],
+        height=size[1],
         localiser=localiser,
         map=fit.map,
+        left_out_px=fit.left_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=repeatability_px,
+        repeatability_px=_repeatability_px([node.spots_px for node in nodes]),
         leds_px=_mean_leds_px(seen.leds),
     )
+
+
+def _best_fit(
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    image_size: tuple[int, int],
+    degree: tuple[int, int] | None,
+) -> Fit:
+    """The lens model or the plain tensor polynomial, whichever misses a node less that it was not shown.
+
+    Raises ValueError when the nodes are no grid or too few; a lens model that fails only loses.
+    """
+    hull_mm = convex_hull_mm(nodes_mm)
+    tensor = fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)
+    try:
+        lens = fit_lens_map(nodes_mm, nodes_px, hull_mm, image_size)
+    except ValueError:
+        return tensor
+    return min(tensor, lens, key=lambda fit: fit.left_out_px)
 
 
 def _residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ class InverseMap:
     forward: TensorMap
     _u: Rows
     _v: Rows
-    _covariance_px2: FloatArray
+    _spread_px: FloatArray
     _start_x: Rows
     _start_y: Rows
     _centre_px: tuple[float, float]
@@ -51,12 +51,12 @@ class InverseMap:
         centre = px.mean(axis=0)
         scale = float(np.abs(px - centre).max())
         start = np.asarray(np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0])
-        u, v, covariance = forward.powers()
+        u, v, spread_px = forward.powers()
         return cls(
             forward,
             _rows(u),
             _rows(v),
-            covariance,
+            spread_px,
             _rows(_triangle(start[:, 0])),
             _rows(_triangle(start[:, 1])),
             (float(centre[0]), float(centre[1])),
@@ -105,25 +105,27 @@ class InverseMap:
     def _judged(self, x: float, y: float, inverse_jacobian: Rows) -> tuple[tuple[float, float], Rows, Rows]:
         """A point found, with its covariance; NaN when that leaves it outside the hull."""
         (xu, xv), (yu, yv) = inverse_jacobian
-        variance = self.forward.pattern_px**2 + self._variance_px2(x, y)
-        xy = variance * (xu * yu + xv * yv)
+        uu, uv, vv = self._variance_px2(x, y)
+        xy = xu * yu * uu + (xu * yv + xv * yu) * uv + xv * yv * vv
         covariance = (
-            (variance * (xu * xu + xv * xv), xy),
-            (xy, variance * (yu * yu + yv * yv)),
+            (xu * xu * uu + 2 * xu * xv * uv + xv * xv * vv, xy),
+            (xy, yu * yu * uu + 2 * yu * yv * uv + yv * yv * vv),
         )
         allowed_mm = _HULL_SIGMAS * math.sqrt(covariance[0][0] + covariance[1][1])
         inside = all(nx * x + ny * y - offset <= allowed_mm for nx, ny, offset in self._edges)
         return (x, y) if inside else (math.nan, math.nan), inverse_jacobian, covariance
 
-    def _variance_px2(self, x: float, y: float) -> float:
-        """Variance of the mapped u, and of v, that the nodes' noise leaves in the map (Eq. 3.46)."""
+    def _variance_px2(self, x: float, y: float) -> tuple[float, float, float]:
+        """Variances of u and v and their covariance: the place's own pattern and the map's spread."""
         x_axis, y_axis = self.forward.x_axis, self.forward.y_axis
         q = (x - (x_axis.first_mm + x_axis.last_mm) / 2) * x_axis.unit_per_mm
         r = (y - (y_axis.first_mm + y_axis.last_mm) / 2) * y_axis.unit_per_mm
         degree_x, degree_y = self.forward.degree
         along_x, along_y = [q**j for j in range(degree_x + 1)], [r**i for i in range(degree_y + 1)]
-        row = np.array([y * x for y in along_y for x in along_x])
-        return float(row @ self._covariance_px2 @ row)
+        row = np.array([in_y * in_x for in_y in along_y for in_x in along_x])
+        of_u, of_v = row @ self._spread_px
+        pattern = self.forward.noise_px**2
+        return pattern + float(of_u @ of_u), float(of_u @ of_v), pattern + float(of_v @ of_v)
 
 
 def _horner(rows: Rows, x: float, y: float) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -13,29 +13,27 @@ from altd.records import FloatArray
 
 _LARGEST_DEGREE = 4
 _FEWEST_NODES = 4
-_LEAST_PATTERN = 0.3
-"""Of the nodes' noise: with few degrees of freedom the exposures may seem to explain all of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TensorMap:
     """A fitted map.
 
-    ``spectra`` (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``unit_covariance``
-    (K, K), K = (degree_x + 1)(degree_y + 1), is the covariance of either spectrum, stacked row by row, for
-    node noise of 1 px: the Kronecker product of Eq. 3.53, which is the identity on a complete grid.
+    ``model`` is what was fitted: the tensor polynomial itself or a lens that it represents. ``spectra``
+    (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``spread_px`` (2, K, m),
+    K = (degree_x + 1)(degree_y + 1), is what the nodes' noise leaves in the spectra, stacked row by row:
+    each of the m columns is one independent error of 1 sigma. Its square is the covariance of Eq. 3.49–3.53.
     ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v: print and speckle
-    scatter alike along both, and 30 nodes leave little freedom to tell. ``pattern_px`` is the share of it
-    that print and speckle make at one place and that no averaging of exposures removes. ``hull_mm`` (n, 2)
-    is the convex polygon in which the map is valid, counter-clockwise.
+    scatter alike along both, and 30 nodes leave little freedom to tell. No averaging of exposures removes it
+    at a new place. ``hull_mm`` (n, 2) is the convex polygon in which the map is valid, counter-clockwise.
     """
 
+    model: Literal["tensor", "lens"]
     x_axis: Axis
     y_axis: Axis
     spectra: FloatArray
-    unit_covariance: FloatArray
+    spread_px: FloatArray
     noise_px: float
-    pattern_px: float
     hull_mm: FloatArray
 
     @property
@@ -54,22 +52,25 @@ class TensorMap:
     def powers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The map by powers y^i x^j in the axes' units, which for one point cost least.
 
-        ũ and ṽ (degree_y + 1, degree_x + 1) by rising i and j, and the covariance px² of either's
-        coefficients, stacked row by row (Eq. 3.46).
+        ũ and ṽ (degree_y + 1, degree_x + 1) by rising i and j, and the spread of their coefficients.
         """
         degree_x, degree_y = self.degree
         gram_x, gram_y = gram_powers(self.x_axis.nodes, degree_x), gram_powers(self.y_axis.nodes, degree_y)
         u, v = gram_y.T @ self.spectra @ gram_x
-        change = np.kron(gram_y, gram_x)
-        return u, v, change.T @ self.unit_covariance @ change * self.noise_px**2
+        return u, v, np.einsum("kl,ckm->clm", np.kron(gram_y, gram_x), self.spread_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A map and what was left over: residuals (n, 2) px of the nodes, measured minus mapped."""
+    """A map and what was left over: residuals (n, 2) px of the nodes, measured minus mapped.
+
+    ``left_out_px`` is the rms, over u and v, of how far a node lies from the map fitted without it: what the
+    map would miss a new place by, print and speckle included.
+    """
 
     map: TensorMap
     residuals_px: FloatArray
+    left_out_px: float
 
 
 def fit_tensor_map(
@@ -77,14 +78,12 @@ def fit_tensor_map(
     nodes_px: FloatArray,
     hull_mm: FloatArray,
     degree: tuple[int, int] | None = None,
-    exposure_noise_px: float = 0.0,
 ) -> Fit:
     """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
 
     The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
     Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is 4 where an axis has six nodes or more, else
-    two less than the nodes. ``exposure_noise_px`` is what the exposures themselves scatter in the mean of a
-    node: it belongs to the map's noise, not to the fixed pattern.
+    two less than the nodes.
 
     Raises ValueError when the nodes are no grid or too few for the degree.
     """
@@ -108,9 +107,17 @@ def fit_tensor_map(
     spectra = unit_covariance @ design.T @ nodes_px
     residuals = nodes_px - design @ spectra
     noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * freedom)))
-    pattern_px = math.sqrt(max(noise_px**2 - exposure_noise_px**2, (_LEAST_PATTERN * noise_px) ** 2))
-    shape = (2, degree[1] + 1, degree[0] + 1)
+    either = noise_px * np.linalg.cholesky(unit_covariance)
+    nothing = np.zeros_like(either)
     fitted = TensorMap(
-        x_axis, y_axis, spectra.T.reshape(shape), unit_covariance, noise_px, pattern_px, hull_mm
+        model="tensor",
+        x_axis=x_axis,
+        y_axis=y_axis,
+        spectra=spectra.T.reshape(2, degree[1] + 1, degree[0] + 1),
+        spread_px=np.stack([np.hstack([either, nothing]), np.hstack([nothing, either])]),
+        noise_px=noise_px,
+        hull_mm=hull_mm,
     )
-    return Fit(fitted, residuals)
+    leverage = np.einsum("nk,kl,nl->n", design, unit_covariance, design)
+    left_out = residuals / np.maximum(1 - leverage, 1e-9)[:, None]
+    return Fit(fitted, residuals, float(np.sqrt(np.mean(np.square(left_out)))))

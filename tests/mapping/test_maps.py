@@ -44,7 +44,8 @@ def test_on_a_complete_grid_the_fit_is_the_projection_of_equation_3_35() -> None
     expected = by @ by.T @ px[:, 0].reshape(5, 6) @ bx @ bx.T
     result = fit(nodes, px)
     assert result.map.to_px(nodes)[:, 0].reshape(5, 6) == pytest.approx(expected, abs=1e-8)
-    assert result.map.unit_covariance == pytest.approx(np.eye(16), abs=1e-9)
+    of_u = result.map.spread_px[0] / result.map.noise_px
+    assert of_u @ of_u.T == pytest.approx(np.eye(16), abs=1e-9)
 
 
 def test_a_polynomial_of_the_maps_degree_is_recovered_from_an_incomplete_grid() -> None:

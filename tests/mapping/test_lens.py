@@ -1,0 +1,99 @@
+"""The lens model against OpenCV's projection, which shares no code with it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.inverse import InverseMap
+from altd.mapping.lens import fit_lens_map
+from altd.mapping.tensor_map import Fit, fit_tensor_map
+
+SIZE = (752, 480)
+NOISE_PX = 0.05
+
+x, y = np.meshgrid((np.arange(6) - 2.5) * 25, (np.arange(5) - 2.0) * 25)
+NODES = np.column_stack([x.ravel(), y.ravel()])
+
+
+def camera(points_mm: np.ndarray, focal_px: float = 1000.0, mirrored: bool = False) -> np.ndarray:
+    """A tilted, shifted camera with Brown's five coefficients; y is up, v is down."""
+    matrix = np.array([[focal_px, 0, 384.0], [0, focal_px, 231.0], [0, 0, 1]])
+    brown = np.array([-0.2, 0.06, 0.0008, -0.0011, 0.02])
+    side = -1.0 if mirrored else 1.0
+    space = np.column_stack([side * points_mm[:, 0], -points_mm[:, 1], np.zeros(len(points_mm))])
+    tilt, shift = np.array([0.06, -0.28, 0.03]), np.array([4.0, -3.0, 0.26 * focal_px])
+    return cv2.projectPoints(space, tilt, shift, matrix, brown)[0].reshape(-1, 2)
+
+
+def fit(px: np.ndarray, nodes: np.ndarray = NODES) -> Fit:
+    return fit_lens_map(nodes, px, convex_hull_mm(nodes), SIZE)
+
+
+def inside(count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform((-60, -48), (60, 48), (count, 2))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("focal_px", [600.0, 1000.0, 2000.0])
+def test_a_brown_camera_is_found_from_either_side(focal_px: float, mirrored: bool) -> None:
+    points = inside(100, np.random.default_rng(1))
+    fitted = fit(camera(NODES, focal_px, mirrored)).map
+    assert fitted.to_px(points) == pytest.approx(camera(points, focal_px, mirrored), abs=0.01)
+
+
+def test_the_lens_map_misses_less_than_the_tensor_polynomial_on_a_lens() -> None:
+    rng = np.random.default_rng(2)
+    points, ratios = inside(200, rng), []
+    for _ in range(10):
+        px = camera(NODES) + rng.normal(0, NOISE_PX, NODES.shape)
+        tensor = fit_tensor_map(NODES, px, convex_hull_mm(NODES))
+        lens = fit(px)
+        assert lens.left_out_px < tensor.left_out_px
+        miss = [np.sqrt(np.mean((m.map.to_px(points) - camera(points)) ** 2)) for m in (lens, tensor)]
+        ratios.append(miss[0] / miss[1])
+    assert np.mean(ratios) < 0.7
+
+
+def test_the_published_covariance_is_that_of_monte_carlo() -> None:
+    rng = np.random.default_rng(3)
+    truth_mm = np.array([[0.0, 0.0], [-50.0, 40.0], [37.0, -12.0]])
+    errors, predicted = [], []
+    for _ in range(300):
+        inverse = InverseMap.of(fit(camera(NODES) + rng.normal(0, NOISE_PX, NODES.shape)).map)
+        spot = camera(truth_mm) + rng.normal(0, NOISE_PX, truth_mm.shape)
+        found, _, covariance = inverse.to_mm(spot)
+        errors.append(found - truth_mm)
+        predicted.append(covariance)
+    scatter = np.sqrt(np.var(errors, axis=0))
+    mean_predicted = np.sqrt(np.diagonal(np.mean(predicted, axis=0), axis1=1, axis2=2))
+    assert mean_predicted / scatter == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_a_node_misses_the_map_by_that_never_saw_it() -> None:
+    rng = np.random.default_rng(4)
+    px = camera(NODES) + rng.normal(0, NOISE_PX, NODES.shape)
+    missed = []
+    for node in range(len(NODES)):
+        rest = np.delete(np.arange(len(NODES)), node)
+        without = fit(px[rest], NODES[rest]).map
+        missed.append(px[node] - without.to_px(NODES[node : node + 1])[0])
+    assert fit(px).left_out_px == pytest.approx(np.sqrt(np.mean(np.square(missed))), rel=0.1)
+
+
+def test_a_bend_that_no_lens_has_is_left_to_the_tensor_polynomial() -> None:
+    def bent(p: np.ndarray) -> np.ndarray:
+        return np.column_stack([370 + 4 * p[:, 0] + 2 * np.sin(p[:, 1] / 20), 240 - 4 * p[:, 1]])
+
+    px = bent(NODES) + np.random.default_rng(5).normal(0, NOISE_PX, NODES.shape)
+    assert fit(px).left_out_px > 2 * fit_tensor_map(NODES, px, convex_hull_mm(NODES)).left_out_px
+
+
+def test_nodes_that_cannot_carry_a_lens_are_refused() -> None:
+    with pytest.raises(ValueError, match="10 nodes are too few for a lens model"):
+        fit(camera(NODES[:10]), NODES[:10])
+    line = np.column_stack([np.linspace(-60, 60, 20), np.zeros(20)])
+    with pytest.raises(ValueError, match="the nodes lie on a line"):
+        fit_lens_map(line, camera(line), convex_hull_mm(NODES), SIZE)
