@@ -8,12 +8,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from altd.calibration.fitting import fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.errors import BadInputError
-from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
-from altd.mapping.lens import fit_lens_map
-from altd.mapping.tensor_map import Fit, fit_tensor_map
+from altd.mapping.tensor_map import Fit
 from altd.recording import Recording, Row
 from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.leds import locate_leds
@@ -57,7 +56,7 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """A calibration and, per target, the nodes that gave no spot, in words."""
+    """A calibration and, in words, the nodes that it was made without."""
 
     calibration: Calibration
     refused: tuple[str, ...]
@@ -146,17 +145,25 @@ def _target(
     degree: tuple[int, int] | None,
 ) -> TargetCalibration:
     nodes = [node for node in seen.nodes.values() if node.usable]
-    refused, total = seen.refused, len(seen.nodes)
-    if len(refused) > _LARGEST_MISSING_SHARE * total or not nodes:
+    refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
+    if len(refused) > most or not nodes:
         why = refused[0].complaints[0] if refused else "no row has a position"
-        raise BadInputError(recording.path, f"{name}: {len(refused)} of {total} nodes have no spot: {why}")
-    nodes_mm = np.array([np.mean(node.positions_mm, axis=0) for node in nodes])
-    nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+        raise BadInputError(
+            recording.path, f"{name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
+        )
+    all_mm = np.array([np.mean(node.positions_mm, axis=0) for node in nodes])
+    all_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
     size = recording.header.cameras[name].width, recording.header.cameras[name].height
     try:
-        fit = _best_fit(nodes_mm, nodes_px, size, degree)
+        fit, dropped = fit_nodes(all_mm, all_px, size, degree, most - len(refused))
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
+    for row in dropped:
+        off_px = float(np.linalg.norm(all_px[row] - fit.map.to_px(all_mm[row : row + 1])[0]))
+        nodes[row].spots_px.clear()
+        nodes[row].complaints.append(f"its spot lies {off_px:.1f} px from where the other nodes put it")
+    nodes = [node for node in nodes if node.usable]
+    nodes_mm = np.delete(all_mm, dropped, axis=0)
     distance_mm = _residual_distances_mm(fit, nodes_mm)
     return TargetCalibration(
         name=name,
@@ -172,25 +179,6 @@ def _target(
         repeatability_px=_repeatability_px([node.spots_px for node in nodes]),
         leds_px=_mean_leds_px(seen.leds),
     )
-
-
-def _best_fit(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
-    image_size: tuple[int, int],
-    degree: tuple[int, int] | None,
-) -> Fit:
-    """The lens model or the plain tensor polynomial, whichever misses a node less that it was not shown.
-
-    Raises ValueError when the nodes are no grid or too few; a lens model that fails only loses.
-    """
-    hull_mm = convex_hull_mm(nodes_mm)
-    tensor = fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)
-    try:
-        lens = fit_lens_map(nodes_mm, nodes_px, hull_mm, image_size)
-    except ValueError:
-        return tensor
-    return min(tensor, lens, key=lambda fit: fit.left_out_px)
 
 
 def _residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:

@@ -102,7 +102,8 @@ def fit_lens_map(
         noise_px = max(math.sqrt(float(np.square(residuals).sum()) / freedom), 1e-6)
     covariance = np.linalg.inv(jacobian.T @ jacobian / noise_px**2 + np.diag(1 / _PRIOR**2))
     fitted = _as_tensor(lens, nodes_mm, np.linalg.cholesky(covariance), noise_px, hull_mm)
-    return Fit(fitted, residuals, _left_out_px(residuals, leverage))
+    missed, standard = _unlevered(residuals, leverage)
+    return Fit(fitted, residuals, missed, standard)
 
 
 def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int]) -> Lens:
@@ -185,13 +186,19 @@ def _as_tensor(
     )
 
 
-def _left_out_px(residuals: FloatArray, leverage: FloatArray) -> float:
-    """Rms over u and v of how far each node lies from the map that is fitted without it."""
-    missed = []
-    for node in range(len(residuals)):
+def _unlevered(residuals: FloatArray, leverage: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """By how much each node misses the map fitted without it, and the residuals at equal variance.
+
+    With the node's own block H of the leverage these are (1 − H)⁻¹ r and (1 − H)^(−1/2) r.
+    """
+    missed, standard = np.empty_like(residuals), np.empty_like(residuals)
+    for node, residual in enumerate(residuals):
         block = slice(2 * node, 2 * node + 2)
-        missed.append(np.linalg.solve(np.eye(2) - leverage[block, block], residuals[node]))
-    return float(np.sqrt(np.mean(np.square(missed))))
+        left, axes = np.linalg.eigh(np.eye(2) - leverage[block, block])
+        left = np.maximum(left, 1e-9)
+        along = axes.T @ residual
+        missed[node], standard[node] = axes @ (along / left), axes @ (along / np.sqrt(left))
+    return missed, standard
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -62,15 +62,22 @@ class TensorMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A map and what was left over: residuals (n, 2) px of the nodes, measured minus mapped.
+    """A map and what was left over at the nodes, each (n, 2) px.
 
-    ``left_out_px`` is the rms, over u and v, of how far a node lies from the map fitted without it: what the
-    map would miss a new place by, print and speckle included.
+    ``residuals_px`` are measured minus mapped; ``missed_px`` is by how much each node misses the map that is
+    fitted without it; ``standard_px`` are the residuals scaled to the same variance at every node, near the
+    middle of the grid or at its corners, where the map bends after them.
     """
 
     map: TensorMap
     residuals_px: FloatArray
-    left_out_px: float
+    missed_px: FloatArray
+    standard_px: FloatArray
+
+    @property
+    def left_out_px(self) -> float:
+        """Rms over u and v of ``missed_px``: what to expect at a new place, print and speckle included."""
+        return float(np.sqrt(np.mean(np.square(self.missed_px))))
 
 
 def fit_tensor_map(
@@ -119,5 +126,5 @@ def fit_tensor_map(
         hull_mm=hull_mm,
     )
     leverage = np.einsum("nk,kl,nl->n", design, unit_covariance, design)
-    left_out = residuals / np.maximum(1 - leverage, 1e-9)[:, None]
-    return Fit(fitted, residuals, float(np.sqrt(np.mean(np.square(left_out)))))
+    left = np.maximum(1 - leverage, 1e-9)[:, None]
+    return Fit(fitted, residuals, residuals / left, residuals / np.sqrt(left))

@@ -141,6 +141,31 @@ def test_too_many_dark_nodes_are_refused(scan: Path, tmp_path: Path) -> None:
         calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
 
 
+@pytest.mark.parametrize("bumped", [0, 8, 29])
+def test_a_node_at_which_the_stage_was_bumped_is_reported_and_survived(
+    bumped: int, scan: Path, tmp_path: Path
+) -> None:
+    places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
+    meant = places[bumped]
+    assert meant is not None
+    reached = meant[0] * 0.96, meant[1] * 0.96  # towards the middle, so that it stays in the picture
+    shots = [(reached, reached, p) if n == bumped else (p, p, p) for n, p in enumerate(places)]
+    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    node = f"node x {meant[0]:g} y {meant[1]:g} mm: its spot lies "
+    assert [line.split(node)[0] for line in result.refused] == ["front ", "rear "]
+    off_px = float(result.refused[0].split(node)[1].split()[0])
+    assert off_px == pytest.approx(np.hypot(*(np.subtract(meant, reached) * 4.0)), rel=0.15)
+    target = result.calibration.target("rear")
+    assert target is not None
+    point = target.point(*place_px("rear", meant[0] * 0.7, meant[1] * 0.7))
+    assert point is not None
+    assert (point.x_mm, point.y_mm) == pytest.approx((meant[0] * 0.7, meant[1] * 0.7), abs=0.05)
+
+
+def test_an_ordinary_scan_loses_no_node(calibration: Calibration) -> None:
+    assert [len(target.map.hull_mm) for target in calibration.targets] == [4, 4]
+
+
 def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
     recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
     with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
