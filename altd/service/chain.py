@@ -66,13 +66,17 @@ class MeasuringChain:
         self._origin_faults = tuple(Fault(Reason(o)) for o in sorted(set(origins) - {Origin.CAMERA}))
         self._utc = utc
         self._last_exposure: Exposure | None = None
-        self.last_spots: dict[str, Spot | NoSpot] = {}
-        """The latest outcome per target, for the technician."""
+        self._last_spots: dict[str, Spot | NoSpot] = {}
 
     @property
     def late_frames(self) -> int:
         """Frames that came after their exposure was given up."""
         return self._pairer.late
+
+    def seen(self) -> str:
+        """What each camera saw last, in words: for the technician who aims the beam."""
+        seen = self._last_spots
+        return "; ".join(f"{target}: {_in_words(seen[target])}" for target in self._targets if target in seen)
 
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
@@ -80,7 +84,7 @@ class MeasuringChain:
             return []
         view = self._views[frame.camera]
         spot = locate(frame, self._calibration[view.target].localiser)
-        self.last_spots[view.target] = spot
+        self._last_spots[view.target] = spot
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, spot)
         return self._measure(pairs)
 
@@ -92,8 +96,9 @@ class MeasuringChain:
         """The measurement of a moment at which no camera delivers."""
         self._window.forget()
         sequence = self._last_exposure.sequence if self._last_exposure else 0
-        faults = tuple(Fault(Reason.CAMERA_SILENT, target, "no frame comes") for target in self._targets)
-        return self._invalid(sequence, t_ns, faults)
+        silent = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
+        self._last_spots = dict.fromkeys(self._targets, silent)
+        return self._invalid(sequence, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _measure(self, pairs: Sequence[Pair[Spot | NoSpot]]) -> list[Measurement]:
         measurements = (self._after(self._exposure(pair)) for pair in pairs)
@@ -105,7 +110,8 @@ class MeasuringChain:
             if camera in pair.items:
                 spots[view.target] = pair.items[camera]
             else:
-                spots[view.target] = NoSpot(pair.missing[camera], f"skew {pair.skew_ns * 1e-6:.1f} ms")
+                missing = NoSpot(pair.missing[camera], f"skew {pair.skew_ns * 1e-6:.1f} ms")
+                spots[view.target] = self._last_spots[view.target] = missing
         return Exposure(pair.sequence, pair.t_ns, spots)
 
     def _after(self, exposure: Exposure) -> Measurement | None:
@@ -173,6 +179,15 @@ class MeasuringChain:
             points_mm=dict.fromkeys(self._targets),
             status=faults + self._origin_faults,
         )
+
+
+def _in_words(spot: Spot | NoSpot) -> str:
+    if isinstance(spot, NoSpot):
+        return f"{spot.reason}, {spot.detail}" if spot.detail else str(spot.reason)
+    return (
+        f"spot at u {spot.u_px:.1f} v {spot.v_px:.1f} px, diameter {spot.diameter_px:.0f} px, "
+        f"peak {spot.peak:.0f} counts"
+    )
 
 
 def installed(beam: Beam, installation: Installation) -> Beam:

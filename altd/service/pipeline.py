@@ -74,7 +74,4 @@ class Pipeline:
         self._component.count("measurements")
         if measurement.valid:
             self._component.count("valid")
-            self._component.say(State.OK)
-        else:
-            reasons = (fault for fault in measurement.status if not fault.reason.is_warning)
-            self._component.say(State.DEGRADED, ", ".join(map(str, reasons)))
+        self._component.say(State.OK if measurement.valid else State.DEGRADED, self._chain.seen())

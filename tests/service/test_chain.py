@@ -73,6 +73,17 @@ def test_frames_that_are_not_live_are_said_to_be_so_valid_or_not(calibration: Ca
     assert [str(fault) for fault in measured.silence(0).status][-1] == "playback"
 
 
+def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)])
+    dark = Frame("right", 0, 0, np.full((480, 752), 8, np.uint8))
+    measured.push(frames[0])
+    measured.push(dark)
+    front, rear = measured.seen().split("; ")
+    assert front.startswith("front: spot at u 33")
+    assert rear == "rear: spot_missing, nothing stands out of the background"
+
+
 def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:
     measured = chain(calibration)
     assert [m for frame in shots([(10.0, 5.0)] * 4, leds_on=True) for m in measured.push(frame)] == []

@@ -37,6 +37,9 @@ class Chain:
     def silence(self, t_ns: int) -> Measurement:
         return measurement(0, t_ns, Reason.CAMERA_SILENT)
 
+    def seen(self) -> str:
+        return "front: spot_missing"
+
 
 class Bench:
     """A pipeline with its surroundings."""
@@ -85,6 +88,7 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     assert latest is not None
     assert [str(fault) for fault in latest.status] == ["camera_silent"]
     assert bench.component.state is State.DEGRADED
+    assert bench.component.message == "front: spot_missing"
     bench.inbox.put(shot("rear", 1), wait=False)
     await bench.clock.advance(0.01)
     assert bench.component.state is State.OK
