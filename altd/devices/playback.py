@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from dataclasses import replace
 
 from altd.errors import BadInputError
-from altd.ports import CameraEndedError, CameraError
+from altd.ports import CameraEndedError, CameraError, CameraTimeoutError
 from altd.recording import Recording, Row
 from altd.records import Frame, Origin
 
 
 class Playback:
-    """What the cameras of one recording share: its frames' times on today's clock.
+    """What the cameras of one recording share: their frames' times on today's clock, and the pace.
 
-    The first camera that asks starts the clock for all, so that they stay in step.
+    In real time the first camera that asks starts the clock for all. At the fast pace no camera runs ahead
+    of another by more than an exposure, whoever takes its frames faster.
     """
 
     def __init__(self, recording: Recording, realtime: bool, repeat: bool) -> None:
@@ -23,15 +25,37 @@ class Playback:
         self.repeat = repeat
         first, last = recording.rows[0], recording.rows[-1]
         self._first_s = first.t_s
-        self.length_s = last.t_s - first.t_s + 1 / recording.header.fps
+        self._exposure_s = 1 / recording.header.fps
+        self._length_s = last.t_s - first.t_s + self._exposure_s
         self.length_sequences = max(row.sequence for row in recording.rows) + 1
         self._started_ns: int | None = None
+        self._next_s: dict[str, float] = {}
+        self._moved = threading.Condition()
 
     def t_ns(self, row: Row, turn: int) -> int:
-        """When a row's frame is exposed, on the monotonic clock, in the given turn through the recording."""
-        if self._started_ns is None:
-            self._started_ns = time.monotonic_ns()
-        return self._started_ns + round((row.t_s - self._first_s + turn * self.length_s) * 1e9)
+        """When a row's frame is exposed, on the monotonic clock, in a turn through the recording."""
+        with self._moved:
+            if self._started_ns is None:
+                self._started_ns = time.monotonic_ns()
+            return self._started_ns + round(self._at_s(row, turn) * 1e9)
+
+    def stands_at(self, camera: str, row: Row | None, turn: int) -> None:
+        """Note which frame a camera delivers next; None: it is at its end."""
+        with self._moved:
+            self._next_s[camera] = float("inf") if row is None else self._at_s(row, turn)
+            self._moved.notify_all()
+
+    def await_others(self, camera: str, timeout_s: float) -> bool:
+        """Wait until no other camera is an exposure behind; False when that takes too long."""
+
+        def in_step() -> bool:
+            return self._next_s[camera] <= min(self._next_s.values()) + self._exposure_s / 2
+
+        with self._moved:
+            return self._moved.wait_for(in_step, timeout_s)
+
+    def _at_s(self, row: Row, turn: int) -> float:
+        return row.t_s - self._first_s + turn * self._length_s
 
 
 class PlaybackCamera:
@@ -49,6 +73,7 @@ class PlaybackCamera:
         self._playback = playback
         self._rows = rows
         self._next = 0
+        playback.stands_at(name, rows[0], 0)
 
     def open(self) -> None:
         """Nothing to get ready; the recording was checked when it was opened."""
@@ -63,9 +88,14 @@ class PlaybackCamera:
         t_ns = playback.t_ns(row, turn)
         if playback.realtime:
             wait_s = (t_ns - time.monotonic_ns()) * 1e-9
+            if wait_s > timeout_s:
+                time.sleep(timeout_s)
+                raise CameraTimeoutError("the next frame is not due yet")
             if wait_s > 0:
-                time.sleep(min(wait_s, timeout_s))
-        self._next += 1
+                time.sleep(wait_s)
+        elif not playback.await_others(self.name, timeout_s):
+            raise CameraTimeoutError("another camera's frames are not taken")
+        self._step()
         try:
             frame = playback.recording.frame(row)
         except BadInputError as error:
@@ -74,3 +104,9 @@ class PlaybackCamera:
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+    def _step(self) -> None:
+        self._next += 1
+        turn, index = divmod(self._next, len(self._rows))
+        ended = turn and not self._playback.repeat
+        self._playback.stands_at(self.name, None if ended else self._rows[index], turn)

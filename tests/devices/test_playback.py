@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from support.recordings import write_beams
+
+from altd.devices.playback import Playback, PlaybackCamera
+from altd.errors import BadInputError
+from altd.ports import CameraEndedError, CameraTimeoutError
+from altd.recording import open_recording
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_beams(tmp_path_factory.mktemp("playback") / "rec", [(0, 0, 0, 0), (5, 5, 0, 0)], exposures=4)
+
+
+def cameras(recording: Path, realtime: bool = False, repeat: bool = False) -> list[PlaybackCamera]:
+    playback = Playback(open_recording(recording), realtime, repeat)
+    return [PlaybackCamera(name, playback) for name in ("front", "rear")]
+
+
+def test_both_cameras_deliver_every_frame_with_one_time_and_number(recording: Path) -> None:
+    front, rear = cameras(recording)
+    for number in range(8):
+        one, other = front.next_frame(1.0), rear.next_frame(1.0)
+        assert one.sequence == other.sequence == number
+        assert one.t_ns == other.t_ns
+    for camera in (front, rear):
+        with pytest.raises(CameraEndedError, match="at its end"):
+            camera.next_frame(1.0)
+
+
+def test_at_the_fast_pace_no_camera_runs_ahead_of_a_slow_one(recording: Path) -> None:
+    front, rear = cameras(recording, repeat=True)
+    taken: list[tuple[str, int]] = []
+
+    def take(camera: PlaybackCamera, pause_s: float) -> None:
+        while len(taken) < 60:
+            try:
+                frame = camera.next_frame(0.05)
+            except CameraTimeoutError:
+                continue
+            taken.append((frame.camera, frame.sequence))
+            time.sleep(pause_s)
+
+    threads = [threading.Thread(target=take, args=arguments) for arguments in ((front, 0.0), (rear, 0.005))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    latest = {"front": -1, "rear": -1}
+    for name, sequence in taken:
+        assert sequence == latest[name] + 1
+        latest[name] = sequence
+        assert abs(latest["front"] - latest["rear"]) <= 2  # one exposure, and one on its way into the list
+
+
+def test_a_camera_whose_partner_is_not_taken_times_out(recording: Path) -> None:
+    front, _ = cameras(recording)
+    front.next_frame(1.0)
+    with pytest.raises(CameraTimeoutError, match="another camera's frames are not taken"):
+        front.next_frame(0.05)
+
+
+def test_in_real_time_frames_come_at_their_times(recording: Path) -> None:
+    front, _ = cameras(recording, realtime=True)
+    times = []
+    for _ in range(4):
+        frame = front.next_frame(1.0)
+        assert frame.t_ns <= time.monotonic_ns()
+        times.append(frame.t_ns)
+    assert [later - times[0] for later in times] == [0, 50_000_000, 100_000_000, 150_000_000]
+
+
+def test_repeating_goes_on_counting(recording: Path) -> None:
+    front, rear = cameras(recording, repeat=True)
+    frames = []
+    for _ in range(17):
+        frames.append(front.next_frame(1.0))
+        rear.next_frame(1.0)
+    assert [frame.sequence for frame in frames] == list(range(17))
+    assert frames[16].t_ns - frames[0].t_ns == 16 * 50_000_000
+
+
+def test_a_camera_that_the_recording_does_not_have_is_refused(recording: Path) -> None:
+    with pytest.raises(BadInputError, match="has no frames of camera 'side'"):
+        PlaybackCamera("side", Playback(open_recording(recording), True, False))
