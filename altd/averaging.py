@@ -12,8 +12,12 @@ from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot
 
 _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 6.0
+_FEWEST_FOR_OUTLIERS = 4
+"""Of three exposures under vibration two often lie close together, and the third is no outlier."""
 _LARGEST_OUTLIER_SHARE = 0.3
 _GAP_SIGMAS = 10.0
+_FEWEST_IN_A_PLACE = 2
+"""A single exposure is no place: it is an outlier, or with its neighbour the scatter of a short window."""
 _GONE_AFTER = 3
 """So many unusable exposures at the end of a window: the spot is gone, whatever came before."""
 _FEWEST_FOR_MOTION = 4
@@ -100,7 +104,7 @@ def _spot(exposure: Exposure, target: str) -> Spot:
 def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which rows of (n, coordinates) lie near the median in every coordinate."""
     count = len(px)
-    if count < 3:
+    if count < _FEWEST_FOR_OUTLIERS:
         return np.ones(count, bool)
     distance = np.abs(px - _median(px))
     # n / (n − 0.8) takes out most of the MAD's bias in small samples
@@ -123,6 +127,8 @@ def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
         return False
     for column in np.flatnonzero(gaps.max(axis=0) > _GAP_SIGMAS * noise):
         split = int(gaps[:, column].argmax()) + 1
+        if not _FEWEST_IN_A_PLACE <= split <= len(px) - _FEWEST_IN_A_PLACE:
+            continue
         sides = ordered[:split, column], ordered[split:, column]
         within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
         if gaps[split - 1, column] > _GAP_SIGMAS * (within + noise[column]):

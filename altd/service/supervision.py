@@ -21,6 +21,12 @@ _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
 """An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
 
 
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
+
+
 class Publisher(Protocol):
     """A face to the outside."""
 
@@ -58,7 +64,7 @@ async def keep_running(
         except Exception as error:
             if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START:
                 raise BadInputError(place, os.strerror(error.errno)) from error
-            failure = f"{type(error).__name__}: {error}" if not isinstance(error, OSError) else str(error)
+            failure = _in_words(error)
         if first:
             first = False
             up()
