@@ -13,7 +13,7 @@ from altd.calibration.file import check_image_size, load_calibration
 from altd.calibration.model import Calibration
 from altd.config import Config, SerialPort
 from altd.devices.playback import Playback, PlaybackCamera
-from altd.errors import BadInputError
+from altd.errors import BadInputError, bare
 from altd.ports import Camera, Clock
 from altd.recording import Recording, UnitHeader, open_recording, refuse_used_folder
 from altd.service.board import Board
@@ -91,11 +91,11 @@ class Daemon:
                     manager.progress,
                 )
                 tasks.create_task(pipeline.run(), name="pipeline")
-        except BaseExceptionGroup as group:  # not except*: Python 3.11.2 wraps what is raised in it
-            refused = group.subgroup(BadInputError)
+        except BaseExceptionGroup as group:
+            refused = bare(group, BadInputError)
             if refused is None:
                 raise
-            raise _first(refused) from None
+            raise refused from None
 
     def _publishers(self) -> Iterator[tuple[str, Publisher]]:
         """The faces that the config asks for, with their places in it. Imported only when wanted."""
@@ -193,11 +193,3 @@ async def _all_of(tried: Sequence[asyncio.Event]) -> None:
                 await event.wait()
     except TimeoutError:
         return
-
-
-def _first(group: BaseExceptionGroup[BadInputError]) -> BadInputError:
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, BadInputError)  # noqa: S101  the group holds nothing else
-    return error

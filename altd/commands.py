@@ -11,11 +11,12 @@ import signal
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
+from typing import cast
 
 import cv2
 
 from altd.errors import BadInputError
-from altd.records import Frame, Spot
+from altd.records import Frame, PixelArray, Spot
 
 
 def run(options: argparse.Namespace) -> int:
@@ -98,6 +99,7 @@ def _record(options: argparse.Namespace) -> int:
     from altd.app import record_of
     from altd.config import load_config
 
+    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     config = load_config(options.config)
     exposures = asyncio.run(until_signal(record_of(config, options.config, options.output, options.seconds)))
     if exposures is not None:
@@ -138,7 +140,7 @@ def _image(path: Path) -> Frame:
         raise BadInputError(path, "is not an 8- or 16-bit grey image")
     if min(pixels.shape) < 32:
         raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
-    return Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize)  # type: ignore[arg-type]
+    return Frame(path.name, 0, 0, cast("PixelArray", pixels), 8 * pixels.dtype.itemsize)
 
 
 def _map(options: argparse.Namespace) -> int:

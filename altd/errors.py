@@ -13,3 +13,18 @@ class BadInputError(Exception):
         super().__init__(f"{place}: {message}")
         self.place = str(place)
         self.message = message
+
+
+def bare(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:
+    """The first error of these kinds in a task group's failure, or None.
+
+    For ``except BaseExceptionGroup``: what is raised inside ``except*`` comes out wrapped again in Python
+    3.11.2, the one of Debian 12, though not in 3.11.7.
+    """
+    found = group.subgroup(kinds)
+    if found is None:
+        return None
+    error: BaseException = found
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    return error

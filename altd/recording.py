@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, TextIO
+from typing import Annotated, Literal, TextIO, cast
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.errors import BadInputError
 from altd.measurement_json import utc_text
-from altd.records import Frame
+from altd.records import Frame, PixelArray
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -93,7 +93,7 @@ class Recording:
             raise BadInputError(self._place(row), f"{row.file} cannot be decoded as a frame")
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
-        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)  # type: ignore[arg-type]
+        return Frame(row.camera, row.sequence, t_ns, cast("PixelArray", pixels), camera.bits, row.leds_on)
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from altd.app import Daemon, calibration_of
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target
 from altd.config import Unit as UnitTable
-from altd.errors import BadInputError
+from altd.errors import BadInputError, bare
 from hw_sim.arguments import natural
 from hw_sim.camera import make_cameras
 from hw_sim.demo_figures import Figures
@@ -123,10 +123,10 @@ async def _together(*work: Coroutine[None, None, None]) -> None:
         async with asyncio.TaskGroup() as tasks:
             for one in work:
                 tasks.create_task(one)
-    except* (BadInputError, BrokenPipeError) as group:
-        error: BaseException = group
-        while isinstance(error, BaseExceptionGroup):
-            error = error.exceptions[0]
+    except BaseExceptionGroup as group:
+        error = bare(group, BadInputError, BrokenPipeError)
+        if error is None:
+            raise
         raise error from None
 
 

@@ -3,33 +3,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from support.cli import CONFIG
 
 from altd.config import load_config
 from altd.errors import BadInputError
 
-GOOD = """
-[unit]
-serial = "A-1"
-calibration = "cal.json"
-
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
-driver = "recording"
-path = "rec"
-
-[cameras.rear]
-driver = "recording"
-path = "rec"
-"""
+GOOD = CONFIG.format(calibration="cal.json", recording="rec")
 
 
 def write(tmp_path: Path, text: str) -> Path:
@@ -60,7 +39,7 @@ def test_the_shipped_config_is_good() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('serial = "A-1"', 'serial = "A-1"\ncolour = 3', "unit.colour: unknown key"),
+        ('serial = "TEST-1"', 'serial = "TEST-1"\ncolour = 3', "unit.colour: unknown key"),
         ("z_mm = 280.0", 'z_mm = "far"', "targets.1.z_mm: Input should be a valid number"),
         ("z_mm = 280.0", "", "targets.1.z_mm: Field required"),
         ('driver = "recording"', 'driver = "magic"', "cameras.front.driver: Input should be 'recording'"),

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
+from collections.abc import Callable
 
 from altd.ports import Camera, CameraEndedError, CameraError, CameraTimeoutError
 from altd.service.health import Component, State
 from altd.service.inbox import Inbox
+
+log = logging.getLogger("altd")
 
 GRAB_TIMEOUT_S = 0.25
 _FIRST_RETRY_S = 0.2
@@ -60,7 +64,7 @@ class _Grabber:
             self._call(self.done.set)
 
     def _grab_for_ever(self) -> None:
-        retry_s = _FIRST_RETRY_S
+        retry_s, told = _FIRST_RETRY_S, ""
         while not self.stop.is_set():
             try:
                 self._camera.open()
@@ -68,6 +72,9 @@ class _Grabber:
             except CameraEndedError:
                 raise
             except CameraError as error:
+                if str(error) != told:
+                    told = str(error)
+                    log.warning("camera %s: %s; trying again", self._camera.name, error)
                 self._say(State.FAILED, f"{error}; trying again")
                 self._count("failures")
                 self.stop.wait(retry_s)
@@ -99,8 +106,8 @@ class _Grabber:
     def _count(self, counter: str) -> None:
         self._call(self._component.count, counter)
 
-    def _call(self, function: object, *arguments: object) -> None:
+    def _call(self, function: Callable[..., object], *arguments: object) -> None:
         try:
-            self._loop.call_soon_threadsafe(function, *arguments)  # type: ignore[arg-type]
+            self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:
             self.stop.set()  # the loop is closed: the process is going down

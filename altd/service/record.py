@@ -30,7 +30,8 @@ async def record(
     """Write a recording of kind ``measurement``; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
-    written until then is whole. Raises BadInputError when the folder cannot be used.
+    written until then is whole. Raises BadInputError when the folder cannot be used, and a driver's own
+    failure; a camera that is merely lost is waited for.
     """
     names = tuple(camera.name for camera in cameras)
     inbox = Inbox(names)
@@ -49,6 +50,8 @@ async def record(
                 for pair in pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
                     if sink.length_s < seconds:
                         sink.write(pair)
+        if sources.done():
+            sources.result()  # a source that failed, not one at its end
         return sink.exposures
     finally:
         sink.close()

@@ -75,6 +75,16 @@ async def test_a_lost_camera_is_closed_and_opened_again(component: Component) ->
     assert camera.calls[-1] == "close"
 
 
+async def test_the_journal_hears_of_a_lost_camera_once(
+    component: Component, caplog: pytest.LogCaptureFixture
+) -> None:
+    camera = ScriptedCamera(*[CameraError("unplugged")] * 2, "frame")
+    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    await until(lambda: component.state is State.OK)
+    await stop(task)
+    assert caplog.messages == ["camera front: unplugged; trying again"]
+
+
 async def test_a_camera_that_times_out_stays_open_and_is_said_to(component: Component) -> None:
     camera = ScriptedCamera("frame", CameraTimeoutError("late"), "hang")
     task = asyncio.create_task(grab(camera, Inbox(["front"]), component))

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from support.frames import Blob, frame, light
+
+from altd.config import Measuring
+from altd.ports import CameraEndedError
+from altd.recording import UnitHeader, open_recording
+from altd.records import Frame, Origin
+from altd.service.clock import SystemClock
+from altd.service.health import Health
+from altd.service.record import record
+
+PIXELS = frame(light(Blob(300, 200))).pixels
+
+
+class Source:
+    """Delivers a number of frames and then fails, or is at its end."""
+
+    origin = Origin.CAMERA
+    waits = True
+
+    def __init__(self, name: str, frames: int, end: Exception) -> None:
+        self.name = name
+        self.left = frames
+        self.end = end
+
+    def open(self) -> None: ...
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        if not self.left:
+            raise self.end
+        self.left -= 1
+        time.sleep(0.001)
+        return Frame(self.name, 100 - self.left, (100 - self.left) * 50_000_000, PIXELS)
+
+    def close(self) -> None: ...
+
+
+async def kept(path: Path, end: Exception) -> int:
+    sources = [Source(name, 5, end) for name in ("front", "rear")]
+    clock = SystemClock()
+    unit = UnitHeader(serial="A", target_distance_mm=280.0)
+    return await record(sources, path, unit, Measuring(), Health(clock), clock.utc, 60.0)
+
+
+async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:
+    assert await kept(tmp_path / "rec", CameraEndedError("the end")) == 5
+    opened = open_recording(tmp_path / "rec")
+    assert [row.sequence for row in opened.rows if row.camera == "rear"] == [0, 1, 2, 3, 4]
+
+
+async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        await kept(tmp_path / "rec", ZeroDivisionError())
+    assert len(open_recording(tmp_path / "rec").rows) > 0  # what was written until then is whole
