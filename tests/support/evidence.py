@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from altd.calibration.cross_check import CrossCheck
 from altd.calibration.evidence import Candidate, TargetEvidence
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.mapping.hull import convex_hull_mm
@@ -55,6 +56,7 @@ def target(name: str, scatter_px: float = 0.02, **of_map: float) -> TargetCalibr
         residual_std_mm=0.00543,
         residual_max_mm=0.0234,
         repeatability_px=np.array([scatter_px, scatter_px]),
+        cross_check=CrossCheck(straight_map(name), left_out_px=0.0432, bound_px=0.16, largest_px=0.0543),
         leds_px=np.array([[90.25, 60.5], [660.75, 40.0], [84.0, 445.0], [677.0, 441.0]]),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from altd import __version__
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
-from altd.calibration.report.map_sections import covariances, models, residuals
+from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
 from altd.calibration.report.prediction import Prediction, predict
 from altd.calibration.report.source import Source
@@ -28,6 +28,7 @@ def report_on(source: Source) -> Document:
         *beam_section(prediction, source),
         *residuals(source),
         *models(source),
+        *cross_checks(source),
         *covariances(source),
         *pictures(source),
         *_left_out(source),
@@ -93,7 +94,7 @@ def _inputs(source: Source) -> list[Block]:
         facts.append(
             (
                 f"Target {target.name}",
-                f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.model}, "
+                f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.name}, "
                 f"valid for x {low[0]:g} … {high[0]:g} mm, y {low[1]:g} … {high[1]:g} mm",
             )
         )

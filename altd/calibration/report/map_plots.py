@@ -13,7 +13,7 @@ from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIE
 from altd.calibration.report.target_plots import Draw
 from altd.records import FloatArray
 
-CANDIDATES_IN = 2.9
+CANDIDATES_IN = 3.2
 COVARIANCE_IN = 3.1
 BUDGET_IN = 1.95
 
@@ -22,19 +22,22 @@ def name_of(candidate: Candidate) -> str:
     """The model with its degree along x and y."""
     if candidate.degree is None:
         return candidate.model
-    degree = f"{candidate.degree[0]} × {candidate.degree[1]}"
-    return degree if candidate.model == "tensor" else f"{candidate.model} {degree}"
+    return f"{candidate.model.removesuffix('tensor')} {candidate.degree[0]} × {candidate.degree[1]}".strip()
 
 
 def candidates(
-    title: str, tried: Sequence[Candidate], chosen: int | None, limits_px: tuple[float, float]
+    title: str,
+    tried: Sequence[Candidate],
+    noise_px: FloatArray,
+    chosen: int | None,
+    limits_px: tuple[float, float],
 ) -> Draw:
-    """Error against degree: the misfit falls, what noise leaves in the map grows (Sec. 3.5.6)."""
+    """Error against degree: the misfit falls, what noise leaves, ``noise_px``, grows (Sec. 3.5.6)."""
     tensors = sum(c.model == "tensor" for c in tried)
-    turned = len(tried) > 6 or any(len(name_of(c)) > 6 for c in tried)
+    names = [name_of(c).replace(" × ", "×").replace("+", " + ") for c in tried]
 
     def draw(canvas: Canvas) -> None:
-        axes = canvas.axes(0.5, 0.85 if turned else 0.5, 0.08, 0.28)
+        axes = canvas.axes(0.5, 0.92, 0.08, 0.42)
         places = np.array([n + (0.6 if n >= tensors else 0.0) for n in range(len(tried))])
         if chosen is not None:
             axes.axvspan(places[chosen] - 0.45, places[chosen] + 0.45, color=FAINT, alpha=0.6, linewidth=0)
@@ -43,14 +46,14 @@ def candidates(
                 transform=axes.get_xaxis_transform(),
             )  # fmt: skip
         for label, colour, marker, line, values in (
-            ("node left out", BLUE, "o", "-", [c.left_out_px for c in tried]),
-            ("cross-validation", GREEN, "s", "--", [c.gcv_px for c in tried]),
-            ("noise left in the map", VERMILION, "^", ":", [c.map_sigma_px for c in tried]),
+            ("node left out", BLUE, "o", "-", np.array([c.left_out_px for c in tried])),
+            ("cross-validation", GREEN, "s", "--", np.array([c.gcv_px for c in tried])),
+            ("noise left in the map", VERMILION, "^", ":", noise_px),
         ):
             axes.plot(places[:tensors], values[:tensors], line, color=colour, linewidth=0.9)
             axes.plot(
                 places, values, marker, color=colour, markersize=4, markeredgecolor="white",
-                markeredgewidth=0.4, label=label, linestyle=line if tensors else "none", linewidth=0,
+                markeredgewidth=0.4, label=label,
             )  # fmt: skip
         axes.set_yscale("log")
         axes.set_ylim(*limits_px)
@@ -59,21 +62,17 @@ def candidates(
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.yaxis.grid(visible=True)
         axes.set_xlim(places[0] - 0.6, places[-1] + 0.6)
-        axes.xaxis.set_major_locator(FixedLocator(places.tolist()))
-        axes.set_xticklabels(
-            [name_of(c) for c in tried], rotation=60 if turned else 0, ha="right" if turned else "center",
-            va="center" if turned else "top", rotation_mode="anchor",
-        )  # fmt: skip
+        axes.set_xticks(places, names, rotation=60, ha="right", va="center", rotation_mode="anchor")
         axes.tick_params(axis="x", pad=4, labelsize=6.5)
         canvas.figure.text(
-            0.55, 0.08 / canvas.height_in, "tensor polynomial of degree x × y, then other models",
+            0.55, 0.06 / canvas.height_in, "tensor polynomial of degree x × y, then other models",
             ha="center", fontsize=7.5,
         )  # fmt: skip
         axes.set_ylabel("px, rms over u and v", labelpad=1)
-        axes.set_title(title)
+        axes.set_title(title, pad=15)
         axes.legend(
-            loc="lower right", bbox_to_anchor=(1.02, 0.985), ncols=3, fontsize=6.3, handlelength=1.5,
-            handletextpad=0.4, columnspacing=0.9,
+            loc="lower left", bbox_to_anchor=(-0.02, 0.985), ncols=3, fontsize=6.5, handlelength=1.0,
+            handletextpad=0.3, columnspacing=1.0,
         )  # fmt: skip
 
     return draw

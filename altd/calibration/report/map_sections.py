@@ -10,11 +10,20 @@ from altd.calibration.evidence import Candidate
 from altd.calibration.model import TargetCalibration
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
-from altd.calibration.report.prediction import node_covariance_px2, offsets_mm, spectrum_covariance_px2
+from altd.calibration.report.prediction import (
+    common_area,
+    difference_mm,
+    node_covariance_px2,
+    noise_in_map_px,
+    offsets_mm,
+    spectrum_covariance_px2,
+)
 from altd.calibration.report.source import Source
 from altd.calibration.report.target_plots import Plane, nice_length
+from altd.mapping.hull import contains
 
 _LONGEST_ARROW_MM = 20.0
+_LONGEST_DIFFERENCE_MM = 15.0
 
 
 def residuals(source: Source) -> list[Block]:
@@ -42,10 +51,10 @@ def residuals(source: Source) -> list[Block]:
             )
         )
     caption = (
-        f"Residual vectors: from where the stage was to where the map puts the spot, {scale:g} times "
-        "enlarged (arrow: scale). Arrows that point anywhere are pattern and noise; arrows that run along "
-        "each other over several nodes are an error of stage or lens that the map could not follow. "
-        "Dashed: the area in which the map is valid. Crosses: nodes left out."
+        "Residual vectors, seen along the beam: from where the stage was to where the map puts the spot, "
+        f"{scale:g} times enlarged (arrow: scale). Arrows that point anywhere are pattern and noise; arrows "
+        "that run along each other over several nodes are an error of stage or lens that the map could not "
+        "follow. Dashed: the area in which the map is valid. Crosses: nodes left out."
     )
     columns = (
         "target", "nodes", "residual mean / std / max, mm", "left out, px", "repeatability u / v, px"
@@ -59,48 +68,111 @@ def residuals(source: Source) -> list[Block]:
 
 def models(source: Source) -> list[Block]:
     """The candidates: error against degree."""
-    values = [
-        value
-        for _, seen in source.targets()
-        for c in seen.candidates
-        for value in (c.left_out_px, c.gcv_px, c.map_sigma_px)
-        if np.isfinite(value) and value > 0
+    noises = [
+        np.array([noise_in_map_px(c, len(seen.nodes_mm), target.map.noise_px) for c in shown])
+        for target, seen in source.targets()
+        if (shown := _shown(seen.candidates))
     ]
-    if not values:
-        return []
-    limits = min(values) / 1.4, max(values) * 1.6
-    pictures: list[Picture] = []
-    table: dict[tuple[str, str], list[str]] = {}
-    for column, (target, seen) in enumerate(source.targets()):
-        tried = sorted(seen.candidates, key=lambda c: (c.model != "tensor", c.parameters, c.degree or (0, 0)))
-        chosen = _chosen(target, tried)
-        draw = map_plots.candidates(target.name, tried, chosen, limits)
-        pictures.append(Picture(f"error against degree, target {target.name}", map_plots.CANDIDATES_IN, draw))
-        for number, c in enumerate(tried):
-            of_target = table.setdefault((map_plots.name_of(c), str(c.parameters)), [])
-            of_target += ["–"] * (column - len(of_target))
-            numbers = f"{c.left_out_px:.4f} / {c.gcv_px:.4f} / {c.map_sigma_px:.4f}"
-            of_target.append(f"{numbers}, chosen" if number == chosen else numbers)
-    caption = (
-        "The models that were tried. With the degree the misfit falls and what the nodes' noise leaves in "
-        "the map grows; the map is the model that misses a node least which it was not shown. In the "
-        "table, for each target: node left out / cross-validation / noise in the map, px."
+    values = np.concatenate(
+        [
+            *noises,
+            *([c.left_out_px, c.gcv_px] for _, seen in source.targets() for c in _shown(seen.candidates)),
+        ]
     )
-    names = source.calibration.target_names
-    columns = ("model", "parameters", *names)
-    rows = tuple((*of, *numbers, *["–"] * (len(names) - len(numbers))) for of, numbers in table.items())
-    shares = (0.18, 0.12, *[0.7 / len(names)] * len(names))
+    limits = float(np.nanmin(values)) / 1.4, float(np.nanmax(values)) * 1.8
+    pictures = []
+    for (target, seen), noise_px in zip(source.targets(), noises, strict=True):
+        shown = _shown(seen.candidates)
+        draw = map_plots.candidates(target.name, shown, noise_px, _chosen(target, shown), limits)
+        pictures.append(Picture(f"error against degree, target {target.name}", map_plots.CANDIDATES_IN, draw))
+    caption = (
+        "The models that were tried; of tensor polynomials with the same sum of degrees the better one. "
+        "With the degree the misfit falls and what the nodes' noise leaves in the map grows (at the noise "
+        "that the chosen map finds); the map is the model that misses a node least which it was not shown. "
+        "The table has all models: node left out / cross-validation / own noise left in the map, px."
+    )
     return [
         Heading("Which model, and why"),
         Row(tuple(pictures), caption),
-        Table(columns, rows, shares),
+        _table_of_models(source),
     ]
+
+
+def _table_of_models(source: Source) -> Table:
+    """All candidates, a line each, with the numbers of each target."""
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for target, seen in source.targets():
+        tried = _in_order(seen.candidates)
+        chosen = _chosen(target, tried)
+        for number, c in enumerate(tried):
+            numbers = f"{c.left_out_px:.4f} / {c.gcv_px:.4f} / {c.map_sigma_px:.4f}"
+            of_target = lines.setdefault((_full_name(c), str(c.parameters)), {})
+            of_target[target.name] = f"{numbers}, chosen" if number == chosen else numbers
+    names = source.calibration.target_names
+    rows = tuple((*of, *(numbers.get(name, "–") for name in names)) for of, numbers in lines.items())
+    return Table(("model", "parameters", *names), rows, (0.2, 0.12, *[0.68 / len(names)] * len(names)))
+
+
+def _full_name(candidate: Candidate) -> str:
+    name = map_plots.name_of(candidate)
+    return f"tensor {name}" if candidate.model == "tensor" else name.replace("+", " + tensor")
+
+
+def _in_order(tried: Sequence[Candidate]) -> list[Candidate]:
+    """Tensor polynomials first, each kind by the number of parameters."""
+    return sorted(tried, key=lambda c: (c.model != "tensor", c.parameters, c.degree or (0, 0)))
+
+
+def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
+    """What is drawn: of the tensor polynomials with one sum of degrees the one that misses nodes least."""
+    best: dict[int, Candidate] = {}
+    for candidate in tried:
+        if candidate.model == "tensor" and candidate.degree is not None:
+            total = sum(candidate.degree)
+            rival = best.get(total)
+            if rival is None or candidate.left_out_px < rival.left_out_px:
+                best[total] = candidate
+    others = [c for c in _in_order(tried) if c.model != "tensor"]
+    return [best[total] for total in sorted(best)] + others
 
 
 def _chosen(target: TargetCalibration, tried: Sequence[Candidate]) -> int | None:
     """Which candidate became the map: of its model the one with the map's left-out error."""
     same = [n for n, c in enumerate(tried) if c.model == target.map.model]
     return min(same, key=lambda n: abs(tried[n].left_out_px - target.left_out_px), default=None)
+
+
+def cross_checks(source: Source) -> list[Block]:
+    """How far the map and the second, independent one lie apart over the area."""
+    targets = source.calibration.targets
+    plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
+    x_mm, y_mm = common_area(targets)
+    places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
+    apart = []
+    for target in targets:
+        off_mm = difference_mm(target, target.cross_check.map, places_mm.reshape(-1, 2))
+        off_mm[~contains(target.map.hull_mm, places_mm.reshape(-1, 2))] = np.nan
+        apart.append(off_mm.reshape(places_mm.shape))
+    longest_mm = max(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart)
+    scale = nice_length(_LONGEST_DIFFERENCE_MM / max(longest_mm, 1e-9))
+    pictures, said = [], []
+    for target, off_mm in zip(targets, apart, strict=True):
+        other = target.cross_check
+        draw = target_plots.differences(plane, target.name, x_mm, y_mm, off_mm, longest_mm, scale)
+        pictures.append(
+            Picture(f"cross-check difference over target {target.name}", plane.height_in(bar=True), draw)
+        )
+        said.append(
+            f"{target.name.capitalize()}: {other.map.name} against {target.map.name}, at most "
+            f"{other.largest_px:.2f} px apart, bound {other.bound_px:.2f} px; a node that it was not shown "
+            f"it misses by {other.left_out_px:.3f} px."
+        )
+    caption = (
+        "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
+        f"{scale:g} times enlarged, both targets on one scale, seen along the beam. {' '.join(said)} A "
+        "measurement at which the two lie further apart than the bound is implausible and has no numbers."
+    )
+    return [Heading("Does a second map agree?"), Row(tuple(pictures), caption)]
 
 
 def covariances(source: Source) -> list[Block]:

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from altd.beam import fit_beam, joint_covariance_mm2
+from altd.calibration.evidence import Candidate
 from altd.calibration.model import Calibration, TargetCalibration
-from altd.mapping.gram import gram_basis
-from altd.mapping.hull import edge_lines
-from altd.mapping.tensor_map import TensorMap
+from altd.mapping.hull import contains
+from altd.mapping.tensor_map import TensorMap, tensor_basis
 from altd.records import FloatArray, MeanSpots, TargetPoint
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -23,7 +22,6 @@ EXPOSURES = 20
 """Exposures that a measurement averages unless the config says otherwise (``measuring.window``)."""
 
 _COLUMNS, _ROWS = 41, 33
-_ON_THE_EDGE_MM = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +69,9 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     z_mm = [target.z_mm for target in calibration.targets]
     for row, y in enumerate(y_mm):
         line_mm = np.column_stack([x_mm, np.full(len(x_mm), y)])
-        columns = np.flatnonzero(np.all([inside(t, line_mm) for t in calibration.targets], axis=0))
+        columns = np.flatnonzero(
+            np.all([contains(t.map.hull_mm, line_mm) for t in calibration.targets], axis=0)
+        )
         along = [_points(target, line_mm[columns]) for target in calibration.targets]
         for column, *points in zip(columns, *along, strict=True):
             parts = _covariances_mm2(calibration.targets, points, exposures)
@@ -81,24 +81,30 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
                 beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg
             )  # fmt: skip
             variances += _by_cause(z_mm, total, parts)
-    if not variances.any():
-        raise ValueError("the targets have no calibrated area in common")
     return Prediction(x_mm, y_mm, sigma, variances / variances.sum(axis=1, keepdims=True), exposures)
 
 
+def noise_in_map_px(candidate: Candidate, nodes: int, noise_px: float) -> float:
+    """What noise of ``noise_px`` at each of so many nodes leaves in a candidate's map, rms over the hull.
+
+    A candidate's own ``map_sigma_px`` counts its misfit as noise, and so falls with it; at one noise for all
+    it grows with the degree, as in Sec. 3.5.6. Follows from the definition of the cross-validation score.
+    """
+    free = 1 - candidate.parameters / (2 * nodes)
+    own_px = candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
+    return candidate.map_sigma_px * noise_px / own_px if own_px > 0 else float("nan")
+
+
 def common_area(targets: Sequence[TargetCalibration]) -> tuple[FloatArray, FloatArray]:
-    """Places x (columns,) and y (rows,) over the rectangle that the targets' hulls have in common, mm."""
+    """Places x (columns,) and y (rows,) over the rectangle that the targets' hulls have in common, mm.
+
+    Raises ValueError when they have none.
+    """
     low = np.max([target.map.hull_mm.min(axis=0) for target in targets], axis=0)
     high = np.min([target.map.hull_mm.max(axis=0) for target in targets], axis=0)
+    if (low >= high).any():
+        raise ValueError("the targets have no calibrated area in common")
     return np.linspace(low[0], high[0], _COLUMNS), np.linspace(low[1], high[1], _ROWS)
-
-
-def inside(target: TargetCalibration, points_mm: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which of the points (n, 2) mm lie in the target's hull, its edge included."""
-    edges = edge_lines(target.map.hull_mm)
-    outside_mm = points_mm @ edges[:, :2].T - edges[:, 2]
-    within: npt.NDArray[np.bool_] = outside_mm.max(axis=1) <= _ON_THE_EDGE_MM
-    return within
 
 
 def difference_mm(target: TargetCalibration, other: TensorMap, points_mm: FloatArray) -> FloatArray:
@@ -107,10 +113,7 @@ def difference_mm(target: TargetCalibration, other: TensorMap, points_mm: FloatA
     The spots are those that the target's own map has at points (n, 2) mm; to first order, which for maps that
     differ by less than a millimetre is right to a few micrometres.
     """
-    _, jacobian, _ = target.inverse.to_mm(target.map.to_px(points_mm))
-    off_px = target.map.to_px(points_mm) - other.to_px(points_mm)
-    off_mm: FloatArray = np.einsum("nij,nj->ni", jacobian, off_px)
-    return off_mm
+    return offsets_mm(target, points_mm, target.map.to_px(points_mm) - other.to_px(points_mm))
 
 
 def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: FloatArray) -> FloatArray:
@@ -123,10 +126,8 @@ def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: Floa
 def node_covariance_px2(fitted: TensorMap, nodes_mm: FloatArray) -> FloatArray:
     """Covariance (n, n) of the mapped u of nodes (n, 2) mm, stacked column-wise: Eq. 3.53, Fig. 3.19."""
     stacked = nodes_mm[np.lexsort((nodes_mm[:, 1], np.rint(nodes_mm[:, 0])))]
-    degree_x, degree_y = fitted.degree
-    bx = gram_basis(fitted.x_axis.to_unit(stacked[:, 0]), fitted.x_axis.nodes, degree_x)
-    by = gram_basis(fitted.y_axis.to_unit(stacked[:, 1]), fitted.y_axis.nodes, degree_y)
-    spread = np.einsum("ni,nj->nij", by, bx).reshape(len(stacked), -1) @ fitted.spread_px[0]
+    basis = tensor_basis((fitted.x_axis, fitted.y_axis), fitted.degree, stacked)
+    spread = basis @ fitted.spread_px[0]
     covariance: FloatArray = spread @ spread.T
     return covariance
 

@@ -93,6 +93,7 @@ def judge(
     checks = [
         *_of_the_beam(prediction),
         *_of_the_maps(calibration.targets),
+        _of_the_cross_check(calibration.targets),
         *_of_the_nodes(evidence),
         _of_the_leds(calibration.targets),
     ]
@@ -142,6 +143,20 @@ def _of_the_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
             "Let stage and laser settle, keep vibration and draught away, take more exposures a node.",
         ),
     ]
+
+
+def _of_the_cross_check(targets: Sequence[TargetCalibration]) -> Check:
+    checks = [target.cross_check for target in targets]
+    apart = any(check.largest_px > check.bound_px for check in checks)
+    return Check(
+        "Cross-check, maps apart at most",
+        _each(targets, [f"{check.largest_px:.2f}" for check in checks], " px"),
+        _each(targets, [f"{check.bound_px:.2f}" for check in checks], " px"),
+        Level.USABLE if apart else Level.GOOD,
+        "Two independent maps disagree more than noise explains, and where they do a measurement will be "
+        "called implausible: look for nodes that stand out and for a stage with unequal steps, and repeat "
+        "the scan with more nodes.",
+    )
 
 
 def _of_the_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:

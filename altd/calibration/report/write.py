@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import tempfile
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ def check_report(folder: Path) -> None:
 
     Makes the folder when it is not there. Raises BadInputError.
     """
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
     try:
         importlib.import_module("matplotlib")
     except ImportError as error:

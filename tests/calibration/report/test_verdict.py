@@ -90,6 +90,14 @@ def test_without_leds_it_can_be_used() -> None:
     assert "LED reference pairs" in verdict.remedies[0]
 
 
+def test_maps_that_lie_apart_are_said() -> None:
+    own = target("front")
+    apart = replace(own, cross_check=replace(own.cross_check, largest_px=0.17))
+    (check,) = not_good(verdict_of(calibration(apart, target("rear"))))
+    assert (check.value, check.wanted) == ("front 0.17, rear 0.05 px", "front 0.16, rear 0.16 px")
+    assert "implausible" in check.remedy
+
+
 def test_a_number_that_is_none_is_not_good() -> None:
     made = calibration(replace(target("front"), residual_mean_mm=float("nan")), target("rear"))
     assert verdict_of(made).level is Level.BAD
