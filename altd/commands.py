@@ -102,6 +102,8 @@ def _calibrate(options: argparse.Namespace) -> int:
             f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
             f"{target.cross_check.bound_px:.2f}"
         )
+    if report:
+        print(f"report: {', '.join(str(options.report / name) for name in report)}")
     return 0
 
 
@@ -116,11 +118,15 @@ def _report(options: argparse.Namespace, recording: Recording, result: ScanResul
 
     given = [str(path) for path in (options.recording, "-o", options.output, "--report", options.report)]
     command = shlex.join(["altd", "calibrate", *given])
+    show = _progress("files of the report")
+    show(0, 2)
     try:
         document = report_on(Source(result.calibration, result.evidence, scan_negatives(recording), command))
     except ValueError as error:
         raise BadInputError(options.recording, str(error)) from error
-    return {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
+    files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
+    show(2, 2)
+    return files
 
 
 def _replay(options: argparse.Namespace) -> int:

@@ -51,7 +51,7 @@ def residuals(source: Source) -> list[Block]:
             )
         )
     caption = (
-        "Residual vectors, seen along the beam: from where the stage was to where the map puts the spot, "
+        "Residual vectors, seen along the beam: from each node's known place to where the map puts it, "
         f"{scale:g} times enlarged (arrow: scale). Arrows that point anywhere are pattern and noise; arrows "
         "that run along each other over several nodes are an error of stage or lens that the map could not "
         "follow. Dashed: the area in which the map is valid. Crosses: nodes left out."
