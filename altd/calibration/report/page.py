@@ -31,7 +31,7 @@ _CSS = """
 :root { color-scheme: light; }
 * { box-sizing: border-box; }
 body { margin: 0 auto; padding: 1.2rem 1rem 3rem; max-width: 60rem; background: #fff; color: #1a1a1a;
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif;
+  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif;
   -webkit-text-size-adjust: 100%; }
 h1 { font-size: 1.7rem; line-height: 1.2; margin: .3rem 0 .2rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.2rem; margin: 2.4rem 0 .6rem; padding-top: .7rem; border-top: 1px solid #d5d9de; }
@@ -67,7 +67,8 @@ figcaption { color: #444b54; font-size: .9rem; margin-top: .4rem; max-width: 46r
 }
 @page { size: A4; margin: 14mm 15mm; }
 @media print {
-  body { font-size: 9.5pt; padding: 0; max-width: none; }
+  html { font-size: 9.5pt; }
+  body { padding: 0; max-width: none; }
   h2 { break-after: avoid; margin-top: 1.4rem; }
   figure, tr, .verdict { break-inside: avoid; }
   .pictures { flex-wrap: nowrap; }

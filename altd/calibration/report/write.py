@@ -17,7 +17,7 @@ PAGE, SHEETS = "calibration.html", "calibration.pdf"
 def check_report(folder: Path) -> None:
     """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
 
-    Makes the folder when it is not there. Raises BadInputError.
+    Leaves nothing behind. Raises BadInputError.
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
     try:
@@ -26,28 +26,40 @@ def check_report(folder: Path) -> None:
         raise BadInputError(
             "--report", "needs matplotlib, which comes with the extra altd[report]"
         ) from error
+    for name in (PAGE, SHEETS):
+        if (folder / name).is_dir():
+            raise BadInputError(folder / name, "is a folder")
     try:
-        folder.mkdir(exist_ok=True)
-        for name in (PAGE, SHEETS):
-            if (folder / name).is_dir():
-                raise BadInputError(folder / name, "is a folder")
+        is_new = _made(folder)
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
         os.close(descriptor)
         Path(trial).unlink()
-    except FileExistsError as error:
-        raise BadInputError(folder, "is not a folder") from error
+        if is_new:
+            folder.rmdir()
     except OSError as error:
         raise BadInputError(folder, error.strerror or "cannot be written") from error
 
 
+def _made(folder: Path) -> bool:
+    """Whether the folder had to be made."""
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        if not folder.is_dir():
+            raise BadInputError(folder, "is not a folder") from None
+        return False
+    return True
+
+
 def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into the folder, all of them or none; older ones of the same names are replaced.
+    """Write files into the folder, made when it is not there, all or none; older ones are replaced.
 
     Raises BadInputError when one cannot be written; then all are as they were.
     """
     written: dict[str, Path] = {}
     kept: dict[str, bytes | None] = {}
     try:
+        _made(folder)
         try:
             for name, content in files.items():
                 written[name] = _temporary(folder, name, content)

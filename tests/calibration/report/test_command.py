@@ -74,4 +74,4 @@ def test_a_scan_that_is_refused_leaves_no_report(tmp_path: Path) -> None:
     assert "recording.json" in refusal(
         altd("calibrate", tmp_path / "none", "-o", tmp_path / "cal.json", "--report", folder)
     )
-    assert list(folder.iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

@@ -32,10 +32,16 @@ def test_when_the_second_cannot_be_written_the_first_is_as_it_was(
         assert (tmp_path / "a").read_bytes() == before
 
 
-def test_a_folder_is_made_or_used_and_left_empty(tmp_path: Path) -> None:
-    for _ in range(2):
-        check_report(tmp_path / "new")
-    assert list((tmp_path / "new").iterdir()) == []
+def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
+    check_report(tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+    check_report(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_is_made_when_it_is_written(tmp_path: Path) -> None:
+    write_together(tmp_path / "new", {"a": b"1"})
+    assert (tmp_path / "new" / "a").read_bytes() == b"1"
 
 
 @pytest.mark.parametrize(
