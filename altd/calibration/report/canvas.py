@@ -28,6 +28,7 @@ _STYLE: dict[str, Any] = {
     "axes.labelcolor": INK,
     "axes.linewidth": 0.6,
     "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
     "text.color": INK,
     "text.parse_math": False,  # a recording's note may have a $ in it
     "xtick.color": QUIET,

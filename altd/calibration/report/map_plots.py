@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.colors import Normalize, SymLogNorm
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from altd.calibration.evidence import Candidate
 from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, Canvas
@@ -93,6 +93,8 @@ def covariance(title: str, matrix_px2: FloatArray, largest_px2: float, symlog: b
         axes.set_xlabel(axis, labelpad=2)
         axes.set_ylabel(axis, labelpad=1)
         axes.tick_params(length=2)
+        for side in (axes.xaxis, axes.yaxis):
+            side.set_major_locator(MaxNLocator(8, integer=True))
         box = axes.get_position()
         inch = 1 / canvas.width_in
         bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))

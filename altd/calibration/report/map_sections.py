@@ -24,14 +24,16 @@ from altd.mapping.hull import contains
 
 _LONGEST_ARROW_MM = 20.0
 _LONGEST_DIFFERENCE_MM = 15.0
+_LEAST_MM, _LEAST_PX2 = 1e-4, 1e-12
+"""What is smaller is drawn as if it were so large: scales need something to hold on to."""
 
 
 def residuals(source: Source) -> list[Block]:
     """Residual vectors of all targets on one scale, and the numbers that sum them up."""
     plane = Plane([target.map.hull_mm for target in source.calibration.targets])
     offsets = [offsets_mm(target, seen.nodes_mm, seen.residuals_px) for target, seen in source.targets()]
-    longest = max(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets)
-    scale = nice_length(_LONGEST_ARROW_MM / max(longest, 1e-9))
+    longest_mm = max(_LEAST_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
+    scale = nice_length(_LONGEST_ARROW_MM / longest_mm)
     pictures = []
     rows = []
     for (target, seen), of_one in zip(source.targets(), offsets, strict=True):
@@ -110,7 +112,7 @@ def _table_of_models(source: Source) -> Table:
             of_target[target.name] = f"{numbers}, chosen" if number == chosen else numbers
     names = source.calibration.target_names
     rows = tuple((*of, *(numbers.get(name, "–") for name in names)) for of, numbers in lines.items())
-    return Table(("model", "parameters", *names), rows, (0.2, 0.12, *[0.68 / len(names)] * len(names)))
+    return Table(("model", "parameters", *names), rows, (0.21, 0.13, *[0.66 / len(names)] * len(names)))
 
 
 def _full_name(candidate: Candidate) -> str:
@@ -153,8 +155,8 @@ def cross_checks(source: Source) -> list[Block]:
         off_mm = difference_mm(target, target.cross_check.map, places_mm.reshape(-1, 2))
         off_mm[~contains(target.map.hull_mm, places_mm.reshape(-1, 2))] = np.nan
         apart.append(off_mm.reshape(places_mm.shape))
-    longest_mm = max(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart)
-    scale = nice_length(_LONGEST_DIFFERENCE_MM / max(longest_mm, 1e-9))
+    longest_mm = max(_LEAST_MM, *(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart))
+    scale = nice_length(_LONGEST_DIFFERENCE_MM / longest_mm)
     pictures, said = [], []
     for target, off_mm in zip(targets, apart, strict=True):
         other = target.cross_check
@@ -201,7 +203,7 @@ def covariances(source: Source) -> list[Block]:
             "scale is logarithmic on both sides of zero.",
         ),
     ):
-        largest = max(float(np.abs(matrix).max()) for matrix in matrices)
+        largest = max(_LEAST_PX2, *(float(np.abs(matrix).max()) for matrix in matrices))
         pictures = tuple(
             Picture(
                 f"covariance of the {what}, target {target.name}",

@@ -102,9 +102,9 @@ def scatter(
                 Ellipse((u, v), *across_px, facecolor=BLUE + "40", edgecolor=BLUE, linewidth=0.8, zorder=3)
             )
         axes.plot(*nodes_px[single].T, "x", color=VERMILION, markersize=4)
-        width, height = size_px
+        width = size_px[0]
         key_px = nice_length(0.09 * width / scale)
-        right, above = width - 4.0, -0.055 * height
+        right, above = width - 4.0, -0.035 * width
         axes.plot(
             [right - scale * key_px, right], [above, above], "|-", color=INK, linewidth=1.2, clip_on=False
         )

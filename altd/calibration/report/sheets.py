@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from datetime import datetime
 from functools import lru_cache
 
@@ -20,6 +21,7 @@ from altd.calibration.report.document import (
     Block,
     Document,
     Heading,
+    Picture,
     Row,
     Table,
     Words,
@@ -121,7 +123,7 @@ class _Setter:
         self.gap(0.24)
         match following:
             case Row():
-                after_in = _row_height_in(following)
+                after_in = _tallest_in(_pairs(following)[0]) + _caption_in(following)
             case Table():
                 after_in = _height_of_few_in(following)
             case _:
@@ -190,25 +192,28 @@ class _Setter:
         self._rule(QUIET if head else FAINT, self._y_in)
 
     def _row(self, row: Row) -> None:
-        self._need(_row_height_in(row))
-        self.gap(0.06)
-        tallest_in = max(picture.height_in for picture in row.pictures)
-        left_in = _MARGIN_IN
-        for picture in row.pictures:
-            right_in = _WIDTH_IN - left_in - WIDTH_IN
-            below_in = self._y_in - picture.height_in
-            grid = self._sheets[-1].add_gridspec(
-                3, 3, left=0, right=1, bottom=0, top=1, wspace=0, hspace=0,
-                width_ratios=(left_in, WIDTH_IN, right_in),
-                height_ratios=(_HEIGHT_IN - self._y_in, picture.height_in, below_in),
-            )  # fmt: skip
-            part = self._sheets[-1].add_subfigure(grid[1, 1])
-            picture.draw(Canvas(part, WIDTH_IN, picture.height_in))
-            left_in += WIDTH_IN + (_ROOM_IN - 2 * WIDTH_IN)
-        self.gap(tallest_in + 0.04)
+        """Two pictures beside each other, more of them below; the caption stays with the last."""
+        pairs = _pairs(row)
+        for pair in pairs:
+            height_in = _tallest_in(pair)
+            self._need(height_in + 0.12 + (_caption_in(row) if pair is pairs[-1] else 0.0))
+            self.gap(0.06)
+            for picture, left_in in zip(pair, (_MARGIN_IN, _WIDTH_IN - _MARGIN_IN - WIDTH_IN), strict=False):
+                self._picture(picture, left_in)
+            self.gap(height_in + 0.04)
         if row.caption:
             self.words(row.caption, 8, colour="#444b54")
             self.gap(0.06)
+
+    def _picture(self, picture: Picture, left_in: float) -> None:
+        """Draw into the middle cell of a grid whose other cells are the room around it."""
+        right_in, below_in = _WIDTH_IN - left_in - WIDTH_IN, self._y_in - picture.height_in
+        grid = self._sheets[-1].add_gridspec(
+            3, 3, left=0, right=1, bottom=0, top=1, wspace=0, hspace=0,
+            width_ratios=(left_in, WIDTH_IN, right_in),
+            height_ratios=(_HEIGHT_IN - self._y_in, picture.height_in, below_in),
+        )  # fmt: skip
+        picture.draw(Canvas(self._sheets[-1].add_subfigure(grid[1, 1]), WIDTH_IN, picture.height_in))
 
 
 def _height_of_few_in(table: Table) -> float:
@@ -216,9 +221,16 @@ def _height_of_few_in(table: Table) -> float:
     return 0.35 * (1 + min(len(table.rows), 3)) if len(table.rows) > 6 else 0.3 * (1 + len(table.rows))
 
 
-def _row_height_in(row: Row) -> float:
-    caption = len(_lines(row.caption, 8, _ROOM_IN, bold=False)) * _height_in(8) if row.caption else 0.0
-    return max(picture.height_in for picture in row.pictures) + caption + 0.12
+def _pairs(row: Row) -> list[tuple[Picture, ...]]:
+    return [row.pictures[n : n + 2] for n in range(0, len(row.pictures), 2)]
+
+
+def _tallest_in(pictures: Sequence[Picture]) -> float:
+    return max(picture.height_in for picture in pictures)
+
+
+def _caption_in(row: Row) -> float:
+    return len(_lines(row.caption, 8, _ROOM_IN, bold=False)) * _height_in(8) if row.caption else 0.0
 
 
 def _height_in(size: float) -> float:

@@ -217,7 +217,7 @@ _CAUSE_WORDS = {
 _ADVICE = {
     "pattern": "a larger laser spot covers more dots and speckle grains and shifts less; clean the targets; "
     "averaging longer does not help",
-    "map": "a scan with more nodes, or the mean of several scans, makes the map more certain",
+    "map": "a scan with more nodes makes the map more certain",
     "scatter": "average more exposures in a measurement, and take vibration and draught away",
 }
 

@@ -170,6 +170,25 @@ def test_nothing_leaves_the_sheets(sheets: Path, tmp_path: Path) -> None:
             assert margin.min() > 240, path.name
 
 
+def test_pictures_of_a_third_target_have_room_of_their_own(tmp_path: Path) -> None:
+    middle = replace(target("rear"), name="middle", z_mm=140.0, width=480, height=752)
+    made = calibration(target("front"), middle, target("rear"))
+    seen = tuple(evidence(name) for name in made.target_names)
+    whole = report_on(Source(made, seen, {}, "altd"))
+    residuals = next(b for b in whole.blocks if isinstance(b, Row) and len(b.pictures) == 3)
+    path = tmp_path / "three.pdf"
+    path.write_bytes(pdf_sheets(replace(whole, blocks=(residuals,)), made.created))
+    reader = need_program("pdftotext", "poppler-utils")
+    done = subprocess.run([reader, "-bbox", path, "-"], capture_output=True, text=True, check=True)
+    places = {
+        word: (float(x), float(y))
+        for x, y, word in re.findall(r'xMin="([\d.]+)" yMin="([\d.]+)".*>(front|middle|rear)<', done.stdout)
+    }
+    assert places["front"][1] == pytest.approx(places["middle"][1])
+    assert places["rear"][0] == pytest.approx(places["front"][0])
+    assert places["rear"][1] > places["front"][1] + 150  # a picture's height, in points
+
+
 def test_a_report_comes_out_the_same_again(document: Document) -> None:
     few = replace(document, blocks=tuple(b for b in document.blocks if not isinstance(b, Row))[:6])
     rows = [block for block in document.blocks if isinstance(block, Row)]
