@@ -34,7 +34,7 @@ def _axes(canvas: Canvas, title: str, size_px: tuple[int, int]) -> Axes:
     axes.set_aspect("equal")
     axes.set_title(title)
     axes.set_xlabel("u in px", labelpad=2)
-    axes.set_ylabel("v in px", labelpad=0)
+    axes.set_ylabel("v in px", labelpad=2)
     step = nice_length(width / 4)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(step))

@@ -44,7 +44,7 @@ class Plane:
         axes.set_aspect("equal")
         axes.set_title(title)
         axes.set_xlabel("x in mm", labelpad=2)
-        axes.set_ylabel("y in mm", labelpad=0)
+        axes.set_ylabel("y in mm", labelpad=1)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(MultipleLocator(25))
         return axes
