@@ -65,12 +65,15 @@ async def until_signal(work: Coroutine[None, None, object]) -> object | None:
 
 def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
+    from altd.calibration.plate import LASER_SPOT_SIGMA_MM, calibrate_plate
     from altd.calibration.scan import calibrate_scan
     from altd.recording import open_recording
 
     if not options.output.resolve().parent.is_dir():
         raise BadInputError(options.output, "its folder does not exist")
-    result = calibrate_scan(open_recording(options.recording), progress=_progress("frames"))
+    recording = open_recording(options.recording)
+    plate = recording.header.kind == "plate"
+    result = (calibrate_plate if plate else calibrate_scan)(recording, progress=_progress("frames"))
     save_calibration(result.calibration, options.output)
     for line in result.refused:
         print(f"altd calibrate: left out: {line}", file=sys.stderr)
@@ -84,6 +87,8 @@ def _calibrate(options: argparse.Namespace) -> int:
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
             f"            {len(target.leds_px)}"
         )
+    if plate:
+        print(f"a plate shows no laser spot: its pattern and fall-off are taken as {LASER_SPOT_SIGMA_MM} mm")
     return 0
 
 

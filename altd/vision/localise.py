@@ -146,7 +146,7 @@ def _judge(frame: Frame, patch: _Patch, found: Search, settings: SpotSettings) -
     if not settings.min_diameter_px <= diameter_px <= largest:
         limits = f"{settings.min_diameter_px:.0f} to {largest:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
-    aspect, fill = _shape(patch.mask)
+    aspect, fill = shape_of(patch.mask)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
     return _moment(frame, patch, found, settings, diameter_px, peak)
@@ -184,7 +184,7 @@ def _diameter_px(patch: _Patch, settings: SpotSettings) -> float:
     return math.sqrt(max(4 * area / math.pi - 16 * settings.smoothing_px**2, 0.0))
 
 
-def _shape(mask: Mask) -> tuple[float, float]:
+def shape_of(mask: Mask) -> tuple[float, float]:
     """Aspect ratio of the ellipse with the mask's second moments, and the mask's area over that ellipse's."""
     m = cv2.moments(mask, binaryImage=True)
     area = m["m00"]
