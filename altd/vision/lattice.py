@@ -22,7 +22,7 @@ LARGEST_TURN_DEG = 30.0
 
 Cell = tuple[int, int]
 
-_SEEDS = 4
+_SEEDS = 9
 _NEIGHBOURS = 6
 _REACH = 0.3
 """A neighbour lies within this share of a step of where the step before it points."""
@@ -81,7 +81,7 @@ def _largest_lattice(points: FloatArray, columns: int, rows: int) -> dict[Cell, 
                 count = max(_most_in(cells, columns, rows), _most_in(cells, rows, columns))
                 if count > best_count:
                     best, best_count = cells, count
-                if count == columns * rows:
+                if count == min(columns * rows, len(points)):
                     return best
     return best
 

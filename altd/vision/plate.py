@@ -17,9 +17,9 @@ _DETECTION_SHARE = 0.06
 _SMALLEST_AREA_PX = 20
 _MAX_ASPECT = 2.5
 _MIN_FILL = 0.88
-_MAX_SOFTNESS = 3.2
-"""Area above a quarter of the level over area above three quarters: a disc of 4 px radius behind a lens has
-1.7, a Gaussian glow 4.8."""
+_MAX_SOFTNESS = 2.4
+"""Area above a quarter of the level over area above three quarters: a disc of 3 mm under 30° behind a lens of
+3.6 mm has 1.8, a Gaussian glow 2.9."""
 _HOT_SHARE = 0.35
 _MARGIN_PX = 4
 _OUTER, _INNER = 0.25, 0.75
@@ -32,14 +32,16 @@ _LEVEL_PERCENTILE = 75.0
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """An evenly bright disc: centre of its area and its area, px; ``cut`` by the edge of the picture.
+    """An evenly bright disc: centre of its area and its area, px, and its median brightness.
 
+    ``cut`` tells that the edge of the picture cuts it, so that its place is not known well.
     ``box`` is the window that it was found in: left, top, right, bottom, the last two past the end.
     """
 
     u_px: float
     v_px: float
     area_px: float
+    level: float
     cut: bool
     box: tuple[int, int, int, int]
 
@@ -90,7 +92,7 @@ def disc_centres_px(difference: Image, discs: tuple[Disc, ...]) -> FloatArray:
     centres = np.full((len(discs), 2), np.nan)
     for row, disc in enumerate(discs):
         left, top, right, bottom = disc.box
-        measured = _centre(difference[top:bottom, left:right])
+        measured = _centre(difference[top:bottom, left:right], disc.level / 2)
         if measured is not None:
             centres[row] = left + measured[0], top + measured[1]
     return centres
@@ -113,32 +115,37 @@ def _judged(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
     aspect, fill = shape_of(mask)
     if not cut and (aspect > _MAX_ASPECT or fill < _MIN_FILL):
         return f"a light at ({u}, {v}) px is no disc: aspect ratio {aspect:.1f}, fill {fill:.2f}"
+    margin = _MARGIN_PX + max(last_u - first_u, last_v - first_v) // 3
     box = (
-        max(first_u - _MARGIN_PX, 0),
-        max(first_v - _MARGIN_PX, 0),
-        min(last_u + 1 + _MARGIN_PX, columns),
-        min(last_v + 1 + _MARGIN_PX, rows),
+        max(first_u - margin, 0),
+        max(first_v - margin, 0),
+        min(last_u + 1 + margin, columns),
+        min(last_v + 1 + margin, rows),
     )
     window = difference[box[1] : box[3], box[0] : box[2]]
-    measured = _centre(window)
+    measured = _centre(window, 0.0)
     if measured is None:
         return f"a light at ({u}, {v}) px has no even inside"
     centre_u, centre_v, area_px, softness = measured
     if softness > _MAX_SOFTNESS and not cut:
         return f"a light at ({u}, {v}) px has no edge: a glow"
-    return Disc(box[0] + centre_u, box[1] + centre_v, area_px, cut, box)
+    level = float(np.median(difference[at_v + top, at_u + left]))
+    return Disc(box[0] + centre_u, box[1] + centre_v, area_px, level, cut, box)
 
 
-def _centre(window: Image) -> tuple[float, float, float, float] | None:
-    """Centre of area (u, v) in the window, area px and softness of its edge; None without a bright inside.
+def _centre(window: Image, least: float) -> tuple[float, float, float, float] | None:
+    """Centre of area (u, v) in the window, area px and softness of its edge.
+
+    None without a bright inside, or where nothing is brighter than ``least``.
 
     The disc's brightness is divided by the plane through its inside, so that neither the fall-off of the
     lens nor an LED brighter on one side moves the centre. Weights rise from 0 at a tenth of that to 1 at
     nine tenths: the inside does not add its noise, and the rim counts by its share of each pixel.
     """
-    level = float(np.percentile(window[window > 0.5 * window.max()], _LEVEL_PERCENTILE))
-    if level <= 0:
+    brightest = float(window.max())
+    if brightest <= least:
         return None
+    level = float(np.percentile(window[window > 0.5 * brightest], _LEVEL_PERCENTILE))
     calm = np.asarray(cv2.medianBlur(window, 3), dtype=np.float32)
     clean = np.where(np.abs(window - calm) > _HOT_SHARE * level, calm, window)
     _, labels = cv2.connectedComponents((calm > _OUTER * level).astype(np.uint8), connectivity=8)
