@@ -6,9 +6,10 @@ docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from itertools import count
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from altd.mapping.light_centre import (
 )
 from altd.mapping.tensor_map import Fit
 from altd.recording import PlateHeader, Recording, Row
-from altd.records import FloatArray
+from altd.records import FloatArray, Frame
 from altd.vision.background import Image
 from altd.vision.lattice import match_grid
 from altd.vision.plate import Disc, disc_centres_px, find_discs
@@ -38,6 +39,7 @@ draws the centre of light of a 12 mm spot towards the middle."""
 
 _LARGEST_MISSING_SHARE = 0.2
 _SIZE_LIMITS = 0.5, 2.0
+_WIDTH_LIMITS = 0.75, 1.35
 _ROUNDS = 3
 
 
@@ -82,12 +84,15 @@ def calibrate_plate(
         raise BadInputError(recording.path, "a plate's recording must have the cameras 'front' and 'rear'")
     localiser = localiser or SpotSettings()
     targets, evidence, refused = [], [], []
-    done, total = 0, len(recording.rows)
+    done, total = count(1), len(recording.rows) + sum(row.leds_on for row in recording.rows)
+
+    def frame(row: Row) -> Frame:
+        progress(next(done), total)
+        return recording.frame(row)
+
     for name, z_mm in sorted(distances.items(), key=lambda item: item[1]):
         rows = [row for row in recording.rows if row.camera == name]
-        target, of_target, lights = _target(recording, header.plate, name, z_mm, rows, localiser, degree)
-        done += len(rows)
-        progress(done, total)
+        target, of_target, lights = _target(recording, name, z_mm, rows, frame, localiser, degree)
         targets.append(target)
         evidence.append(of_target)
         refused += [f"{name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
@@ -104,16 +109,22 @@ def calibrate_plate(
 
 def _target(
     recording: Recording,
-    plate: PlateHeader,
     name: str,
     z_mm: float,
     rows: list[Row],
+    frame: Callable[[Row], Frame],
     localiser: SpotSettings,
     degree: tuple[int, int] | None,
 ) -> tuple[TargetCalibration, TargetEvidence, tuple[str, ...]]:
     """One target's map, what it rests on, and the lights that are no LED."""
-    camera = recording.header.cameras[name]
-    dark, lit = _mean(recording, name, rows, leds_on=False), _mean(recording, name, rows, leds_on=True)
+    plate, camera = recording.header.plate, recording.header.cameras[name]
+    assert plate is not None  # noqa: S101  the caller looked
+    by_leds = {state: [row for row in rows if row.leds_on == state] for state in (False, True)}
+    for state, of_state in by_leds.items():
+        if not of_state:
+            word = "on" if state else "off"
+            raise BadInputError(recording.path, f"{name}: no frame has the plate's LEDs {word}")
+    dark, lit = (_mean(frame(row) for row in of_state) for of_state in by_leds.values())
     mirrored = name == "front" if camera.mirrored is None else camera.mirrored
     try:
         leds = _find(lit - dark, plate, mirrored)
@@ -139,7 +150,9 @@ def _target(
         )
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
-    scatter_px, exposures = _scatter_px(recording, rows, dark, tuple(leds.discs[row] for row in kept))
+    scatter_px, exposures = _scatter_px(
+        (frame(row) for row in by_leds[True]), dark, tuple(leds.discs[row] for row in kept)
+    )
     distance_mm = _residual_distances_mm(fit, nodes_mm[kept])
     scale = np.sqrt(np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm[kept]))))
     pattern_px = LASER_SPOT_SIGMA_MM * float(np.median(scale))
@@ -172,15 +185,12 @@ def _target(
     return target, evidence, leds.lights
 
 
-def _mean(recording: Recording, name: str, rows: list[Row], *, leds_on: bool) -> Image:
-    """The mean of a camera's frames with the plate's LEDs on, or off."""
-    wanted = [row for row in rows if row.leds_on == leds_on]
-    if not wanted:
-        raise BadInputError(
-            recording.path, f"{name}: no frame has the plate's LEDs {'on' if leds_on else 'off'}"
-        )
-    total = sum(recording.frame(row).pixels.astype(np.float64) for row in wanted)
-    return np.asarray(total / len(wanted), dtype=np.float32)
+def _mean(frames: Iterable[Frame]) -> Image:
+    """The frames' mean, counts."""
+    total, number = np.zeros(()), 0
+    for frame in frames:
+        total, number = total + frame.pixels, number + 1
+    return np.asarray(total / number, dtype=np.float32)
 
 
 def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
@@ -241,21 +251,31 @@ def _fit(
         for row in odd[: most_dropped - len(complaints)]:
             complaints[row] = f"its disc has {areas_mm2[row] / usual_mm2:.1f} times the area of the others"
         kept = [row for row in kept if row not in complaints]
-        disc_mm = plate.disc_mm or float(np.sqrt(4 * usual_mm2 / np.pi))
+        disc_mm = _disc_mm(plate, usual_mm2)
         moment = spot_moment - disc_moment_mm2(disc_mm)
         shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
     fit, _ = fit_nodes(nodes_mm[kept], (centres_px + shift_px)[kept], image_size, degree, 0)
     return fit, kept, complaints
 
 
+def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:
+    """The LEDs' diameter as the plate's table has it, else as the pictures show it."""
+    seen_mm = float(np.sqrt(4 * area_mm2 / np.pi))
+    if plate.disc_mm is None:
+        return seen_mm
+    if not _WIDTH_LIMITS[0] < seen_mm / plate.disc_mm < _WIDTH_LIMITS[1]:
+        raise ValueError(
+            f"the LEDs look {seen_mm:.1f} mm wide with a pitch of {plate.pitch_mm:g} mm, but disc_mm is "
+            f"{plate.disc_mm:g}: one of them is wrong"
+        )
+    return plate.disc_mm
+
+
 def _scatter_px(
-    recording: Recording, rows: list[Row], dark: Image, discs: tuple[Disc, ...]
+    lit: Iterable[Frame], dark: Image, discs: tuple[Disc, ...]
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Standard deviation (n, 2) of each LED's centre in single exposures, and in how many it was found."""
-    lit = [row for row in rows if row.leds_on]
-    centres = np.stack(
-        [disc_centres_px(recording.frame(row).pixels.astype(np.float32) - dark, discs) for row in lit]
-    )
+    centres = np.stack([disc_centres_px(frame.pixels.astype(np.float32) - dark, discs) for frame in lit])
     exposures = np.count_nonzero(np.isfinite(centres[:, :, 0]), axis=0)
     scatter = np.full((len(discs), 2), np.nan)
     for led in np.flatnonzero(exposures > 1):

@@ -13,6 +13,11 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.plate import LASER_SPOT_SIGMA_MM, PlateResult, calibrate_plate
 from altd.errors import BadInputError
 from altd.recording import open_recording
+from altd.records import Spot
+from altd.vision.localise import locate
+from hw_sim.measure import random_poses
+from hw_sim.plate import Plate, record_plate, with_plate
+from hw_sim.unit import Unit, UnitConfig
 
 FRONT = View(1333.0, 420.0, tilted(12.0, 1.0, 2.0), mirrored=True)
 REAR = View(950.0, 340.0, tilted(30.0, 2.5, -3.0))
@@ -136,6 +141,29 @@ def test_a_calibration_from_a_plate_is_saved_like_any_other(result: PlateResult,
     assert all(len(target.leds_px) == 0 for target in loaded.targets)
 
 
+def test_a_simulated_unit_measures_its_beams_by_a_plate(tmp_path: Path) -> None:
+    """Print, speckle and fall-off are there now: what the plate does not see, but sigma must hold."""
+    config = UnitConfig(seed=61)
+    record_plate(
+        tmp_path / "rec", with_plate(Unit(config), Plate()), Plate(), 2, lambda _done, _planned: None
+    )
+    calibration = calibrate_plate(open_recording(tmp_path / "rec")).calibration
+    unit, misses, ratios = Unit(config), [], []
+    for sequence, pose in enumerate(random_poses(30, 280.0, np.random.default_rng(1))):
+        unit.place(pose)
+        for target in calibration.targets:
+            spot = locate(unit.expose(target.name, sequence, 0))
+            assert isinstance(spot, Spot)
+            point = target.point(spot.u_px, spot.v_px)
+            if point is not None:  # the plate's 138 × 92 mm are not the whole area
+                miss = np.subtract((point.x_mm, point.y_mm), pose.at(target.z_mm))
+                misses.append(np.linalg.norm(miss))
+                ratios += list(miss / np.sqrt(np.diag(point.covariance_mm2)))
+    assert len(misses) > 50
+    assert np.sqrt(np.mean(np.square(misses))) < 0.035
+    assert 0.5 < np.sqrt(np.mean(np.square(ratios))) < 1.5
+
+
 class TestRefused:
     def complaint(self, rec: Path) -> str:
         with pytest.raises(BadInputError) as caught:
@@ -162,6 +190,19 @@ class TestRefused:
         dark = np.zeros_like(plate_light(REAR))
         rec = write_plate(tmp_path / "rec", plate_light(FRONT), dark, pairs=1)
         assert "rear: no LED of the plate is seen" in self.complaint(rec)
+
+    def test_a_pitch_that_does_not_fit_the_discs(self, two_dark: Path, tmp_path: Path) -> None:
+        rec = tmp_path / "rec"
+        rec.mkdir()
+        for path in two_dark.iterdir():
+            (rec / path.name).symlink_to(path)
+        about = json.loads((two_dark / "recording.json").read_text())
+        about["plate"] |= {"disc_mm": 5.0, "pitch_mm": 50.0}
+        (rec / "recording.json").unlink()
+        (rec / "recording.json").write_text(json.dumps(about))
+        assert "the LEDs look 10.0 mm wide with a pitch of 50 mm, but disc_mm is 5: one of them is wrong" in (
+            self.complaint(rec)
+        )
 
     def test_a_recording_without_one_state_of_the_leds(self, two_dark: Path, tmp_path: Path) -> None:
         table = (two_dark / "frames.csv").read_text()
