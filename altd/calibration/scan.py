@@ -74,7 +74,9 @@ def calibrate_scan(
     """
     header = recording.header
     if header.kind != "scan":
-        raise BadInputError(recording.path, f"is of kind {header.kind!r}; a calibration needs a 'scan'")
+        raise BadInputError(
+            recording.path, f"is of kind {header.kind!r}; a calibration needs a 'scan' or a 'plate'"
+        )
     distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
     if set(header.cameras) != set(distances):
         raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")

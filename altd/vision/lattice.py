@@ -29,6 +29,8 @@ _REACH = 0.3
 _OFF_SHARE = 0.2
 """The same for a smooth map through all the others."""
 _FEWEST_FOR_CUBIC = 16
+_LEAST_LEFT = 0.08
+"""A point that the cubic follows more closely than so is on its own: no other tells whether it is right."""
 _LEAST_SHARE = 0.5
 _CLEAR_BY = 2
 """By so many LEDs the grid must fit better than shifted by a line."""
@@ -55,6 +57,7 @@ def match_grid(points_px: FloatArray, columns: int, rows: int, mirrored: bool) -
         raise ValueError(f"of {len(points_px)} lights only {len(cells)} lie on a grid")
     _correct(points_px, cells)
     _fill_gaps(points_px, cells)
+    _correct(points_px, cells)
     upright = _turned_upright(points_px, cells, mirrored)
     placed = _placed(upright, columns, rows)
     extra = sorted(set(range(len(points_px))) - set(placed[placed >= 0].tolist()))
@@ -152,7 +155,7 @@ class _Smooth:
     scale: float
     coefficients: FloatArray
     left_out_px: FloatArray
-    """Where the others put each point of the lattice, (n, 2)."""
+    """Where the others put each point of the lattice, (n, 2); NaN where they do not tell."""
 
     @classmethod
     def through(cls, points: FloatArray, cells: Mapping[Cell, int]) -> Self:
@@ -163,7 +166,8 @@ class _Smooth:
         design = _cubic((places - centre) / scale)
         inverse = np.linalg.pinv(design)
         coefficients = inverse @ seen
-        left = np.maximum(1 - np.einsum("nk,kn->n", design, inverse), 0.05)[:, None]
+        left = 1 - np.einsum("nk,kn->n", design, inverse)[:, None]
+        left = np.where(left < _LEAST_LEFT, np.nan, left)
         return cls(centre, scale, coefficients, seen - (seen - design @ coefficients) / left)
 
     def to_px(self, cells: npt.ArrayLike) -> FloatArray:
@@ -187,14 +191,17 @@ def _correct(points: FloatArray, cells: dict[Cell, int]) -> None:
 
     A light beside an LED, or in the place of a dark one, may be what the steps met first.
     """
-    for _ in range(len(points)):
+    for _ in range(2 * len(points)):
         if len(cells) < _FEWEST_FOR_CUBIC:
             return
         smooth = _Smooth.through(points, cells)
         off_px = np.linalg.norm(points[list(cells.values())] - smooth.left_out_px, axis=1)
         shares = off_px / np.array([smooth.step_px(cell) for cell in cells])
-        at = int(shares.argmax())
+        at = int(np.where(np.isnan(shares), np.inf, shares).argmax())
         cell = list(cells)[at]
+        if np.isnan(shares[at]):
+            del cells[cell]
+            continue
         free = _free(points, cells)
         miss_px = np.linalg.norm(points[free] - smooth.left_out_px[at], axis=1)
         if len(free) and miss_px.min() < off_px[at] / 2:

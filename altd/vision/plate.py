@@ -17,9 +17,10 @@ _DETECTION_SHARE = 0.06
 _SMALLEST_AREA_PX = 20
 _MAX_ASPECT = 2.5
 _MIN_FILL = 0.88
-_MAX_SOFTNESS = 2.4
+_MAX_SOFTNESS, _MUCH_SOFTER = 2.4, 1.5
 """Area above a quarter of the level over area above three quarters: a disc of 3 mm under 30° behind a lens of
-3.6 mm has 1.8, a Gaussian glow 2.9."""
+3.6 mm has 1.8, a Gaussian glow 2.9. It is one, if it is also so many times softer than most of the lights:
+then the LEDs themselves are not as soft."""
 _HOT_SHARE = 0.35
 _MARGIN_PX = 4
 _OUTER, _INNER = 0.25, 0.75
@@ -32,7 +33,7 @@ _LEVEL_PERCENTILE = 75.0
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """An evenly bright disc: centre of its area and its area, px, and its median brightness.
+    """An evenly bright disc: centre of its area and its area, px; its median brightness, its edge's softness.
 
     ``cut`` tells that the edge of the picture cuts it, so that its place is not known well.
     ``box`` is the window that it was found in: left, top, right, bottom, the last two past the end.
@@ -42,6 +43,7 @@ class Disc:
     v_px: float
     area_px: float
     level: float
+    softness: float
     cut: bool
     box: tuple[int, int, int, int]
 
@@ -84,7 +86,10 @@ def find_discs(difference: Image) -> Discs:
                 found.append(disc)
             else:
                 rejected.append(disc)
-    return Discs(tuple(found), tuple(rejected))
+    usual = float(np.median([disc.softness for disc in found])) if found else 0.0
+    glows = [disc for disc in found if disc.softness > max(_MAX_SOFTNESS, _MUCH_SOFTER * usual)]
+    rejected += [f"a light at ({disc.u_px:.0f}, {disc.v_px:.0f}) px has no edge: a glow" for disc in glows]
+    return Discs(tuple(disc for disc in found if disc not in glows), tuple(rejected))
 
 
 def disc_centres_px(difference: Image, discs: tuple[Disc, ...]) -> FloatArray:
@@ -127,10 +132,8 @@ def _judged(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
     if measured is None:
         return f"a light at ({u}, {v}) px has no even inside"
     centre_u, centre_v, area_px, softness = measured
-    if softness > _MAX_SOFTNESS and not cut:
-        return f"a light at ({u}, {v}) px has no edge: a glow"
     level = float(np.median(difference[at_v + top, at_u + left]))
-    return Disc(box[0] + centre_u, box[1] + centre_v, area_px, level, cut, box)
+    return Disc(box[0] + centre_u, box[1] + centre_v, area_px, level, softness, cut, box)
 
 
 def _centre(window: Image, least: float) -> tuple[float, float, float, float] | None:
@@ -166,11 +169,13 @@ def _centre(window: Image, least: float) -> tuple[float, float, float, float] | 
     height, width = window.shape
     even = plane[0] + plane[1] * np.arange(width) + plane[2] * np.arange(height)[:, None]
     share = np.where(own, clean / np.maximum(even, 0.3 * level), 0.0)
+    softness = int((share > _OUTER).sum()) / max(int((share > _INNER).sum()), 1)
+    if softness > _MAX_SOFTNESS:  # no even inside that a plane could follow
+        share = np.where(own, clean / level, 0.0)
     weight = np.clip((share - _RIM[0]) / (_RIM[1] - _RIM[0]), 0.0, 1.0)
     total = float(weight.sum())
     if total <= 0:
         return None
     u = float(weight.sum(axis=0) @ np.arange(width)) / total
     v = float(weight.sum(axis=1) @ np.arange(height)) / total
-    wide, narrow = int((share > _OUTER).sum()), int((share > _INNER).sum())
-    return u, v, total, wide / max(narrow, 1)
+    return u, v, total, softness

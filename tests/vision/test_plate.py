@@ -59,6 +59,13 @@ def test_what_is_no_disc_is_rejected_with_its_place() -> None:
     assert len(seen.rejected) == 3
 
 
+def test_leds_that_are_all_soft_are_leds() -> None:
+    places = ORDINARY.to_px(grid_mm().reshape(-1, 2))
+    scene = light(*(Blob(u, v, 24.0, peak=150.0) for u, v in places))
+    found = np.array(sorted(found_px(scene).tolist()))
+    assert np.abs(found - np.array(sorted(places.tolist()))).max() < 0.03
+
+
 def test_a_disc_that_the_edge_cuts_is_told_as_such() -> None:
     scene = np.zeros((HEIGHT, WIDTH))
     for x in (-118.0, 0.0, 118.0):
