@@ -45,7 +45,7 @@ class DotPrint:
             for offset in (np.float32(0.0), np.float32(0.5))
         ]
         distance = np.sqrt(np.minimum(*squared))
-        return _soft_disc(distance, DOT_DIAMETER_MM / 2.0, softness_mm)
+        return soft_disc(distance, DOT_DIAMETER_MM / 2.0, softness_mm)
 
 
 def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
@@ -53,7 +53,7 @@ def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
     cover = np.zeros_like(x_mm)
     for led_x, led_y in LED_POSITIONS_MM:
         distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
-        cover += _soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
+        cover += soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
     return cover
 
 
@@ -69,7 +69,7 @@ def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -
     return factor
 
 
-def _soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
+def soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
     """1 inside and 0 outside of a disc, with an edge as wide as the cell that is asked about.
 
     A straight edge of width w adds π·w²/12 to the disc's area; the radius gives that back.
