@@ -14,6 +14,7 @@ import numpy.typing as npt
 from altd.records import Frame, PixelArray
 from altd.vision.search import Region, Search, search
 from hw_sim.beam import BeamPose
+from hw_sim.sensor import FULL_WELL_E, READ_NOISE_E
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 from hw_sim.view import View
 
@@ -23,9 +24,28 @@ KINDS = (WINDOW, PLATE, CLEAN)
 FIRST_SEED = 111
 """Units that no setting of altd was chosen on, and none of a peer's: that was on 101 and 102."""
 
+SMOOTHING_PX = 4.0
+"""Sigma of the Gaussian that bridges the printed dots, altd's own: it is given to all who threshold."""
+
 _HALF_AREA_MM = (55.0, 42.0)
 _MARGIN_OF_REGION = 0.5
 """By this share of its longer side a region is widened all round: to about twice the 1/e² radius."""
+
+
+_FLAT_EXPOSURES = 64
+_FLAT_LEVEL = 0.5
+"""What a flat field is averaged from, and its brightest pixel as a share of a full well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlatField:
+    """What each pixel of a camera shows of even light, (rows, columns) of mean 1, as measured.
+
+    ``smooth_square`` is the square of ``response`` after the smoothing of ``SMOOTHING_PX``.
+    """
+
+    response: npt.NDArray[np.float32]
+    smooth_square: npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +54,7 @@ class Sample:
 
     ``mended`` is the frame with the camera's hot pixels, known from its simulation, replaced by a median;
     ``mended_excess`` is that without the background that altd finds, in counts; ``excess`` is the part of it
-    around the spot, from row ``top`` and column ``left`` on.
+    around the spot, from row ``top`` and column ``left`` on. ``flat`` is the frame's flat field.
     """
 
     seed: int
@@ -48,12 +68,18 @@ class Sample:
     top: int
     excess: npt.NDArray[np.float32]
     mended_excess: npt.NDArray[np.float32]
+    flat: FlatField
 
     @property
     def raw(self) -> PixelArray:
-        """The box of ``mended``, background and all."""
+        """The region of ``mended``, background and all."""
+        return self.mended[self.window]
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """The region's rows and columns in the frame."""
         rows, columns = self.excess.shape
-        return self.mended[self.top : self.top + rows, self.left : self.left + columns]
+        return slice(self.top, self.top + rows), slice(self.left, self.left + columns)
 
 
 def make_samples(units: int, poses: int) -> Iterator[Sample]:
@@ -67,6 +93,7 @@ def make_samples(units: int, poses: int) -> Iterator[Sample]:
 def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[Sample]:
     unit = Unit(config)
     rng = np.random.default_rng([config.seed, 1])
+    flats = {camera: _flat(unit.eyes[camera].view, rng) for camera in CAMERAS}
     for sequence in range(poses):
         at_front, at_rear = rng.uniform(-1.0, 1.0, (2, 2)) * _HALF_AREA_MM
         slopes = (at_rear - at_front) / config.target_distance_mm
@@ -76,10 +103,21 @@ def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[
             frame = unit.expose(camera, sequence, sequence * config.period_ns, exact=True)
             view = unit.eyes[camera].view
             u, v = view.lens.project(*pose.at(0.0 if camera == FRONT else config.target_distance_mm))
-            yield _sample(config.seed, kinds[camera], frame, (float(u), float(v)), view)
+            yield _sample(config.seed, kinds[camera], frame, (float(u), float(v)), view, flats[camera])
 
 
-def _sample(seed: int, kind: str, frame: Frame, truth_px: tuple[float, float], view: View) -> Sample:
+def _flat(view: View, rng: np.random.Generator) -> FlatField:
+    """The mean of exposures of an evenly lit target, shot and read noise and all."""
+    mean_e = view.response * np.float32(_FLAT_LEVEL * FULL_WELL_E / float(view.response.max()))
+    noise_e = np.sqrt((mean_e + np.float32(READ_NOISE_E**2)) / np.float32(_FLAT_EXPOSURES))
+    seen = mean_e + noise_e * rng.standard_normal(mean_e.shape, dtype=np.float32)
+    response = seen / np.float32(seen.mean())
+    return FlatField(response, np.asarray(cv2.GaussianBlur(response**2, (0, 0), SMOOTHING_PX)))
+
+
+def _sample(
+    seed: int, kind: str, frame: Frame, truth_px: tuple[float, float], view: View, flat: FlatField
+) -> Sample:
     found = search(frame.pixels)
     region = found.regions[0]
     mended = frame.pixels.copy()
@@ -92,4 +130,4 @@ def _sample(seed: int, kind: str, frame: Frame, truth_px: tuple[float, float], v
     whole = mended.astype(np.float32)
     whole -= found.background.at(np.arange(columns, dtype=float), np.arange(rows, dtype=float))
     box = whole[top:bottom, left:right].copy()
-    return Sample(seed, kind, frame, truth_px, found, region, mended, left, top, box, whole)
+    return Sample(seed, kind, frame, truth_px, found, region, mended, left, top, box, whole, flat)

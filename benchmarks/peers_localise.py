@@ -20,14 +20,14 @@ from skimage.measure import label, regionprops
 from altd.records import Spot
 from altd.vision.localise import locate, spot_in
 from altd.vision.settings import SpotSettings
-from benchmarks.peers_frames import Sample
+from benchmarks.peers_frames import SMOOTHING_PX, Sample
 
-FRAME, REGION = "frame", "region"
+FRAME, REGION, FLAT = "frame", "region", "region, flat"
 
 _SETTINGS = SpotSettings()
-_SIGMA_PX = _SETTINGS.smoothing_px
-"""The smoothing that bridges the printed dots: whoever thresholds is given altd's own."""
-
+_SIGMA_PX = SMOOTHING_PX
+_DARK = 0.3
+"""Of a flat's mean: where a pixel shows less, dividing by the flat gives noise."""
 _OF_PEAK = 0.05
 _OF_PEAK_SOFT = 0.1
 _CONTOUR = math.exp(-2.0)
@@ -43,7 +43,7 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Localiser:
-    """``given`` is a whole frame or the region of the spot; ``find`` returns (u, v) px in the frame."""
+    """``given`` is a frame, a spot's region, or that with a flat; ``find`` returns (u, v) px in the frame."""
 
     library: str
     name: str
@@ -137,6 +137,21 @@ def _opencv_soft_moments(sample: Sample) -> Place:
     return _in_frame(sample, moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
 
 
+def _photutils_2dg_with_flat(sample: Sample) -> Place:
+    response = sample.flat.response[sample.window]
+    dark = response < _DARK
+    corrected = sample.excess / np.where(dark, np.float32(1), response)
+    return _in_frame(sample, *centroid_2dg(corrected, mask=dark))
+
+
+def _opencv_moments_with_flat(sample: Sample) -> Place:
+    weighted = sample.excess * sample.flat.response[sample.window]
+    smooth = cv2.GaussianBlur(weighted, (0, 0), _SIGMA_PX) / sample.flat.smooth_square[sample.window]
+    _, above = cv2.threshold(smooth, _OF_PEAK * float(smooth.max()), 0, cv2.THRESH_TOZERO)
+    moments = cv2.moments(above)
+    return _in_frame(sample, moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
+
+
 def _opencv_ellipse(sample: Sample) -> Place:
     smooth = cv2.GaussianBlur(sample.excess, (0, 0), _SIGMA_PX)
     mask = (smooth > _CONTOUR * float(smooth.max())).astype(np.uint8)
@@ -168,9 +183,9 @@ LOCALISERS = (
     ),
     Localiser(
         "laserbeamsize",
-        "laserbeamsize `beam_size`, region",
+        "laserbeamsize `beam_size`",
         REGION,
-        "the background-subtracted region, with corner_fraction 0 as its documentation says for such images;"
+        "the region, with corner_fraction 0 as its documentation says for such images;"
         " better here than its own corners",
         _laserbeamsize_in_region,
     ),
@@ -194,7 +209,7 @@ LOCALISERS = (
     ),
     Localiser(
         "trackpy",
-        "trackpy `locate`, region",
+        "trackpy `locate`",
         REGION,
         "the same on the region's raw counts",
         _trackpy_in_region,
@@ -235,5 +250,20 @@ LOCALISERS = (
         REGION,
         f"GaussianBlur {_SIGMA_PX:g} px, contour at {_CONTOUR:.0%} of the peak (findContours), fitEllipse",
         _opencv_ellipse,
+    ),
+    Localiser(
+        "photutils",
+        "photutils `centroid_2dg`",
+        FLAT,
+        f"the cutout divided by the flat, mask where the flat is below {_DARK:.0%} of its mean",
+        _photutils_2dg_with_flat,
+    ),
+    Localiser(
+        "opencv-python-headless",
+        "OpenCV `moments`",
+        FLAT,
+        f"GaussianBlur {_SIGMA_PX:g} px of excess times flat over that of the flat's square"
+        " (kept from before), then as without a flat",
+        _opencv_moments_with_flat,
     ),
 )

@@ -235,14 +235,8 @@ MAPPERS = (
     Mapper(
         _OPENCV,
         "OpenCV `fisheye`, two k",
-        "the same with CALIB_FIX_K3 and CALIB_FIX_K4",
+        "the same with CALIB_FIX_K3 and CALIB_FIX_K4: of twelve sets of flags the most accurate",
         _fisheye(_FISHEYE | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4),
-    ),
-    Mapper(
-        _OPENCV,
-        "OpenCV `fisheye`, two k, focal length",
-        "the same and CALIB_FIX_FOCAL_LENGTH, at the true one: of twelve sets of flags the best at all four f",
-        _fisheye(_FISHEYE | cv2.CALIB_FIX_FOCAL_LENGTH | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_K4),
     ),
 )
 

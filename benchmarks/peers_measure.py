@@ -29,6 +29,7 @@ UNITS, POSES, LENSES = 5, 30, 12
 QUICK = 2, 14, 2
 
 _LARGEST_ERROR_PX = 3.0
+_LARGEST_ERROR_MM = 5.0
 _MAP_DEGREE = 3
 
 
@@ -180,7 +181,7 @@ class _MapRun:
         self._fit_ns.append(fitted_ns - begun_ns)
         self._among_many_ns.append((mapped_ns - fitted_ns) / len(errors_mm))
         self._point_ns += single_ns
-        if np.isfinite(errors_mm).all():
+        if errors_mm.max() <= _LARGEST_ERROR_MM:
             self._errors_mm[key].append(errors_mm)
         else:
             self._failed[key] += 1

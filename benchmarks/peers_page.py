@@ -79,30 +79,29 @@ ratios of medians to altd's in that run, so they mean the same on other machines
 altd's, or a shorter time at an equal or smaller error somewhere. Errors less than {EQUAL:.0%} apart are
 called equal; chance alone makes a few percent."""
 
-_SPOT_TERMS = """The dot window is printed and has speckle, the plate has speckle, the clean target
-has neither and no hot pixels. The truth is the place of the spot's middle through
-the simulator's own lens.
+_SPOT_TERMS = """The dot window is printed and has speckle, the plate has speckle, the clean target has
+neither and no hot pixels. The truth is the place of the spot's middle through the simulator's own lens. The
+beam is a Gaussian, which suits who fits one.
 
 *Mapped* is what counts in a unit: the rms distance to the truth after a smooth map (degree 3 in u and v,
 one a camera of a unit, its freedom paid for) has taken out what any calibration does. *Raw* has nothing
 taken out: perspective and the lens's fall-off then pull the middle of a wide spot by a tenth of a pixel,
-the more the more weight its flanks have. *Failed* raised, found none or was off by more than 3 px. *Time*
-is relative to altd given the same thing: the whole frame, or the spot's region."""
+the more the more weight its flanks have. *Failed* raised, found none or was off by more than 3 px. Errors
+and *time* are compared with altd given the same: the whole frame, the spot's region, or that and a flat
+field (the mean of 64 exposures in even light); as long as there is no altd with a flat in the table, with
+altd without."""
 
-_SPOT_HELP = """How each was used. A region is the bright area that altd's coarse search finds,
-widened on all sides by half its longer side, so to about twice the spot's 1/e²
-radius. The peers get it with the background that altd finds subtracted, and all
-they get has the hot pixels mended as from a camera's list of defects, before their
-time begins. altd has neither help: within its time it cuts, subtracts the
-background, removes hot pixels, rejects what is no laser spot and states a sigma.
-Settings that a peer leaves to its user were tried on two other units, and the best
-on the dot window taken."""
+_SPOT_HELP = """How each was used. A region is the bright area that altd's coarse search finds, widened on all
+sides by half its longer side, so to about twice the spot's 1/e² radius. The peers get it with the
+background that altd finds subtracted, and all they get has the hot pixels mended as from a camera's list of
+defects, before their time begins. altd has neither help: within its time it cuts, subtracts the background,
+removes hot pixels, rejects what is no laser spot and states a sigma. Settings that a peer leaves to its
+user were tried on two other units, and the best on the dot window taken."""
 
-_MAP_TERMS = """tilted lenses with Brown distortion a focal length, by the simulator's own code;
-nodes over 125 × 100 mm with 0.05 px noise; errors on 2000 held-out points between
-them over the same area. Times are relative to altd's: a fit, one point alone (a
-daemon asks for one a frame), and a point among 2000 in one call. *Failed* raised,
-or put a point nowhere."""
+_MAP_TERMS = """tilted lenses with Brown distortion a focal length, by the simulator's own code, which suits
+who assumes it; nodes over 125 × 100 mm with 0.05 px noise; errors on 2000 held-out points between them over
+the same area. Times are relative to altd's: a fit, one point alone (a daemon asks for one a frame), and a
+point among 2000 in one call. *Failed* raised, or put a point nowhere or off by more than 5 mm."""
 
 
 def page(figures: Figures) -> Iterator[str]:
@@ -130,28 +129,30 @@ def _spots(figures: Figures) -> Iterator[str]:
     yield ""
     mapped, raw = [], []
     for spot in figures.spots:
-        ratio = spot.median_us / _given_the_same(figures.spots, spot).median_us
+        altd = _given_the_same(figures.spots, spot)
+        ratio = spot.median_us / altd.median_us
         failed = sum(scatter.failed for scatter in spot.scatter.values())
-        level = any(_compare_spots(spot, first, kind) for kind in kinds)
+        level = any(_compare_spots(spot, altd, kind) for kind in kinds)
         mapped.append(
             [
                 spot.name,
                 spot.given,
                 _marked(_ratio(ratio), level and ratio < 1 and not spot.altd),
-                *(_error(spot.scatter[k].mapped_px, first.scatter[k].mapped_px, 4) for k in kinds),
+                *(_error(spot.scatter[k].mapped_px, altd.scatter[k].mapped_px, 4) for k in kinds),
                 str(failed),
             ]
         )
-        raw.append([spot.name, *(_error(spot.scatter[k].raw_px, first.scatter[k].raw_px, 3) for k in kinds)])
+        raw_px = (_error(spot.scatter[k].raw_px, altd.scatter[k].raw_px, 3) for k in kinds)
+        raw.append([spot.name, spot.given, *raw_px])
     yield from _table(["mapped, px", "given", "time", *kinds, "failed"], mapped)
     yield ""
-    yield from _table(["raw, px", *kinds], raw)
+    yield from _table(["raw, px", "given", *kinds], raw)
     yield ""
     yield from _behind(_spots_ahead(figures.spots))
     yield ""
     yield from _SPOT_HELP.splitlines()
     yield ""
-    yield from (f"- {spot.name}, {spot.given}: {spot.how}." for spot in figures.spots)
+    yield from (f"- {spot.name} ({spot.given}): {spot.how}." for spot in figures.spots)
 
 
 def _maps(figures: Figures) -> Iterator[str]:
@@ -195,14 +196,15 @@ def _maps(figures: Figures) -> Iterator[str]:
 
 
 def _given_the_same(spots: Sequence[SpotFigures], spot: SpotFigures) -> SpotFigures:
-    """The row of altd that a time is compared with."""
-    return next(other for other in spots if other.altd and other.given == spot.given)
+    """The row of altd that another one is compared with; where altd has no such row, its last one."""
+    rows = [other for other in spots if other.altd]
+    return next((row for row in rows if row.given == spot.given), rows[-1])
 
 
-def _compare_spots(spot: SpotFigures, first: SpotFigures, kind: str) -> float:
+def _compare_spots(spot: SpotFigures, altd: SpotFigures, kind: str) -> float:
     """The error relative to altd's where it is equal or smaller and nothing failed, else 0."""
     here = spot.scatter[kind]
-    beside = here.mapped_px / first.scatter[kind].mapped_px
+    beside = here.mapped_px / altd.scatter[kind].mapped_px
     return beside if not here.failed and beside < 1 + EQUAL else 0.0
 
 
@@ -214,14 +216,14 @@ def _compare_maps(entry: MapFigures, first: MapFigures, key: Key) -> float:
 
 
 def _spots_ahead(spots: Sequence[SpotFigures]) -> Iterator[str]:
-    first = spots[0]
     for spot in spots:
         if spot.altd:
             continue
-        ratio = spot.median_us / _given_the_same(spots, spot).median_us
-        beside = {kind: _compare_spots(spot, first, kind) for kind in spot.scatter}
+        altd = _given_the_same(spots, spot)
+        ratio = spot.median_us / altd.median_us
+        beside = {kind: _compare_spots(spot, altd, kind) for kind in spot.scatter}
         if where := _where(beside, ratio < 1):
-            yield f"{spot.name}, {spot.given}, in {_ratio(ratio)} of altd's time: {where}"
+            yield f"{spot.name} (given: {spot.given}), in {_ratio(ratio)} of altd's time: {where}"
 
 
 def _maps_ahead(maps: Sequence[MapFigures]) -> Iterator[str]:

@@ -55,14 +55,17 @@ def behind(lines: list[str]) -> list[list[str]]:
 def test_a_peer_with_a_smaller_error_stands_out_and_is_listed() -> None:
     lines = written([spot("better", 1000.0, 0.0100)], [])
     assert row(lines, "better") == ["frame", "2.0 ×", "**0.0100**", "0"]
-    assert behind(lines) == [["- better, frame, in 2.0 × of altd's time: smaller error: plate (0.50)."], []]
+    assert behind(lines) == [
+        ["- better (given: frame), in 2.0 × of altd's time: smaller error: plate (0.50)."],
+        [],
+    ]
 
 
 def test_so_does_a_faster_peer_with_an_equal_error_but_no_slower_one() -> None:
     lines = written([spot("fast", 50.0, 0.0201), spot("slow", 600.0, 0.0201)], [])
     assert row(lines, "fast") == ["frame", "**0.10 ×**", "0.0201", "0"]
     assert row(lines, "slow") == ["frame", "1.2 ×", "0.0201", "0"]
-    assert behind(lines)[0] == ["- fast, frame, in 0.10 × of altd's time: equal error: plate (1.00)."]
+    assert behind(lines)[0] == ["- fast (given: frame), in 0.10 × of altd's time: equal error: plate (1.00)."]
 
 
 def test_a_peer_that_failed_or_is_worse_is_not_ahead_by_being_fast() -> None:
@@ -84,7 +87,7 @@ def test_maps_are_compared_alike() -> None:
 def test_says_versions_and_how_each_was_used_and_no_number_where_there_is_none() -> None:
     lines = written([spot("none", 5.0, math.nan, failed=9, raw_px=math.nan)], [])
     assert "altd 1.2.3, other 4.5" in lines
-    assert "- none, frame: how none was used." in lines
+    assert "- none (frame): how none was used." in lines
     assert row(lines, "none") == ["frame", "0.010 ×", "–", "9"]
     assert not re.search(r"\bnan\b|\binf\b", "\n".join(lines))
 
