@@ -12,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import Frame, PixelArray
+from altd.vision.flat import Flat
 from altd.vision.search import Region, Search, search
 from hw_sim.beam import BeamPose
-from hw_sim.sensor import FULL_WELL_E, READ_NOISE_E
-from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
+from hw_sim.flat import EVEN_MW_PER_MM2
+from hw_sim.sensor import READ_NOISE_E
+from hw_sim.unit import CAMERAS, EXPOSURES_MS, FRONT, REAR, Unit, UnitConfig
 from hw_sim.view import View
 
 WINDOW, PLATE, CLEAN = "dot window", "plate", "clean"
@@ -32,19 +34,20 @@ _MARGIN_OF_REGION = 0.5
 """By this share of its longer side a region is widened all round: to about twice the 1/e² radius."""
 
 
-_FLAT_EXPOSURES = 64
-_FLAT_LEVEL = 0.5
-"""What a flat field is averaged from, and its brightest pixel as a share of a full well."""
+_FLAT_EXPOSURES = 20
+"""In even light and in the dark, as ``hw_sim flat`` takes them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlatField:
     """What each pixel of a camera shows of even light, (rows, columns) of mean 1, as measured.
 
-    ``smooth_square`` is the square of ``response`` after the smoothing of ``SMOOTHING_PX``.
+    ``for_altd`` is the same with what altd keeps of it; ``smooth_square`` is the square of ``response`` after
+    the smoothing of ``SMOOTHING_PX``.
     """
 
     response: npt.NDArray[np.float32]
+    for_altd: Flat
     smooth_square: npt.NDArray[np.float32]
 
 
@@ -93,7 +96,7 @@ def make_samples(units: int, poses: int) -> Iterator[Sample]:
 def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[Sample]:
     unit = Unit(config)
     rng = np.random.default_rng([config.seed, 1])
-    flats = {camera: _flat(unit.eyes[camera].view, rng) for camera in CAMERAS}
+    flats = {camera: _flat(unit.eyes[camera].view, EXPOSURES_MS[camera], rng) for camera in CAMERAS}
     for sequence in range(poses):
         at_front, at_rear = rng.uniform(-1.0, 1.0, (2, 2)) * _HALF_AREA_MM
         slopes = (at_rear - at_front) / config.target_distance_mm
@@ -106,13 +109,15 @@ def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[
             yield _sample(config.seed, kinds[camera], frame, (float(u), float(v)), view, flats[camera])
 
 
-def _flat(view: View, rng: np.random.Generator) -> FlatField:
-    """The mean of exposures of an evenly lit target, shot and read noise and all."""
-    mean_e = view.response * np.float32(_FLAT_LEVEL * FULL_WELL_E / float(view.response.max()))
-    noise_e = np.sqrt((mean_e + np.float32(READ_NOISE_E**2)) / np.float32(_FLAT_EXPOSURES))
+def _flat(view: View, exposure_ms: float, rng: np.random.Generator) -> FlatField:
+    """The mean of exposures of an evenly lit target less that of dark ones, with shot and read noise."""
+    mean_e = view.response * np.float32(EVEN_MW_PER_MM2 * exposure_ms)
+    noise_e = np.sqrt((mean_e + np.float32(2 * READ_NOISE_E**2)) / np.float32(_FLAT_EXPOSURES))
     seen = mean_e + noise_e * rng.standard_normal(mean_e.shape, dtype=np.float32)
     response = seen / np.float32(seen.mean())
-    return FlatField(response, np.asarray(cv2.GaussianBlur(response**2, (0, 0), SMOOTHING_PX)))
+    flat = Flat(response)
+    _ = flat.blocks  # kept by the flat, as by a daemon that runs
+    return FlatField(response, flat, np.asarray(cv2.GaussianBlur(response**2, (0, 0), SMOOTHING_PX)))
 
 
 def _sample(

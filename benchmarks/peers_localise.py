@@ -22,7 +22,7 @@ from altd.vision.localise import locate, spot_in
 from altd.vision.settings import SpotSettings
 from benchmarks.peers_frames import SMOOTHING_PX, Sample
 
-FRAME, REGION, FLAT = "frame", "region", "region, flat"
+FRAME, REGION, FRAME_FLAT, FLAT = "frame", "region", "frame, flat", "region, flat"
 
 _SETTINGS = SpotSettings()
 _SIGMA_PX = SMOOTHING_PX
@@ -58,6 +58,14 @@ def _altd(sample: Sample) -> Place:
 
 def _altd_in_region(sample: Sample) -> Place:
     return _place(spot_in(sample.frame, sample.region, sample.found, _SETTINGS))
+
+
+def _altd_with_flat(sample: Sample) -> Place:
+    return _place(locate(sample.frame, _SETTINGS, sample.flat.for_altd))
+
+
+def _altd_in_region_with_flat(sample: Sample) -> Place:
+    return _place(spot_in(sample.frame, sample.region, sample.found, _SETTINGS, sample.flat.for_altd))
 
 
 def _place(spot: object) -> Place:
@@ -173,6 +181,8 @@ LOCALISERS = (
         "the same, from the coarse search's region and background on; it judges the spot and states a sigma",
         _altd_in_region,
     ),
+    Localiser("altd", "altd `locate`", FRAME_FLAT, "the same with the flat", _altd_with_flat),
+    Localiser("altd", "altd `spot_in`", FLAT, "the same with the flat", _altd_in_region_with_flat),
     Localiser(
         "laserbeamsize",
         "laserbeamsize `beam_size`",

@@ -80,8 +80,8 @@ def _grid(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
 
 def _altd(task: Task) -> ToMm:
     most_dropped = int(_MOST_DROPPED_SHARE * len(task.nodes_mm))
-    fit, _ = fit_nodes(task.nodes_mm, task.nodes_px, _SIZE, None, most_dropped)
-    inverse = InverseMap.of(fit.map)
+    fitted = fit_nodes(task.nodes_mm, task.nodes_px, _SIZE, None, most_dropped)
+    inverse = InverseMap.of(fitted.fit.map)
     return lambda px: inverse.to_mm(px)[0]
 
 
@@ -184,7 +184,8 @@ MAPPERS = (
     Mapper(
         "altd",
         "altd `fit_nodes`, `InverseMap`",
-        "as `altd calibrate` does, outliers sought; each point comes with its covariance",
+        "as `altd calibrate` does: all models tried, outliers sought, a second map to check it; each point"
+        " comes with its covariance",
         _altd,
     ),
     Mapper(

@@ -84,7 +84,9 @@ class _SpotRun:
         before_ns = time.perf_counter_ns()
         try:
             u, v = self._localiser.find(sample)
-        except Exception:  # whatever a library raises is a failure of it
+        except Exception as error:  # whatever a library raises is a failure of it
+            if self._localiser.library == "altd" and not isinstance(error, LookupError):
+                raise  # a mistake in here, not a spot that was not found
             u = v = math.nan
         self._times_ns.append(time.perf_counter_ns() - before_ns)
         true_u, true_v = sample.truth_px
@@ -175,7 +177,9 @@ class _MapRun:
                 before_ns = clock()
                 to_mm(point)
                 single_ns.append(clock() - before_ns)
-        except Exception:  # whatever a library raises is a failure of it
+        except Exception as error:  # whatever a library raises is a failure of it
+            if self._mapper.library == "altd" and not isinstance(error, ValueError):
+                raise
             self._failed[key] += 1
             return
         self._fit_ns.append(fitted_ns - begun_ns)

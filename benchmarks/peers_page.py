@@ -87,9 +87,8 @@ beam is a Gaussian, which suits who fits one.
 one a camera of a unit, its freedom paid for) has taken out what any calibration does. *Raw* has nothing
 taken out: perspective and the lens's fall-off then pull the middle of a wide spot by a tenth of a pixel,
 the more the more weight its flanks have. *Failed* raised, found none or was off by more than 3 px. Errors
-and *time* are compared with altd given the same: the whole frame, the spot's region, or that and a flat
-field (the mean of 64 exposures in even light); as long as there is no altd with a flat in the table, with
-altd without."""
+and *time* are compared with altd given the same: the whole frame or the spot's region, without or with a
+flat field (the mean of 20 exposures in even light less 20 in the dark)."""
 
 _SPOT_HELP = """How each was used. A region is the bright area that altd's coarse search finds, widened on all
 sides by half its longer side, so to about twice the spot's 1/e² radius. The peers get it with the
@@ -196,9 +195,8 @@ def _maps(figures: Figures) -> Iterator[str]:
 
 
 def _given_the_same(spots: Sequence[SpotFigures], spot: SpotFigures) -> SpotFigures:
-    """The row of altd that another one is compared with; where altd has no such row, its last one."""
-    rows = [other for other in spots if other.altd]
-    return next((row for row in rows if row.given == spot.given), rows[-1])
+    """The row of altd that another one is compared with."""
+    return next(other for other in spots if other.altd and other.given == spot.given)
 
 
 def _compare_spots(spot: SpotFigures, altd: SpotFigures, kind: str) -> float:
