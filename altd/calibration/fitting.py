@@ -19,7 +19,7 @@ _RAYLEIGH_MEDIAN = 1.1774
 _GAIN_OF_FAR, _GAIN_OF_ANY = 0.8, 0.5
 """A node is dropped when the map then misses the others by less than this share of what it did. One that
 lies at a corner bends the map after itself and need not look far off: without it the map is far better."""
-_BEND_GAIN = 0.9
+_BEND_GAIN = 0.8
 """A polynomial on top of a lens must miss a left-out node by less than this share of what others do: it has
 twice a lens's parameters, and the smallest of many like figures is often small by chance."""
 
