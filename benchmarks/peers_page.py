@@ -74,10 +74,10 @@ class Figures:
 
 _HEAD = f"""# Peers: altd beside other libraries
 
-Written by `make bench-peers`: every library on the same frames and grids, in one run, in turn. Times are
-ratios of medians to altd's in that run, so they mean the same on other machines. **Bold** is an error below
-altd's, or a shorter time at an equal or smaller error somewhere. Errors less than {EQUAL:.0%} apart are
-called equal; chance alone makes a few percent."""
+Written by `make bench-peers`: every library on the same frames and grids, in one run, in turn. Times
+are medians of CPU time on one core as ratios to altd's in that run, so that they hold, within some ten
+percent, on other machines. **Bold** is an error below altd's, or a shorter time at an equal or smaller
+error somewhere. Errors less than {EQUAL:.0%} apart are called equal; chance alone makes a few percent."""
 
 _SPOT_TERMS = """The dot window is printed and has speckle, the plate has speckle, the clean target has
 neither and no hot pixels. The truth is the place of the spot's middle through the simulator's own lens. The
