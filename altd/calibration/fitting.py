@@ -10,6 +10,7 @@ from altd.calibration.cross_check import CrossCheck
 from altd.calibration.evidence import Candidate
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_maps
+from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 from altd.records import FloatArray
 
@@ -66,21 +67,22 @@ def fit_nodes(
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
     most_dropped: int,
+    marks: Marks | None = None,
 ) -> TargetFit:
     """Fit nodes (n, 2) mm at (n, 2) px by every model; the best is the map, the other family's checks it.
 
     A node without which the map of the others is clearly better, such as one at which the stage was bumped,
-    is left out; one after the other, at most ``most_dropped``. Raises ValueError when the nodes are no grid
-    or too few.
+    is left out; one after the other, at most ``most_dropped``. ``marks`` of a print guide the lens models.
+    Raises ValueError when the nodes are no grid or too few.
     """
     kept = np.arange(len(nodes_mm))
-    families = _fit_families(nodes_mm, nodes_px, image_size, degree)
+    families = _fit_families(nodes_mm, nodes_px, image_size, degree, marks)
     while len(nodes_mm) - len(kept) < most_dropped:
         trials = []
         for row, gain in _suspects(families).items():
             others = np.delete(kept, row)
             try:
-                without = _fit_families(nodes_mm[others], nodes_px[others], image_size, degree)
+                without = _fit_families(nodes_mm[others], nodes_px[others], image_size, degree, marks)
             except ValueError:
                 continue
             if without.best.left_out_px < gain * families.best.left_out_px:
@@ -111,14 +113,18 @@ def _suspects(families: _Families) -> dict[int, float]:
 
 
 def _fit_families(
-    nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], degree: tuple[int, int] | None
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    image_size: tuple[int, int],
+    degree: tuple[int, int] | None,
+    marks: Marks | None,
 ) -> _Families:
     hull_mm = convex_hull_mm(nodes_mm)
     if degree is None:
         tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm)
     else:
         tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)]
-    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size)
+    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, marks)
     return _Families(_unfolded(tensors), _unfolded(lenses))
 
 

@@ -33,17 +33,28 @@ _PEAK, _U, _V, _A, _B, _C, _REST, _ORDER = range(8)
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """A spot E = E₀ · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
+    """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``pattern_px`` is what the grain does to the centre, rms of both axes; ``grain`` is the relative scatter
-    of single pixels that the fit has seen; ``diameter_px`` the 1/e² diameter of the circle of equal area.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off. ``pattern_px`` is what
+    the grain does to the centre, rms of both axes; ``grain`` is the relative scatter of single pixels that
+    the fit has seen.
     """
 
     centre: Centre
-    pattern_px: float
-    grain: float
+    peak: float
+    form: tuple[float, float, float]
     order: float
-    diameter_px: float
+    rest: float
+    grain: float
+    pattern_px: float
+
+    def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
+        """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
+        a, b, c = self.form
+        du, dv = u_px - self.centre.u_px, (v_px - self.centre.v_px)[:, None]
+        q = np.maximum(0.5 * (a * du * du + 2 * b * du * dv + c * dv * dv), 0.0)
+        counts: FloatArray = self.peak * np.exp(-(q**self.order))
+        return counts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,15 +104,17 @@ def fit_profile(
     if solution is None:
         return None
     state, grain2, covariance_noise, covariance_grain = solution
-    u, v, a, b, c, order = (float(state[index]) for index in (_U, _V, _A, _B, _C, _ORDER))
+    peak, u, v, a, b, c, rest, order = state.tolist()
     if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
         return None
     return Profile(
         Centre(from_u + u * sigma_px, from_v + v * sigma_px, sigma_px * math.sqrt(covariance_noise)),
-        sigma_px * math.sqrt(covariance_grain),
-        math.sqrt(grain2),
+        peak,
+        (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
-        2 * sigma_px * math.sqrt(2 * 2 ** (1 / order) / math.sqrt(a * c - b * b)),
+        rest,
+        math.sqrt(grain2),
+        sigma_px * math.sqrt(covariance_grain),
     )
 
 
