@@ -45,7 +45,8 @@ _SILENT = {FRONT: Fault.FRONT_SILENT, REAR: Fault.REAR_SILENT}
 class UnitConfig:
     """A unit and its surroundings. The seed alone decides lenses, tilts, print, speckle and hot pixels.
 
-    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16.
+    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
+    ``dots`` the front target is a plain plate like the rear one.
     """
 
     seed: int = 1
@@ -53,6 +54,7 @@ class UnitConfig:
     lux: float = 200.0
     speckle_contrast: float = 0.16
     hot_pixels: int = 20
+    dots: bool = True
     bits: int = 8
     fps: float = 20.0
     target_distance_mm: float = 280.0
@@ -93,7 +95,7 @@ class Unit:
             name: Eye(
                 make_view(
                     lens,
-                    dots if name == FRONT else None,
+                    dots if name == FRONT and self.config.dots else None,
                     self.config.speckle_contrast * (INK_GRAIN if name == FRONT else 1.0),
                     self.config.hot_pixels,
                     next(rngs),
