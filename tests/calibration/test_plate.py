@@ -10,7 +10,8 @@ from support.cli import altd, refusal
 from support.plates import View, add_disc, grid_mm, plate_light, tilted, write_plate
 
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.plate import LASER_SPOT_SIGMA_MM, PlateResult, calibrate_plate
+from altd.calibration.plate import LASER_SPOT_SIGMA_MM, calibrate_plate
+from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
 from altd.recording import open_recording
 from altd.records import Spot
@@ -24,7 +25,7 @@ REAR = View(950.0, 340.0, tilted(30.0, 2.5, -3.0))
 HELD_OUT_MM = np.stack(np.meshgrid(np.linspace(-70, 70, 11), np.linspace(-46, 46, 8)), axis=-1).reshape(-1, 2)
 
 
-def misses_mm(result: PlateResult, **views: View) -> dict[str, np.ndarray]:
+def misses_mm(result: CalibrationResult, **views: View) -> dict[str, np.ndarray]:
     """How far the maps put points of the plate from where they are."""
     misses = {}
     for name, view in views.items():
@@ -42,11 +43,11 @@ def two_dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(two_dark: Path) -> PlateResult:
+def result(two_dark: Path) -> CalibrationResult:
     return calibrate_plate(open_recording(two_dark))
 
 
-def test_two_dark_leds_are_reported_and_survived(result: PlateResult) -> None:
+def test_two_dark_leds_are_reported_and_survived(result: CalibrationResult) -> None:
     assert result.refused == (
         "front LED x -25 y -25 mm: dark",
         "front LED x 0 y 25 mm: dark",
@@ -83,7 +84,7 @@ def test_a_fisheye_lens_is_mapped_as_well_as_the_issue_asks(degrees: float, tmp_
         assert np.count_nonzero(np.isnan(missed_mm)) < 10
 
 
-def test_each_leds_scatter_is_that_of_its_exposures(two_dark: Path, result: PlateResult) -> None:
+def test_each_leds_scatter_is_that_of_its_exposures(two_dark: Path, result: CalibrationResult) -> None:
     front = result.evidence[0]
     assert (len(front.nodes_mm), front.exposures) == (33, (2,) * 33)
     assert front.scatter_px.shape == (33, 2)
@@ -93,7 +94,7 @@ def test_each_leds_scatter_is_that_of_its_exposures(two_dark: Path, result: Plat
         assert np.all(target.repeatability_px < noise_px * 3)
 
 
-def test_the_laser_spots_pattern_is_taken_into_sigma(result: PlateResult) -> None:
+def test_the_laser_spots_pattern_is_taken_into_sigma(result: CalibrationResult) -> None:
     for target in result.calibration.targets:
         point = target.point(*(FRONT if target.name == "front" else REAR).to_px(np.array([[10.0, 5.0]]))[0])
         assert point is not None
@@ -134,7 +135,7 @@ def test_an_led_that_is_off_its_place_and_a_false_light_are_reported(tmp_path: P
     assert misses_mm(result, front=FRONT)["front"].max() < 0.01
 
 
-def test_a_calibration_from_a_plate_is_saved_like_any_other(result: PlateResult, tmp_path: Path) -> None:
+def test_a_calibration_from_a_plate_is_saved_like_any_other(result: CalibrationResult, tmp_path: Path) -> None:
     save_calibration(result.calibration, tmp_path / "cal.json")
     loaded = load_calibration(tmp_path / "cal.json", "TEST-1")
     assert [(target.name, target.z_mm) for target in loaded.targets] == [("front", 0.0), ("rear", 280.0)]
