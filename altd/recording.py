@@ -274,9 +274,9 @@ class RecordingWriter:
         self._file.flush()
         return self._path / name
 
-    @property
-    def size(self) -> int:
-        """The length of the table so far, bytes."""
+    def synced(self) -> int:
+        """Bring the table to the disk; its length so far, bytes."""
+        os.fsync(self._file.fileno())
         return os.fstat(self._file.fileno()).st_size
 
     def close(self) -> None:
