@@ -54,6 +54,7 @@ class GrblTable:
         self.controller.settings |= FAST | (SWITCHES if switches else {})
         self.controller.power_on()
         self.noise = 0.0
+        self.changed_bytes = 0
         self._rng = rng or np.random.default_rng(0)
         self._stage = Stage(self._rng)
         self._slip_mm = MIDDLE_MM
@@ -158,6 +159,7 @@ class GrblTable:
             return data
         changed = np.frombuffer(data, np.uint8).copy()
         hit = self._rng.random(len(changed)) < self.noise
+        self.changed_bytes += int(hit.sum())
         changed[hit] = self._rng.integers(1, 256, int(hit.sum()))
         return changed.tobytes()
 

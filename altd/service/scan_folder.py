@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from altd.errors import BadInputError
 from altd.pairing import Pair
 from altd.recording import (
+    FRAMES_FILE,
     CameraHeader,
     RecordingHeader,
     RecordingWriter,
@@ -89,7 +90,18 @@ class ScanFolder:
                     f"was begun with {key} = {_shown(then)}, now it is {_shown(now)}: "
                     "set it back, or remove the folder to scan anew",
                 )
+        self._see_that_all_is_there(state)
         return state
+
+    def _see_that_all_is_there(self, state: State) -> None:
+        """Cut off what does not count, and check every frame that does."""
+        table = self.path / FRAMES_FILE
+        try:
+            os.truncate(table, state.table_bytes)
+        except OSError as error:
+            raise BadInputError(table, error.strerror or "cannot be written") from error
+        if state.exposures:
+            open_recording(self.path)
 
     def keep(
         self,
@@ -144,7 +156,6 @@ class ScanFolder:
         self._first_ns = first.t_ns
         if state.table_bytes:
             self._writer = RecordingWriter(self.path, header, state.table_bytes)
-            open_recording(self.path)  # every frame that counts is there
             # the pause, as far as the clock knows it
             paused_s = (start - state.start).total_seconds() if start and state.start else 0.0
             self._first_s = max(paused_s, state.last_t_s + 1 / FPS)
