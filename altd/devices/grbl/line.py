@@ -55,7 +55,8 @@ class Line:
         deadline = time.monotonic() + within_s
         while not self._replies:
             try:
-                data = self._port.read(max(1, self._port.in_waiting))
+                waiting = self._port.in_waiting
+                data = self._port.read(max(1, waiting)) if waiting or within_s > 0 else b""
             except (OSError, termios.error, TypeError) as error:  # TypeError: closed under its hands
                 raise self._lost() from error
             self._take(data)
