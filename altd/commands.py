@@ -133,7 +133,7 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
     try:
         result = asyncio.run(until_signal(scanner.run()))
     except ScanStoppedError as error:
-        screen.say(f"stopped at {error}; {again}")
+        screen.say(f"stopped: {error}; {again}")
         return 1
     finally:
         screen.clear()

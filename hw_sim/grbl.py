@@ -185,6 +185,13 @@ class Controller:
         modes = self._modes
         if line == "$$":
             self._out += [f"${number}={value}" for number, value in self.settings.items()]
+        elif line == "$#":
+            zero = self._axes(0.0, 0.0)
+            self._out.append(f"[G54:{self._axes(*self.work_zero_mm)}]")
+            self._out += [
+                f"[{name}:{zero}]" for name in ("G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
+            ]
+            self._out += [f"[TLO:{zero.split(',')[0]}]", f"[PRB:{zero}:0]"]
         elif line == "$X":
             if self.state == "Alarm":
                 self._out.append("[MSG:Caution: Unlocked]")

@@ -107,6 +107,7 @@ class Scanner:
             self._teller.say(
                 f"going on with {self._folder.path}: {len(state.nodes)} of {len(self._nodes)} nodes are done"
             )
+            state.refused.clear()  # they are tried again
             await self._see_that_nothing_moved()
         await self._led_pairs("before")
         for node in self._nodes:
