@@ -12,7 +12,8 @@ import re
 from collections import deque
 from dataclasses import dataclass, field
 
-from hw_sim.grbl_motion import Move, braking
+from hw_sim.grbl_motion import Move, Planner, Xy
+from hw_sim.grbl_words import GrblError, words
 
 BANNER = "Grbl 1.1h ['$' for help]"
 
@@ -32,19 +33,10 @@ PLANNER_BLOCKS = 15
 INCH_MM = 25.4
 LINE_LIMIT = 80
 
-_WORD = re.compile(r"([A-Z])([^A-Z]*)")
 _MOTION, _UNITS, _DISTANCE = {0, 1}, {20, 21}, {90, 91}
 _ACCEPTED = {17, 40, 49, 54, 80, 94}
 """G words that ask for what is the case anyway."""
 _AXIS_COMMANDS = {0, 1, 10, 92}
-
-
-class _GrblError(Exception):
-    """``error:N``."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 @dataclass(slots=True)
@@ -55,11 +47,6 @@ class _Modes:
     inches: bool = False
     relative: bool = False
     feed_mm_per_min: float = 0.0
-    target_mm: tuple[float, float] = (0.0, 0.0)
-    """Where the planned moves end, machine coordinates."""
-
-
-Xy = tuple[float, float]
 
 
 @dataclass(slots=True)
@@ -71,13 +58,11 @@ class Controller:
     """
 
     settings: dict[int, str] = field(default_factory=lambda: dict(SETTINGS))
-    machine_mm: Xy = (0.0, 0.0)
+    planner: Planner = field(default_factory=lambda: Planner((0.0, 0.0)))
     work_zero_mm: Xy = (0.0, 0.0)
     walls_mm: tuple[float, float, float, float] | None = None
     state: str = "Idle"
     _modes: _Modes = field(default_factory=_Modes)
-    _moves: deque[Move] = field(default_factory=deque)
-    _held: Move | None = None
     _line: str = ""
     _waiting: deque[str] = field(default_factory=deque)
     _sync: bool = False
@@ -91,11 +76,11 @@ class Controller:
     def cut_power(self, t_s: float) -> None:
         """Stop dead; nothing is known any more."""
         self._advance(t_s)
-        self._stand(t_s)
+        self.planner.stand(t_s)
 
     def power_on(self) -> str:
         """What it says when it gets power: position and modes are forgotten, the rest is not."""
-        self.machine_mm = (0.0, 0.0)
+        self.planner = Planner((0.0, 0.0))
         self._restart(locked=self._flag(HOMING))
         return self._said()
 
@@ -113,22 +98,11 @@ class Controller:
         self._work(t_s)
         return self._said()
 
-    def at(self, t_s: float) -> Xy:
-        """Where the table is, machine coordinates, mm; between ticks too."""
-        if self._held is not None:
-            return self._held.at(t_s)
-        return self._moves[0].at(t_s) if self._moves else self.machine_mm
-
     def hit_limit(self, t_s: float) -> str:
         """A limit switch closes, wherever the table is."""
         self._advance(t_s)
         self._hard_limit(t_s)
         return self._said()
-
-    @property
-    def target_mm(self) -> Xy:
-        """Where the planned moves end, machine coordinates."""
-        return self._modes.target_mm
 
     def _said(self) -> str:
         said = "".join(f"{line}\r\n" for line in self._out)
@@ -162,15 +136,15 @@ class Controller:
     def _work(self, t_s: float) -> None:
         """Execute waiting lines while the planner has room."""
         while self._waiting and not self._blocked and self._home_until_s is None and not self._sync:
-            if len(self._moves) >= PLANNER_BLOCKS or self.state == "Hold":
+            if len(self.planner.moves) >= PLANNER_BLOCKS or self.state == "Hold":
                 return
             line = self._waiting.popleft().split("(")[0].split(";")[0].replace(" ", "").upper()
             try:
                 if len(line) > LINE_LIMIT:
-                    raise _GrblError(11)
+                    raise GrblError(11)
                 if self._execute(line, t_s) and not self._blocked:
                     self._out.append("ok")
-            except _GrblError as error:
+            except GrblError as error:
                 self._out.append(f"error:{error.code}")
 
     def _execute(self, line: str, t_s: float) -> bool:
@@ -178,7 +152,7 @@ class Controller:
         if line.startswith("$"):
             return self._system(line, t_s)
         if self.state == "Alarm" and line:
-            raise _GrblError(9)
+            raise GrblError(9)
         return self._block(line, t_s)
 
     def _system(self, line: str, t_s: float) -> bool:
@@ -204,16 +178,16 @@ class Controller:
         elif setting := re.fullmatch(r"\$(\d+)=(-?\d+\.?\d*)", line):
             self._set(int(setting[1]), setting[2])
         else:
-            raise _GrblError(2)
+            raise GrblError(2)
         return True
 
     def _set(self, number: int, value: str) -> None:
         if number not in self.settings:
-            raise _GrblError(3)
+            raise GrblError(3)
         if float(value) < 0:
-            raise _GrblError(4)
+            raise GrblError(4)
         if number == SOFT_LIMITS and float(value) and not self._flag(HOMING):
-            raise _GrblError(10)
+            raise GrblError(10)
         self.settings[number] = value
         if number == INCHES:
             self._offset_in = 0
@@ -221,14 +195,14 @@ class Controller:
     def _block(self, line: str, t_s: float) -> bool:
         """One line of G-code; only what a stage needs, the rest is error:20."""
         modes = self._modes
-        codes, values = _words(line)
+        codes, values = words(line)
         machine = 53 in codes
         if not codes <= _MOTION | _UNITS | _DISTANCE | _ACCEPTED | {4, 10, 53, 92}:
-            raise _GrblError(20)
+            raise GrblError(20)
         if len(codes & _AXIS_COMMANDS) > 1:
-            raise _GrblError(24)
+            raise GrblError(24)
         if len(codes & _UNITS) > 1 or len(codes & _DISTANCE) > 1:
-            raise _GrblError(21)
+            raise GrblError(21)
         inches = modes.inches if not codes & _UNITS else 20 in codes
         relative = modes.relative if not codes & _DISTANCE else 91 in codes
         scale = INCH_MM if inches else 1.0
@@ -236,16 +210,16 @@ class Controller:
         motion = next(iter(codes & _MOTION), modes.motion)
         axes = {axis: values[axis] * scale for axis in "XYZ" if axis in values}
         if 4 in codes and "P" not in values:
-            raise _GrblError(28)
+            raise GrblError(28)
         if codes & {10, 92}:
             self._shift(10 in codes, values, axes)
         elif 4 in codes:
             modes.inches, modes.relative, modes.feed_mm_per_min = inches, relative, feed
-            self._sync = bool(self._moves)
+            self._sync = bool(self.planner.moves)
             return not self._sync
         elif axes:
             if motion == 1 and feed <= 0:
-                raise _GrblError(22)
+                raise GrblError(22)
             target = self._target(axes, relative, machine)
             modes.motion, modes.inches, modes.relative, modes.feed_mm_per_min = motion, inches, relative, feed
             self._plan(target, feed if motion else math.inf, t_s)
@@ -256,8 +230,8 @@ class Controller:
     def _shift(self, by_g10: bool, values: dict[str, float], axes: dict[str, float]) -> None:
         """G10 L2 sets the work zero, G10 L20 and (here for good) G92 the position in work coordinates."""
         if not axes:
-            raise _GrblError(26)
-        here, zero = self._modes.target_mm, list(self.work_zero_mm)
+            raise GrblError(26)
+        here, zero = self.planner.target_mm, list(self.work_zero_mm)
         for index, axis in enumerate("XY"):
             if axis in axes:
                 absolute = by_g10 and values.get("L") == 2
@@ -269,7 +243,7 @@ class Controller:
         """In machine coordinates, on a whole step."""
         target = []
         for index, axis in enumerate("XY"):
-            start = self._modes.target_mm[index]
+            start = self.planner.target_mm[index]
             if axis not in axes:
                 target.append(start)
             elif relative:
@@ -284,7 +258,7 @@ class Controller:
         if self._flag(SOFT_LIMITS) and outside:
             self._alarm(2)
             return
-        start = self._modes.target_mm
+        start = self.planner.target_mm
         steps = [float(self.settings[STEPS_PER_MM + axis]) for axis in (0, 1)]
         end = tuple(round(value * step) / step for value, step in zip(target, steps, strict=True))
         if end == start:
@@ -295,11 +269,8 @@ class Controller:
             self._limit(start, end, RATE_MM_PER_MIN, feed_mm_per_min) / 60.0,
             self._limit(start, end, ACCELERATION, math.inf),
         )
-        if not self._moves:
-            move.begin(t_s)
-            self.state = "Run"
-        self._moves.append(move)
-        self._modes.target_mm = move.end_mm
+        self.planner.add(move, t_s)
+        self.state = "Run"
 
     def _limit(self, start: Xy, end: tuple[float, ...], setting: int, most: float) -> float:
         """The largest value along the way that no axis exceeds."""
@@ -314,40 +285,27 @@ class Controller:
         """Bring moves, homing and switches up to ``t_s``."""
         if self._home_until_s is not None and t_s >= self._home_until_s:
             self._end_homing()
-        if self._held is not None and t_s >= self._held.end_s and self.state == "Hold":
-            self.machine_mm = self._held.end_mm
-        while self._moves and self._held is None:
+        if self.state == "Run":
             self._meet_walls(t_s)
-            if not self._moves or t_s < self._moves[0].end_s:
-                break
-            done = self._moves.popleft()
-            self.machine_mm = done.end_mm
-            if self._moves:
-                self._moves[0].begin(done.end_s)
-            else:
+            self.planner.advance(t_s)
+            if self.state == "Run" and not self.planner.moves:
                 self.state = "Idle"
-        if self._sync and not self._moves:
+        if self._sync and not self.planner.moves:
             self._sync = False
             self._out.append("ok")
 
     def _meet_walls(self, t_s: float) -> None:
         if self.walls_mm is None or not self._flag(HARD_LIMITS):
             return
-        x, y = self._moves[0].at(t_s)
+        x, y = self.planner.at(t_s)
         low_x, high_x, low_y, high_y = self.walls_mm
         if not (low_x <= x <= high_x and low_y <= y <= high_y):
             self._hard_limit(t_s)
 
     def _hard_limit(self, t_s: float) -> None:
         if self._flag(HARD_LIMITS):
-            self._stand(t_s)
+            self.planner.stand(t_s)
             self._alarm(1)
-
-    def _stand(self, t_s: float) -> None:
-        """Stand where it is, without braking."""
-        self.machine_mm = self.at(t_s)
-        self._moves.clear()
-        self._held = None
 
     def _alarm(self, code: int) -> None:
         """Locked until a reset; the line that was at fault gets its ``ok`` only then."""
@@ -358,8 +316,8 @@ class Controller:
 
     def _home(self, t_s: float) -> bool:
         if not self._flag(HOMING):
-            raise _GrblError(5)
-        away = max(abs(value) for value in self.machine_mm)
+            raise GrblError(5)
+        away = max(abs(value) for value in self.planner.place_mm)
         self.state = "Home"
         self._home_until_s = t_s + 60.0 * away / float(self.settings[SEEK_MM_PER_MIN]) + 0.1
         return False
@@ -367,33 +325,27 @@ class Controller:
     def _end_homing(self) -> None:
         """The table has found its switches at the upper ends and stands off them by the pull-off."""
         place = -float(self.settings[PULL_OFF_MM])
-        self.machine_mm = place, place
-        self._modes.target_mm = self.machine_mm
+        self.planner = Planner((place, place))
         self._home_until_s = None
         self.state = "Idle"
         self._out.append("ok")
 
     def _hold(self, t_s: float) -> None:
-        if self.state == "Run" and self._moves:
-            self._held = braking(self._moves[0], t_s)
-            self.state = "Hold"
-        elif self.state == "Idle":
+        if self.state in ("Run", "Idle"):
+            self.planner.hold(t_s)
             self.state = "Hold"
 
     def _resume(self, t_s: float) -> None:
-        if self.state != "Hold" or (self._held is not None and t_s < self._held.end_s):
-            return
-        if self._held is not None:
-            rest = self._moves[0]
-            self._moves[0] = Move(self._held.end_mm, rest.end_mm, rest.speed_mm_s, rest.acceleration_mm_s2)
-            self._moves[0].begin(t_s)
-            self._held = None
-        self.state = "Run" if self._moves else "Idle"
+        if self.state == "Hold" and not self._braking(t_s):
+            self.planner.resume(t_s)
+            self.state = "Run" if self.planner.moves else "Idle"
+
+    def _braking(self, t_s: float) -> bool:
+        return self.planner.held is not None and self.planner.moving(t_s)
 
     def _reset(self, t_s: float) -> None:
         """What is reset while it moves has lost steps; a hold that has ended has not."""
-        braking_still = self._held is not None and t_s < self._held.end_s
-        moving = (self.state == "Run" and bool(self._moves)) or braking_still
+        moving = self.planner.moving(t_s)
         homing = self.state == "Home"
         locked = self.state == "Alarm" or moving or homing
         if moving:
@@ -402,13 +354,11 @@ class Controller:
             self._out.append("ALARM:6")
         elif self._owes_ok:
             self._out.append("ok")
-        self._stand(t_s)
+        self.planner.stand(t_s)
         self._restart(locked)
 
     def _restart(self, locked: bool) -> None:
-        self._modes = _Modes(target_mm=self.machine_mm)
-        self._moves.clear()
-        self._held = None
+        self._modes = _Modes()
         self._line = ""
         self._waiting.clear()
         self._sync = self._blocked = self._owes_ok = False
@@ -420,11 +370,11 @@ class Controller:
             self._out.append("[MSG:'$H'|'$X' to unlock]")
 
     def _report(self, t_s: float) -> None:
-        x_mm, y_mm = self.at(t_s)
+        x_mm, y_mm = self.planner.at(t_s)
         zero_x, zero_y = self.work_zero_mm
         state = self.state
         if state == "Hold":
-            state += ":1" if self._held is not None and t_s < self._held.end_s else ":0"
+            state += ":1" if self._braking(t_s) else ":0"
         in_machine = self.settings[REPORT_WORK] in ("1", "3")
         at = (x_mm, y_mm) if in_machine else (x_mm - zero_x, y_mm - zero_y)
         report = f"<{state}|{'MPos' if in_machine else 'WPos'}:{self._axes(*at)}|FS:0,0"
@@ -441,27 +391,3 @@ class Controller:
         if self._flag(INCHES):
             return f"{x_mm / INCH_MM:.4f},{y_mm / INCH_MM:.4f},0.0000"
         return f"{x_mm:.3f},{y_mm:.3f},0.000"
-
-
-def _words(line: str) -> tuple[set[int], dict[str, float]]:
-    """The G words, and the values of the others."""
-    if line and not line[0].isalpha():
-        raise _GrblError(1)
-    codes: set[int] = set()
-    values: dict[str, float] = {}
-    for letter, digits in _WORD.findall(line):
-        try:
-            value = float(digits)
-        except ValueError:
-            raise _GrblError(2) from None
-        if letter == "G":
-            if value != int(value) or int(value) in codes:
-                raise _GrblError(20 if value != int(value) else 21)
-            codes.add(int(value))
-        elif letter in values:
-            raise _GrblError(25)
-        elif letter not in "XYZFPLMNST":
-            raise _GrblError(20)
-        else:
-            values[letter] = value
-    return codes, values

@@ -1,17 +1,20 @@
-"""A straight move of an xy table: it speeds up, runs and brakes, as a function of time."""
+"""Straight moves of an xy table, one after the other; each speeds up, runs and brakes."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+
+Xy = tuple[float, float]
 
 
 @dataclass(slots=True)
 class Move:
     """From standstill to standstill, mm in machine coordinates; ``begin`` sets it going."""
 
-    start_mm: tuple[float, float]
-    end_mm: tuple[float, float]
+    start_mm: Xy
+    end_mm: Xy
     speed_mm_s: float
     acceleration_mm_s2: float
     start_s: float = math.inf
@@ -58,7 +61,7 @@ class Move:
         a = self.acceleration_mm_s2
         return min(self._top_mm_s, a * (t_s - self.start_s), a * (self.end_s - t_s))
 
-    def at(self, t_s: float) -> tuple[float, float]:
+    def at(self, t_s: float) -> Xy:
         """The place at ``t_s``."""
         share = self.gone_mm(t_s) / self.length_mm if self.length_mm else 1.0
         (x0, y0), (x1, y1) = self.start_mm, self.end_mm
@@ -76,3 +79,61 @@ def braking(move: Move, t_s: float) -> Move:
     stop = here[0] + way * unit[0], here[1] + way * unit[1]
     before = here[0] - way * unit[0], here[1] - way * unit[1]
     return Move(before, stop, math.inf, a, t_s - speed / a)
+
+
+@dataclass(slots=True)
+class Planner:
+    """The moves that are planned, and where the table stands between them, mm in machine coordinates."""
+
+    place_mm: Xy
+    moves: deque[Move] = field(default_factory=deque)
+    held: Move | None = None
+    """How it brakes, and then stands, on a hold."""
+
+    @property
+    def target_mm(self) -> Xy:
+        """Where the last move ends."""
+        return self.moves[-1].end_mm if self.moves else self.place_mm
+
+    def at(self, t_s: float) -> Xy:
+        """The place at ``t_s``."""
+        if self.held is not None:
+            return self.held.at(t_s)
+        return self.moves[0].at(t_s) if self.moves else self.place_mm
+
+    def moving(self, t_s: float) -> bool:
+        """Whether it moves, be it that it brakes."""
+        return t_s < self.held.end_s if self.held is not None else bool(self.moves)
+
+    def add(self, move: Move, t_s: float) -> None:
+        """Plan a move; it begins at once when nothing else is planned."""
+        if not self.moves:
+            move.begin(t_s)
+        self.moves.append(move)
+
+    def advance(self, t_s: float) -> None:
+        """Take away what is over."""
+        while self.moves and self.held is None and t_s >= self.moves[0].end_s:
+            done = self.moves.popleft()
+            self.place_mm = done.end_mm
+            if self.moves:
+                self.moves[0].begin(done.end_s)
+
+    def hold(self, t_s: float) -> None:
+        """Brake."""
+        if self.moves:
+            self.held = braking(self.moves[0], t_s)
+
+    def resume(self, t_s: float) -> None:
+        """Go on to where the hold came in between."""
+        if self.held is not None:
+            rest = self.moves[0]
+            self.moves[0] = Move(self.held.end_mm, rest.end_mm, rest.speed_mm_s, rest.acceleration_mm_s2)
+            self.moves[0].begin(t_s)
+            self.held = None
+
+    def stand(self, t_s: float) -> None:
+        """Stand where it is, without braking, and forget what was planned."""
+        self.place_mm = self.at(t_s)
+        self.moves.clear()
+        self.held = None

@@ -67,7 +67,7 @@ class GrblTable:
         self.device = Path(os.ttyname(self._line))
         self._times_ns: deque[int] = deque(maxlen=MEMORY)
         self._poses: deque[BeamPose] = deque(maxlen=MEMORY)
-        self._target_mm = self.controller.target_mm
+        self._target_mm = self.controller.planner.target_mm
         self._error = self._stage.place(0.0, 0.0)
         self._remember(time.monotonic_ns())
         if unit is not None:
@@ -110,7 +110,7 @@ class GrblTable:
     def power_on(self) -> None:
         """Power again: the controller believes to be at its zero, wherever the table is."""
         with self._lock:
-            self.shove(*self.controller.machine_mm)
+            self.shove(*self.controller.planner.place_mm)
             said = self.controller.power_on()
             self._power = self._answers = True
             self._say(said)
@@ -164,10 +164,10 @@ class GrblTable:
         return changed.tobytes()
 
     def _remember(self, t_ns: int) -> None:
-        if self.controller.target_mm != self._target_mm:
-            self._target_mm = self.controller.target_mm
+        if self.controller.planner.target_mm != self._target_mm:
+            self._target_mm = self.controller.planner.target_mm
             self._error = self._stage.place(0.0, 0.0)
-        x_mm, y_mm = self.controller.at(t_ns * 1e-9)
+        x_mm, y_mm = self.controller.planner.at(t_ns * 1e-9)
         self._times_ns.append(t_ns)
         self._poses.append(
             BeamPose(

@@ -200,7 +200,7 @@ async def test_cancellation_brings_the_stage_to_a_stand(unit: Unit, table: GrblT
     with pytest.raises(asyncio.CancelledError):
         await task
     assert table.controller.state == "Idle"
-    x_mm = table.controller.machine_mm[0] + 100.0
+    x_mm = table.controller.planner.place_mm[0] + 100.0
     assert -37.5 < x_mm < -12.5
     assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 1
 
@@ -223,7 +223,7 @@ async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp
         assert "node x 37.5 y -12.5 mm" in str(caught.value)
         assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 5
 
-        table.controller.machine_mm = (0.0, 0.0)
+        table.controller.planner.place_mm = (0.0, 0.0)
         table._slip_mm = (-100.3, -100.0)  # somebody set the zero by hand, 0.3 mm off
         with pytest.raises(
             ScanStoppedError, match=r"spot lies \d\.\d px from where it was before the interr"

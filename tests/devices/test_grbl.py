@@ -269,7 +269,7 @@ def test_stopping_brakes_and_loses_no_step(table: GrblTable, stage: GrblStage) -
     assert table.controller.state == "Idle"
     stands = beam(table)
     assert 51.0 < stands[0] < 98.0
-    reported = tuple(at - zero for at, zero in zip(table.controller.machine_mm, MIDDLE_MM, strict=True))
+    reported = tuple(at - zero for at, zero in zip(table.controller.planner.place_mm, MIDDLE_MM, strict=True))
     assert stands == pytest.approx(reported, abs=0.015)  # the table's slip would be LOST_STEPS_MM
     assert LOST_STEPS_MM > 0.1
     with pytest.raises(StageStoppedError):

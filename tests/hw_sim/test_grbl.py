@@ -68,24 +68,24 @@ def test_a_hold_goes_on_where_it_stopped_and_ends_at_the_target() -> None:
     controller.receive(b"G1 X5 F500\n", 0.0)
     controller.receive(b"!", 0.5)
     listen(controller, 0.5, 2.0)
-    assert 0 < controller.at(2.5)[0] < 5
+    assert 0 < controller.planner.at(2.5)[0] < 5
     controller.receive(b"~", 2.5)
     listen(controller, 2.5, 3.0)
-    assert controller.at(5.5) == (5.0, 0.0)
+    assert controller.planner.at(5.5) == (5.0, 0.0)
     assert controller.state == "Idle"
 
 
 def test_homing_takes_time_without_answers_and_ends_at_the_pull_off() -> None:
-    controller = Controller(machine_mm=(-50.0, 0.0))
+    controller = Controller()
     controller.settings[22] = "1"
     assert "to unlock" in controller.power_on()
-    controller.machine_mm = (-50.0, 0.0)
+    controller.planner.place_mm = (-50.0, 0.0)
     assert controller.receive(b"G1 X1 F100\n", 0.0) == "error:9\r\n"
     assert controller.receive(b"$H\n", 0.0) == ""
     assert controller.receive(b"?", 0.1) == ""
     assert controller.tick(50 / (500 / 60)) == ""
     assert listen(controller, 6.0, 0.2) == "ok\r\n"
-    assert controller.at(6.2) == (-1.0, -1.0)
+    assert controller.planner.at(6.2) == (-1.0, -1.0)
 
 
 def test_a_wall_stops_the_table_and_only_a_reset_helps() -> None:
@@ -93,7 +93,7 @@ def test_a_wall_stops_the_table_and_only_a_reset_helps() -> None:
     controller.settings[21] = "1"
     controller.receive(b"G1 X20 F500\n", 0.0)
     assert listen(controller, 0.0, 3.0).splitlines() == ["ALARM:1", "[MSG:Reset to continue]"]
-    assert controller.at(3.0)[0] == pytest.approx(10.0, abs=0.3)
+    assert controller.planner.at(3.0)[0] == pytest.approx(10.0, abs=0.3)
     assert controller.receive(b"?$X\n", 3.0) == ""
     assert "to unlock" in controller.receive(b"\x18", 3.1)
     assert "Caution" in controller.receive(b"$X\n", 3.2)
