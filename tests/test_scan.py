@@ -362,6 +362,11 @@ exposures = 1
         assert line == f"altd scan: [stage] device: {table.device}: No such file or directory"
         assert not Path(f"{tmp_path / 'scan'}.unfinished").exists()
 
+    def test_the_simulators_own_scan_refuses_a_used_folder(self, tmp_path: Path) -> None:
+        (tmp_path / "something").touch()
+        line = refusal(altd("scan", "--stage", "-o", tmp_path, module="hw_sim"))
+        assert line == f"hw_sim: {tmp_path}: exists and is not an empty folder"
+
     def test_a_config_without_a_stage_is_one_line(self, tmp_path: Path) -> None:
         write_beams(tmp_path / "rec", [(10.0, 5.0, 0.0, 0.0)])
         config = write_config(tmp_path / "altd.toml", tmp_path / "none.json", tmp_path / "rec")

@@ -75,8 +75,7 @@ class Scanner:
         self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
         origins = ", ".join(sorted({camera.origin for camera in cameras} - {Origin.CAMERA}))
         self._note = f"altd scan, {origins}" if origins else "altd scan"
-        facts = {k: v for k, v in fingerprint(config).items() if isinstance(v, str | int | float)}
-        self._folder = ScanFolder(output, facts | {"frames are": origins or "camera"}, clock.utc)
+        self._folder = ScanFolder(output, fingerprint(config) | {"origin": origins or "camera"}, clock.utc)
         self._exposures = Exposures(cameras, config.measuring, Health(clock))
         self._doing = "getting ready"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -28,11 +28,11 @@ from altd.recording import (
     refuse_used_folder,
 )
 from altd.records import Frame
+from altd.service.scan_plan import Facts
 
 STATE_FILE = "scan.json"
 FPS = 20.0
 
-Facts = Mapping[str, str | int | float]
 SpotPx = tuple[float, float]
 
 
@@ -49,7 +49,7 @@ class State(BaseModel):
     """``scan.json``."""
 
     format: Literal["altd-scan/1"] = "altd-scan/1"
-    facts: dict[str, str | int | float]
+    facts: Facts
     start: datetime | None = None
     table_bytes: int = 0
     exposures: int = 0
@@ -71,7 +71,7 @@ class ScanFolder:
         self._first_s = 0.0
         refuse_used_folder(self._output)
         self.resumed = self.path.exists()
-        self.state = self._read(facts) if self.resumed else State(facts=dict(facts))
+        self.state = self._read(facts) if self.resumed else State(facts=facts)
 
     def _read(self, facts: Facts) -> State:
         file = self.path / STATE_FILE

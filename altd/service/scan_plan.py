@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from altd.config import Config, Scan
@@ -37,18 +36,23 @@ def nodes_of(scan: Scan) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
-def fingerprint(config: Config) -> Mapping[str, object]:
-    """What two parts of one scan must have in common, by the name that it has in the config.
+Facts = dict[str, str | int | float]
+"""Settings by the name that they have in the config."""
 
-    How the stage is reached and how fast it goes may change, where its coordinates lie may not.
+
+def fingerprint(config: Config) -> Facts:
+    """What two parts of one scan must have in common.
+
+    How the stage is reached, how fast it goes, and how patient the scan is may change in between; where the
+    nodes and the stage's coordinates lie may not.
     """
-    facts: dict[str, object] = {"unit.serial": config.unit.serial}
+    facts: Facts = {"unit.serial": config.unit.serial}
     for target in config.targets:
         facts[f"targets.{target.name}.z_mm"] = target.z_mm
         facts[f"targets.{target.name}.camera"] = target.camera
-    facts |= {f"scan.{key}": value for key, value in config.scan.model_dump(mode="json").items()}
+    grid = config.scan.model_dump(exclude={"settle_s", "retries"})
+    facts |= {f"scan.{key}": value for key, value in grid.items()}
     if config.stage is not None:
         placed = {"driver", "coordinates", "sign_x", "sign_y", "offset_x_mm", "offset_y_mm"}
-        settings = config.stage.model_dump(mode="json", include=placed)
-        facts |= {f"stage.{key}": value for key, value in settings.items()}
+        facts |= {f"stage.{key}": value for key, value in config.stage.model_dump(include=placed).items()}
     return facts

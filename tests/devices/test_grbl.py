@@ -276,6 +276,16 @@ def test_stopping_brakes_and_loses_no_step(table: GrblTable, stage: GrblStage) -
         stage.move_to(0.0, 0.0)
 
 
+def test_homing_is_stopped_at_once(table: GrblTable, stage: GrblStage) -> None:
+    stage.move_to(0.0, 0.0)
+    table.controller.settings[25] = "500"  # it would take 12 s
+    timer = soon(stage.stop)
+    with pytest.raises(StageStoppedError):
+        stage.home()
+    timer.join()
+    assert table.controller.state == "Alarm"
+
+
 def test_a_move_that_a_killed_program_left_behind_is_let_finish(table: GrblTable, stage: GrblStage) -> None:
     table.controller.settings |= SLOW
     stage._send(b"G90 G1 X90 Y90 F1500\n")

@@ -151,17 +151,21 @@ class TestFolder:
         with pytest.raises(BadInputError, match="is not an empty folder"):
             self.folder(tmp_path)
         (tmp_path / "scan" / "something").unlink()
-        self.begin(tmp_path).close()
+        self.begin(tmp_path).finish()  # an empty folder does
+        assert len(open_recording(tmp_path / "scan").rows) == 8
+        (tmp_path / "scan").rename(tmp_path / "scan.unfinished")
         (tmp_path / "scan.unfinished" / "scan.json").write_text("{")
         with pytest.raises(BadInputError, match="is no record of a scan"):
             self.folder(tmp_path)
 
 
 def test_the_port_and_the_speed_may_change_but_not_the_coordinates(tmp_path: Path) -> None:
-    def config(stage: str) -> Config:
-        more = f'[stage]\ndriver = "grbl"\n{stage}\n'
+    def config(stage: str, scan: str = "") -> Config:
+        more = f'[stage]\ndriver = "grbl"\n{stage}\n[scan]\n{scan}\n'
         return load_config(write_config(tmp_path / "altd.toml", Path("cal.json"), Path("rec"), more))
 
     first = fingerprint(config('device = "/dev/ttyUSB0"'))
     assert fingerprint(config('device = "/dev/ttyUSB1"\nfeed_mm_per_min = 5.0')) == first
+    assert fingerprint(config('device = "/dev/ttyUSB0"', "settle_s = 2.0\nretries = 9")) == first
+    assert fingerprint(config('device = "/dev/ttyUSB0"', "exposures = 9")) != first
     assert fingerprint(config('device = "/dev/ttyUSB0"\noffset_x_mm = 1.0')) != first
