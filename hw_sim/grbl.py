@@ -30,6 +30,8 @@ STEPS_PER_MM, REPORT_WORK, INCHES, SOFT_LIMITS, HARD_LIMITS, HOMING = 100, 10, 1
 SEEK_MM_PER_MIN, PULL_OFF_MM, RATE_MM_PER_MIN, ACCELERATION, TRAVEL_MM = 25, 27, 110, 120, 130
 
 PLANNER_BLOCKS = 15
+LATE_START_S = 0.03
+"""After ``ok`` the steppers need a moment to start; a report meanwhile says ``Idle``, as Grbl's does."""
 INCH_MM = 25.4
 LINE_LIMIT = 80
 
@@ -269,7 +271,7 @@ class Controller:
             self._limit(start, end, RATE_MM_PER_MIN, feed_mm_per_min) / 60.0,
             self._limit(start, end, ACCELERATION, math.inf),
         )
-        self.planner.add(move, t_s)
+        self.planner.add(move, t_s + LATE_START_S)
         self.state = "Run"
 
     def _limit(self, start: Xy, end: tuple[float, ...], setting: int, most: float) -> float:
@@ -375,6 +377,8 @@ class Controller:
         state = self.state
         if state == "Hold":
             state += ":1" if self._braking(t_s) else ":0"
+        elif state == "Run" and not self.planner.started(t_s):
+            state = "Idle"
         in_machine = self.settings[REPORT_WORK] in ("1", "3")
         at = (x_mm, y_mm) if in_machine else (x_mm - zero_x, y_mm - zero_y)
         report = f"<{state}|{'MPos' if in_machine else 'WPos'}:{self._axes(*at)}|FS:0,0"

@@ -105,6 +105,10 @@ class Planner:
         """Whether it moves, be it that it brakes."""
         return t_s < self.held.end_s if self.held is not None else bool(self.moves)
 
+    def started(self, t_s: float) -> bool:
+        """Whether the first move is under way."""
+        return bool(self.moves) and t_s >= self.moves[0].start_s
+
     def add(self, move: Move, t_s: float) -> None:
         """Plan a move; it begins at once when nothing else is planned."""
         if not self.moves:
