@@ -267,9 +267,12 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
     assert "front spot_missing" in str(caught.value)
     assert len(listener.said) == 4
     unit.clear()
-    result = await scanned(unit, table, tmp_path / "scan", Listener(), scan)
-    assert result.refused == ()
-    assert len(nodes(open_recording(tmp_path / "scan"))) == 16
+    listener = Listener()
+    listener.elsewhere = unit.clear
+    listener.at["node x -12.5 y 12.5 mm"] = lambda: unit.inject(Fault.NO_LASER)  # the others are good now
+    result = await scanned(unit, table, tmp_path / "scan", listener, scan)
+    assert [line.split(":")[0] for line in result.refused] == ["node x -12.5 y 12.5 mm"]
+    assert len(nodes(open_recording(tmp_path / "scan"))) == 15
 
 
 async def test_a_silent_camera_stops_the_scan(
