@@ -127,7 +127,7 @@ def test_maps_that_contradict_each_other_are_implausible(
     measurement = last(chain(wrong), frames)
     assert [str(fault) for fault in measurement.status] == [f"{target}_implausible"]
     assert (measurement.beam, set(measurement.points_mm.values())) == (None, {None})
-    assert " px apart at x 10.0 y 5.0 mm" in measurement.status[0].detail
+    assert " px apart at x " in measurement.status[0].detail
 
 
 def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> None:
