@@ -57,7 +57,8 @@ class BlockSums:
     """Sums of powers of F over square blocks, each (rows, columns) of blocks.
 
     ``f1`` … ``f4`` are ΣF … ΣF⁴. ``u_px`` and ``v_px`` are where a block measures: its centroid weighted
-    with F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block.
+    with F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block;
+    ``uu_px2``, ``uv_px2`` and ``vv_px2`` are the moments about it, for one that is bent.
     """
 
     f1: Image
@@ -66,6 +67,9 @@ class BlockSums:
     f4: Image
     u_px: Image
     v_px: Image
+    uu_px2: Image
+    uv_px2: Image
+    vv_px2: Image
 
     def cut(self, rows: slice, columns: slice) -> BlockSums:
         """Some of the blocks."""
@@ -77,21 +81,24 @@ def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
     rows, columns = response.shape[0] // size, response.shape[1] // size
     # from the blocks' middles: small numbers keep their digits in float32
     offset = np.arange(size, dtype=np.float32) - np.float32((size - 1) / 2)
-    by_column = np.tile(offset, columns)
-    by_row = np.tile(offset, rows)[:, None]
+    by_column, by_row = np.tile(offset, columns), np.tile(offset, rows)[:, None]
     whole = response[: rows * size, : columns * size]
     square = whole * whole
     f2 = block_sum(square, size)
-    lit = np.maximum(f2, np.float32(1e-12))
-    middle_u = left + size * np.arange(columns, dtype=np.float32) + np.float32((size - 1) / 2)
-    middle_v = top + size * np.arange(rows, dtype=np.float32) + np.float32((size - 1) / 2)
+    share = square / np.repeat(np.repeat(np.maximum(f2, np.float32(1e-12)), size, axis=0), size, axis=1)
+    from_u, from_v = block_sum(share * by_column, size), block_sum(share * by_row, size)
+    middle_u = np.arange(left, left + size * columns, size, dtype=np.float32) + np.float32((size - 1) / 2)
+    middle_v = np.arange(top, top + size * rows, size, dtype=np.float32) + np.float32((size - 1) / 2)
     return BlockSums(
         f1=block_sum(whole, size),
         f2=f2,
         f3=block_sum(square * whole, size),
         f4=block_sum(square * square, size),
-        u_px=np.asarray(middle_u + block_sum(square * by_column, size) / lit, dtype=np.float32),
-        v_px=np.asarray(middle_v[:, None] + block_sum(square * by_row, size) / lit, dtype=np.float32),
+        u_px=middle_u + from_u,
+        v_px=middle_v[:, None] + from_v,
+        uu_px2=block_sum(share * by_column**2, size) - from_u**2,
+        uv_px2=block_sum(share * by_column * by_row, size) - from_u * from_v,
+        vv_px2=block_sum(share * by_row**2, size) - from_v**2,
     )
 
 

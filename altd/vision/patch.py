@@ -34,6 +34,8 @@ class Patch:
     top: int
     excess: Image
     smooth: Image
+    background_counts: float
+    """What was taken off in the middle."""
     peak: float
     """Of the smoothed excess."""
     mask: Mask
@@ -47,9 +49,10 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         left, top = max(region.left - margin, 0), max(region.top - margin, 0)
         right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
         excess = without_hot_pixels(frame.pixels[top:bottom, left:right])
-        excess -= found.background.at(
+        background = found.background.at(
             np.arange(left, right, dtype=np.float64), np.arange(top, bottom, dtype=np.float64)
         )
+        excess -= background
         smooth = _smoothed(excess, settings.smoothing_px)
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
         if peak <= 0:
@@ -59,7 +62,8 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         if at_image_edge:
             return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
         if not at_patch_edge:
-            return Patch(left, top, excess, smooth, peak, mask)
+            middle = float(background[len(background) // 2, background.shape[1] // 2])
+            return Patch(left, top, excess, smooth, middle, peak, mask)
         margin *= 2
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,12 @@ _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
 
-_PEAK, _U, _V, _A, _B, _C, _REST, _ORDER = range(8)
+_SLOPE_SHARE_PER_PX = 1.5e-4
+"""By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it:
+fall-off and stray light are no parabola."""
+_LEAST_SLOPE_COUNTS_PER_PX = 1e-4
+
+_PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER = range(10)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +62,14 @@ class Profile:
 class _Data:
     """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I.
 
-    ``x`` and ``y`` are px as they come, then from the seed in units of its sigma.
+    Places are from the seed in units of its sigma, ``bends`` the moments xx, xy, yy about them; None where
+    they are alike in all blocks and only widen the spot.
     """
 
     light: FloatArray
     x: FloatArray
     y: FloatArray
+    bends: tuple[FloatArray, FloatArray, FloatArray] | None
     f1: FloatArray
     f2: FloatArray
     read_variance: FloatArray
@@ -82,19 +89,21 @@ def fit_profile(
     """Fit the spot of a patch; None when no profile fits it.
 
     ``diameter_px`` is about the spot's; pixels that are ``clipped``, as a mask of the patch, do not count.
-    Weighted least squares over blocks of ΣF·I for peak, centre, form, a rest of background, and order. The
-    variance of a block is read noise, shot noise and grain: the relative scatter of the light (speckle, rest
-    of the print), which the fit estimates from its own residuals, so that a clean spot as well as a coarse
-    one gets the weights that it deserves. On blocks of one dot pitch the centre is as good as on pixels.
+    Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and what is left of the
+    background: a constant, and a slope that is small against it. The variance of a block is read noise, shot
+    noise and grain: the relative scatter of the light (speckle, rest of the print), which the fit estimates
+    from its own residuals, so that a clean spot as well as a coarse one gets the weights that it deserves. On
+    blocks of one dot pitch the centre is as good as on pixels.
     """
-    from_u, from_v, sigma_px = _seed(patch, diameter_px)
-    data = _data(patch, flat, clipped, noise, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
-    data = replace(data, x=(data.x - from_u) / sigma_px, y=(data.y - from_v) / sigma_px)
-    solution = _solve(data, patch.peak)
+    seed = _seed(patch, diameter_px)
+    from_u, from_v, sigma_px = seed
+    data = _data(patch, flat, clipped, noise, seed, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
+    rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _LEAST_SLOPE_COUNTS_PER_PX) * sigma_px
+    solution = _solve(data, patch.peak, rise)
     if solution is None:
         return None
     state, centre_variance = solution
-    peak, u, v, a, b, c, rest, order = state.tolist()
+    peak, u, v, a, b, c, rest, _, _, order = state.tolist()
     if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
         return None
     return Profile(
@@ -116,23 +125,35 @@ def _seed(patch: Patch, diameter_px: float) -> tuple[float, float, float]:
 
 
 def _data(
-    patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, noise: Noise, size: int
+    patch: Patch,
+    flat: Flat | None,
+    clipped: npt.NDArray[np.bool_] | None,
+    noise: Noise,
+    seed: tuple[float, float, float],
+    size: int,
 ) -> _Data:
     light, sums = _sums(patch, flat, clipped, size)
-    f1, f2, f3, f4, u, v = (
-        np.ravel(array).astype(np.float64)
-        for array in (sums.f1, sums.f2, sums.f3, sums.f4, sums.u_px, sums.v_px)
-    )
+    from_u, from_v, sigma_px = seed
+    bends = None
+    if flat is not None or clipped is not None:
+        xx, xy, yy = (_vector(moment) / sigma_px**2 for moment in (sums.uu_px2, sums.uv_px2, sums.vv_px2))
+        bends = xx, xy, yy
+    f2 = _vector(sums.f2)
     return _Data(
-        light=np.ravel(light).astype(np.float64),
-        x=u,
-        y=v,
-        f1=f1,
+        light=_vector(light),
+        x=(_vector(sums.u_px) - from_u) / sigma_px,
+        y=(_vector(sums.v_px) - from_v) / sigma_px,
+        bends=bends,
+        f1=_vector(sums.f1),
         f2=f2,
         read_variance=noise.read_counts**2 * np.maximum(f2, 1e-9),
-        shot_variance=f3 / noise.electrons_per_count,
-        grain_variance=f4,
+        shot_variance=_vector(sums.f3) / noise.electrons_per_count,
+        grain_variance=_vector(sums.f4),
     )
+
+
+def _vector(image: Image) -> FloatArray:
+    return np.ravel(image).astype(np.float64)
 
 
 def _sums(
@@ -154,14 +175,22 @@ def _sums(
     return light, flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
 
 
-def _solve(data: _Data, peak: float) -> tuple[FloatArray, float] | None:
-    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes."""
-    state = np.array([peak, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
+def _solve(data: _Data, peak: float, rise: float) -> tuple[FloatArray, float] | None:
+    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes.
+
+    ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed.
+    """
+    state = np.array([peak, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    known = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    precision = np.array([0.0] * 7 + [rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2])
     grain2 = _GRAIN_AT_FIRST**2
-    jacobian = np.empty((8, len(data.light)))
+    jacobian = np.empty((len(state), len(data.light)))
+    jacobian[_REST] = data.f1
+    jacobian[_RISE_X] = data.f1 * data.x
+    jacobian[_RISE_Y] = data.f1 * data.y
     for iteration in range(_ITERATIONS):
         spot, residual = _linearise(data, state, jacobian)
-        free = 8 if iteration >= _ORDER_FREE_FROM else 7
+        free = len(state) if iteration >= _ORDER_FREE_FROM else _ORDER
         noise_variance = data.read_variance + spot * data.shot_variance
         grain_variance = spot * spot * data.grain_variance
         if iteration >= _ORDER_FREE_FROM:
@@ -174,9 +203,8 @@ def _solve(data: _Data, peak: float) -> tuple[FloatArray, float] | None:
         weighted = jacobian[:free] / (noise_variance + grain2 * grain_variance)
         normal = weighted @ jacobian[:free].T
         pull = weighted @ residual
-        if free == 8:
-            normal[_ORDER, _ORDER] += _ORDER_PRIOR_SIGMA**-2
-            pull[_ORDER] += (1.0 - state[_ORDER]) / _ORDER_PRIOR_SIGMA**2
+        normal.flat[:: free + 1] += precision[:free]
+        pull += precision[:free] * (known - state)[:free]
         try:
             step: FloatArray = np.asarray(np.linalg.solve(normal, pull), dtype=np.float64)
         except np.linalg.LinAlgError:
@@ -186,7 +214,7 @@ def _solve(data: _Data, peak: float) -> tuple[FloatArray, float] | None:
             return None
         state = moved
         if (
-            free == 8
+            free > _ORDER
             and math.hypot(step[_U], step[_V]) < _CONVERGED_SIGMAS
             and max(abs(step[_A]), abs(step[_C]), abs(step[_ORDER])) < _CONVERGED_SHAPE
         ):
@@ -197,7 +225,7 @@ def _solve(data: _Data, peak: float) -> tuple[FloatArray, float] | None:
 
 def _linearise(data: _Data, state: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Irradiance at the blocks and what is left over; fills in the derivatives of the blocks' light."""
-    peak, u, v, a, b, c, rest, order = state.tolist()
+    peak, u, v, a, b, c, rest, rise_x, rise_y, order = state.tolist()
     dx, dy = data.x - u, data.y - v
     along, across = a * dx + b * dy, b * dx + c * dy
     q = along * dx
@@ -208,22 +236,54 @@ def _linearise(data: _Data, state: FloatArray, jacobian: FloatArray) -> tuple[Fl
     raised = q if order == 1.0 else np.exp(order * logarithm)
     shape = np.exp(-raised)
     spot = peak * shape
-    fall = spot * data.f2 * raised
-    fall *= order
-    slope = fall / q
-    np.multiply(shape, data.f2, out=jacobian[_PEAK])
+    steep = order * raised
+    steep /= q
+    f2 = data.f2
+    if data.bends is not None:
+        f2 = f2 * _bent(data.bends, steep, along, across, (a, b, c))
+    slope = spot * f2
+    slope *= steep
+    np.multiply(shape, f2, out=jacobian[_PEAK])
     np.multiply(slope, along, out=jacobian[_U])
     np.multiply(slope, across, out=jacobian[_V])
+    np.multiply(slope, q, out=jacobian[_ORDER])
+    jacobian[_ORDER] *= logarithm
+    jacobian[_ORDER] *= -1 / order
     slope *= -0.5
     slope_x, slope_y = slope * dx, slope * dy
     np.multiply(slope_x, dx, out=jacobian[_A])
     np.multiply(slope_x, 2 * dy, out=jacobian[_B])
     np.multiply(slope_y, dy, out=jacobian[_C])
-    jacobian[_REST] = data.f1
-    fall *= logarithm
-    np.multiply(fall, -1 / order, out=jacobian[_ORDER])
-    residual = data.light - peak * jacobian[_PEAK] - rest * data.f1
+    background = rest + rise_x * data.x + rise_y * data.y
+    background *= data.f1
+    residual = data.light - peak * jacobian[_PEAK]
+    residual -= background
     return spot, residual
+
+
+def _bent(
+    bends: tuple[FloatArray, FloatArray, FloatArray],
+    steep: FloatArray,
+    along: FloatArray,
+    across: FloatArray,
+    form: tuple[float, float, float],
+) -> FloatArray:
+    """Mean of the spot over each block against its value where the block measures.
+
+    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives that a Gaussian as steep as the spot
+    is there has. Where the rows of dots run along those of pixels, the moments beat, and without this so does
+    the centre: by 0.02 px.
+    """
+    xx, xy, yy = bends
+    a, b, c = form
+    along, across = steep * along, steep * across
+    bent = xx * along * along
+    bent += 2 * xy * along * across
+    bent += yy * across * across
+    bent -= steep * (a * xx + 2 * b * xy + c * yy)
+    bent *= 0.5
+    bent += 1.0
+    return bent
 
 
 def _moved(state: FloatArray, step: FloatArray) -> FloatArray | None:
