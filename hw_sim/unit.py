@@ -23,7 +23,7 @@ from hw_sim.faults import (
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, driving, vibrating
 from hw_sim.sensor import NoisePool, Sensor
-from hw_sim.targets import DOT_COVERAGE, WINDOW_TRANSMISSION
+from hw_sim.targets import WINDOW_TRANSMISSION, DotPattern
 from hw_sim.view import make_view
 
 FRONT, REAR = "front", "rear"
@@ -45,7 +45,9 @@ _SILENT = {FRONT: Fault.FRONT_SILENT, REAR: Fault.REAR_SILENT}
 class UnitConfig:
     """A unit and its surroundings. The seed alone decides lenses, tilts, print, speckle and hot pixels.
 
-    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16.
+    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. The focal
+    lengths are drawn from the ranges given. ``expansion`` is by how much of its length the frame between the
+    targets has grown since it was adjusted: the rear target stands at (1 + expansion) times its distance.
     """
 
     seed: int = 1
@@ -56,6 +58,10 @@ class UnitConfig:
     bits: int = 8
     fps: float = 20.0
     target_distance_mm: float = 280.0
+    expansion: float = 0.0
+    dots: DotPattern = field(default_factory=DotPattern)
+    front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
+    rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
@@ -82,10 +88,10 @@ class Unit:
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
         rngs = (np.random.default_rng(stream) for stream in streams)
-        dots = make_dots(next(rngs))
+        dots = make_dots(self.config.dots, next(rngs))
         lenses = {
-            FRONT: make_lens(FRONT_FOCAL_MM, mirrored=True, rng=next(rngs)),
-            REAR: make_lens(REAR_FOCAL_MM, mirrored=False, rng=next(rngs)),
+            FRONT: make_lens(self.config.front_focal_mm, mirrored=True, rng=next(rngs)),
+            REAR: make_lens(self.config.rear_focal_mm, mirrored=False, rng=next(rngs)),
         }
         self.eyes: Mapping[str, Eye] = {
             name: Eye(
@@ -196,8 +202,8 @@ class Unit:
         share = OVERLOAD if Fault.SATURATED in faults else 1.0
         z_mm = 0.0
         if camera == REAR:
-            share *= (1.0 - DOT_COVERAGE) * WINDOW_TRANSMISSION
-            z_mm = self.config.target_distance_mm
+            share *= (1.0 - self.config.dots.coverage) * WINDOW_TRANSMISSION
+            z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
         spot = footprint(self.config.laser, pose, z_mm, share)
         if _SECOND[camera] not in faults:
             return [spot]
