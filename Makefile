@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench docs lock clean venv programs
+.PHONY: help demo test check bench studies docs lock clean venv programs
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -41,6 +41,9 @@ check: venv ## style, types, layers, generated pages
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
+
+studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
+	@exec $(python) -m hw_sim study -o docs/studies
 
 docs: venv ## write the generated pages of docs/
 	@for page in $(pages); do

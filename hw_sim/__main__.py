@@ -9,11 +9,13 @@ from typing import NoReturn
 
 from altd.errors import BadInputError
 from hw_sim import demo, measure, scan
+from hw_sim.study import command as study
 
 COMMANDS = {
     "scan": (scan, "record a calibration scan"),
     "demo": (demo, "run the whole unit, simulated, and watch it"),
     "measure": (measure, "record poses of the beam, with their truth"),
+    "study": (study, "repeat the thesis' experiments; its figures beside ours"),
 }
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 
