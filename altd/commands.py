@@ -74,15 +74,21 @@ def _calibrate(options: argparse.Namespace) -> int:
     save_calibration(result.calibration, options.output)
     for line in result.refused:
         print(f"altd calibrate: left out: {line}", file=sys.stderr)
+    for line in result.doubts:
+        print(f"altd calibrate: doubtful: {line}", file=sys.stderr)
     print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
-    print("target  map           left out px   residual mean / std / max mm   repeatability u / v px   LEDs")
+    print(
+        "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
+        "   cross-check    apart / bound px"
+    )
     for target in result.calibration.targets:
-        degree = "" if target.map.model == "lens" else f" {target.map.degree[0]} × {target.map.degree[1]}"
         print(
-            f"{target.name:<7} {target.map.model + degree:<13} {target.left_out_px:.3f}         "
+            f"{target.name:<7} {target.map.name:<14} {target.left_out_px:.3f}         "
             f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
             f"            {len(target.leds_px)}"
+            f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
+            f"{target.cross_check.bound_px:.2f}"
         )
     return 0
 
@@ -161,6 +167,8 @@ def _map(options: argparse.Namespace) -> int:
         point = target.point(u_px, v_px)
         if point is None:
             print(f"invalid {Reason.OUT_OF_RANGE}")
+        elif target.implausible(point, u_px, v_px):
+            print(f"invalid {Reason.IMPLAUSIBLE}")
         else:
             sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
             print(f"{point.x_mm:.5f} {point.y_mm:.5f} {sigma_x_mm:.5f} {sigma_y_mm:.5f}")

@@ -43,6 +43,7 @@ class Reason(StrEnum):
     WRONG_SIZE = "wrong_size"
     WRONG_SHAPE = "wrong_shape"
     CAMERA_SILENT = "camera_silent"
+    IMPLAUSIBLE = "implausible"
 
     OUT_OF_STEP = "out_of_step"
     OUT_OF_RANGE = "out_of_range"
@@ -69,6 +70,7 @@ _OF_ONE_TARGET = frozenset(
         Reason.WRONG_SIZE,
         Reason.WRONG_SHAPE,
         Reason.CAMERA_SILENT,
+        Reason.IMPLAUSIBLE,
     }
 )
 _WARNINGS = frozenset({Reason.EXPOSURES_LOST, Reason.PLAYBACK, Reason.SIMULATED})

@@ -14,10 +14,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from altd.calibration.cross_check import CrossCheck
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.errors import BadInputError
 from altd.mapping.grid import Axis
-from altd.mapping.tensor_map import TensorMap
+from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
 from altd.records import FloatArray
 from altd.vision.settings import SpotSettings
@@ -37,7 +38,7 @@ class _Axis(_Table):
 
 class _Map(_Table):
     basis: Literal["gram"]
-    model: Literal["tensor", "lens"]
+    model: Model
     x_axis: _Axis
     y_axis: _Axis
     degree: tuple[int, int]
@@ -47,6 +48,13 @@ class _Map(_Table):
     spread_v_px: list[list[float]]
     noise_px: Annotated[float, Field(gt=0)]
     hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
+
+
+class _CrossCheck(_Table):
+    map: _Map
+    left_out_px: Annotated[float, Field(gt=0)]
+    bound_px: Annotated[float, Field(gt=0)]
+    largest_px: Annotated[float, Field(ge=0)]
 
 
 class _Residuals(_Table):
@@ -77,6 +85,7 @@ class _Target(_Table):
     height: int
     localiser: _Localiser
     map: _Map
+    cross_check: _CrossCheck
     left_out_px: Annotated[float, Field(gt=0)]
     residuals: _Residuals
     repeatability_px: tuple[float, float]
@@ -179,7 +188,6 @@ def _as_document(calibration: Calibration) -> dict[str, Any]:
 
 
 def _target_document(target: TargetCalibration) -> dict[str, Any]:
-    fitted = target.map
     return {
         "name": target.name,
         "z_mm": target.z_mm,
@@ -187,18 +195,12 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
-        "map": {
-            "basis": "gram",
-            "model": fitted.model,
-            "x_axis": asdict(fitted.x_axis),
-            "y_axis": asdict(fitted.y_axis),
-            "degree": list(fitted.degree),
-            "spectrum_u_px": fitted.spectra[0].tolist(),
-            "spectrum_v_px": fitted.spectra[1].tolist(),
-            "spread_u_px": fitted.spread_px[0].tolist(),
-            "spread_v_px": fitted.spread_px[1].tolist(),
-            "noise_px": fitted.noise_px,
-            "hull_mm": fitted.hull_mm.tolist(),
+        "map": _map_document(target.map),
+        "cross_check": {
+            "map": _map_document(target.cross_check.map),
+            "left_out_px": target.cross_check.left_out_px,
+            "bound_px": target.cross_check.bound_px,
+            "largest_px": target.cross_check.largest_px,
         },
         "left_out_px": target.left_out_px,
         "residuals": {
@@ -208,6 +210,22 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         },
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
+    }
+
+
+def _map_document(fitted: TensorMap) -> dict[str, Any]:
+    return {
+        "basis": "gram",
+        "model": fitted.model,
+        "x_axis": asdict(fitted.x_axis),
+        "y_axis": asdict(fitted.y_axis),
+        "degree": list(fitted.degree),
+        "spectrum_u_px": fitted.spectra[0].tolist(),
+        "spectrum_v_px": fitted.spectra[1].tolist(),
+        "spread_u_px": fitted.spread_px[0].tolist(),
+        "spread_v_px": fitted.spread_px[1].tolist(),
+        "noise_px": fitted.noise_px,
+        "hull_mm": fitted.hull_mm.tolist(),
     }
 
 
@@ -228,7 +246,13 @@ def _from_target(target: _Target) -> TargetCalibration:
         width=target.width,
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
-        map=_from_map(target.name, target.map),
+        map=_from_map(f"targets.{target.name}.map", target.map),
+        cross_check=CrossCheck(
+            map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
+            left_out_px=target.cross_check.left_out_px,
+            bound_px=target.cross_check.bound_px,
+            largest_px=target.cross_check.largest_px,
+        ),
         left_out_px=target.left_out_px,
         residual_mean_mm=target.residuals.mean_mm,
         residual_std_mm=target.residuals.std_mm,
@@ -238,17 +262,17 @@ def _from_target(target: _Target) -> TargetCalibration:
     )
 
 
-def _from_map(name: str, content: _Map) -> TensorMap:
+def _from_map(place: str, content: _Map) -> TensorMap:
     columns, rows = content.degree[0] + 1, content.degree[1] + 1
     return TensorMap(
         model=content.model,
         x_axis=Axis(**content.x_axis.model_dump()),
         y_axis=Axis(**content.y_axis.model_dump()),
         spectra=_array(
-            f"targets.{name}.map.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
+            f"{place}.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
         ),
         spread_px=_array(
-            f"targets.{name}.map.spread",
+            f"{place}.spread",
             [content.spread_u_px, content.spread_v_px],
             (2, rows * columns, len(content.spread_u_px[0]) if content.spread_u_px else 0),
         ),

@@ -1,12 +1,16 @@
-"""From nodes to a target's map: which model, and which nodes do not lie where they should."""
+"""From nodes to a target's maps: which model, what checks it, which nodes do not lie where they should."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from altd.calibration.cross_check import CrossCheck
+from altd.calibration.evidence import Candidate
 from altd.mapping.hull import convex_hull_mm
-from altd.mapping.lens import fit_lens_map
-from altd.mapping.tensor_map import Fit, fit_tensor_map
+from altd.mapping.lens import fit_lens_maps
+from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 from altd.records import FloatArray
 
 _OUTLIER_SIGMAS = 6.0
@@ -15,6 +19,45 @@ _RAYLEIGH_MEDIAN = 1.1774
 _GAIN_OF_FAR, _GAIN_OF_ANY = 0.8, 0.5
 """A node is dropped when the map then misses the others by less than this share of what it did. One that
 lies at a corner bends the map after itself and need not look far off: without it the map is far better."""
+_BEND_GAIN = 0.9
+"""A polynomial on top of a lens must miss a left-out node by less than this share of what others do: it has
+twice a lens's parameters, and the smallest of many like figures is often small by chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetFit:
+    """The fit that is the map, the map that checks it, all that were tried, the rows that were dropped."""
+
+    fit: Fit
+    cross_check: CrossCheck
+    candidates: tuple[Candidate, ...]
+    dropped: list[int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Families:
+    """All fits of one set of nodes; the tensor polynomial's degree is chosen by cross-validation."""
+
+    tensors: list[Fit]
+    lenses: list[Fit]
+
+    @property
+    def tensor(self) -> Fit:
+        return min(self.tensors, key=lambda fit: fit.gcv_px)
+
+    @property
+    def lens(self) -> Fit:
+        return min(self.lenses, key=_handicapped_px)
+
+    @property
+    def best(self) -> Fit:
+        """Whichever misses a node less that it was not shown."""
+        return min(self.tensor, self.lens, key=_handicapped_px)
+
+    @property
+    def other(self) -> Fit:
+        """The best of the family that did not win."""
+        return self.lens if self.best is self.tensor else self.tensor
 
 
 def fit_nodes(
@@ -23,41 +66,65 @@ def fit_nodes(
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
     most_dropped: int,
-) -> tuple[Fit, list[int]]:
-    """Fit nodes (n, 2) mm at (n, 2) px; returns the fit and the rows it was made without.
+) -> TargetFit:
+    """Fit nodes (n, 2) mm at (n, 2) px by every model; the best is the map, the other family's checks it.
 
     A node without which the map of the others is clearly better, such as one at which the stage was bumped,
     is left out; one after the other, at most ``most_dropped``. Raises ValueError when the nodes are no grid
     or too few.
     """
     kept = np.arange(len(nodes_mm))
-    fit = _best_fit(nodes_mm, nodes_px, image_size, degree)
+    families = _fit_families(nodes_mm, nodes_px, image_size, degree)
     while len(nodes_mm) - len(kept) < most_dropped:
+        fit = families.best
         off_px = np.linalg.norm(fit.standard_px, axis=1)
         worst = int(off_px.argmax())
         far = off_px[worst] > _OUTLIER_SIGMAS * float(np.median(off_px)) / _RAYLEIGH_MEDIAN
         others = np.delete(kept, worst)
         try:
-            without = _best_fit(nodes_mm[others], nodes_px[others], image_size, degree)
+            without = _fit_families(nodes_mm[others], nodes_px[others], image_size, degree)
         except ValueError:
             break
-        if without.left_out_px > (_GAIN_OF_FAR if far else _GAIN_OF_ANY) * fit.left_out_px:
+        if without.best.left_out_px > (_GAIN_OF_FAR if far else _GAIN_OF_ANY) * fit.left_out_px:
             break
-        kept, fit = others, without
-    return fit, sorted(set(range(len(nodes_mm))) - set(kept.tolist()))
+        kept, families = others, without
+    return TargetFit(
+        families.best,
+        CrossCheck.between(families.best, families.other),
+        tuple(_candidate(fit) for fit in families.tensors + families.lenses),
+        sorted(set(range(len(nodes_mm))) - set(kept.tolist())),
+    )
 
 
-def _best_fit(
+def _fit_families(
     nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], degree: tuple[int, int] | None
-) -> Fit:
-    """The lens model or the plain tensor polynomial, whichever misses a node less that it was not shown.
-
-    A lens model that fails only loses.
-    """
+) -> _Families:
     hull_mm = convex_hull_mm(nodes_mm)
-    tensor = fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)
-    try:
-        lens = fit_lens_map(nodes_mm, nodes_px, hull_mm, image_size)
-    except ValueError:
-        return tensor
-    return min(tensor, lens, key=lambda fit: fit.left_out_px)
+    if degree is None:
+        tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm)
+    else:
+        tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)]
+    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size)
+    return _Families(_unfolded(tensors), _unfolded(lenses))
+
+
+def _handicapped_px(fit: Fit) -> float:
+    return fit.left_out_px / (_BEND_GAIN if fit.map.model.endswith("+tensor") else 1.0)
+
+
+def _unfolded(fits: list[Fit]) -> list[Fit]:
+    kept = [fit for fit in fits if not fit.map.folds]
+    if not kept:
+        raise ValueError("every map through the nodes folds over on itself")
+    return kept
+
+
+def _candidate(fit: Fit) -> Candidate:
+    return Candidate(
+        model=fit.map.model,
+        degree=fit.degree,
+        parameters=fit.parameters,
+        gcv_px=fit.gcv_px,
+        left_out_px=fit.left_out_px,
+        map_sigma_px=fit.map.spread_sigma_px,
+    )

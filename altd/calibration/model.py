@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, TargetPoint
@@ -16,7 +17,7 @@ from altd.vision.settings import SpotSettings
 
 @dataclass(frozen=True)
 class TargetCalibration:
-    """One target: how its spot is localised, the map, and how well it fits.
+    """One target: how its spot is localised, the map, how well it fits, and the map that checks it.
 
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
@@ -30,6 +31,7 @@ class TargetCalibration:
     height: int
     localiser: SpotSettings
     map: TensorMap
+    cross_check: CrossCheck
     left_out_px: float
     residual_mean_mm: float
     residual_std_mm: float
@@ -48,6 +50,16 @@ class TargetCalibration:
         if not np.isfinite(point).all():
             return None
         return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
+
+    def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str:
+        """Why the point that ``point`` found for (u, v) cannot be believed, in words; empty when it can."""
+        apart_px = self.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
+        if apart_px <= self.cross_check.bound_px:
+            return ""
+        return (
+            f"the {self.map.model} and the {self.cross_check.map.model} map are {apart_px:.2f} px apart at "
+            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {self.cross_check.bound_px:.2f} px"
+        )
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.errors import BadInputError
@@ -40,6 +41,17 @@ class _Node:
         """Whether most of its exposures have a spot."""
         return len(self.spots_px) > len(self.complaints)
 
+    @property
+    def position_mm(self) -> tuple[float, float]:
+        """The mean of the stage's positions."""
+        x_mm, y_mm = np.mean(self.positions_mm, axis=0).tolist()
+        return x_mm, y_mm
+
+    def refuse(self, why: str) -> None:
+        """Take its exposures out of use."""
+        self.spots_px.clear()
+        self.complaints.append(why)
+
 
 @dataclass(slots=True)
 class _Seen:
@@ -56,10 +68,15 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """A calibration and, in words, the nodes that it was made without."""
+    """A calibration and, in words, the nodes that it was made without and what is doubtful about it.
+
+    ``evidence`` is what each target's calibration was made from, in the order of the targets.
+    """
 
     calibration: Calibration
     refused: tuple[str, ...]
+    evidence: tuple[TargetEvidence, ...]
+    doubts: tuple[str, ...]
 
 
 def calibrate_scan(
@@ -80,23 +97,30 @@ def calibrate_scan(
         raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")
     localiser = localiser or SpotSettings()
     seen = _look(recording, localiser, progress)
-    targets = tuple(
+    made = [
         _target(recording, name, z_mm, seen[name], localiser, degree)
         for name, z_mm in sorted(distances.items(), key=lambda item: item[1])
-    )
+    ]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
         recording_note=header.note,
         recording_sha256=recording.sha256(),
-        targets=targets,
+        targets=tuple(target for target, _ in made),
     )
     refused = [
         f"{name} node x {node.positions_mm[0][0]:g} y {node.positions_mm[0][1]:g} mm: {node.complaints[0]}"
         for name, of_target in seen.items()
         for node in of_target.refused
     ]
-    return ScanResult(calibration, tuple(refused))
+    doubts = [
+        f"{target.name}: the {target.map.model} and the {target.cross_check.map.model} map lie up to "
+        f"{target.cross_check.largest_px:.2f} px apart; where it is more than "
+        f"{target.cross_check.bound_px:.2f} px a measurement will be implausible"
+        for target in calibration.targets
+        if target.cross_check.largest_px > target.cross_check.bound_px
+    ]
+    return ScanResult(calibration, tuple(refused), tuple(evidence for _, evidence in made), tuple(doubts))
 
 
 def _look(recording: Recording, localiser: SpotSettings, progress: Progress) -> dict[str, _Seen]:
@@ -143,7 +167,7 @@ def _target(
     seen: _Seen,
     localiser: SpotSettings,
     degree: tuple[int, int] | None,
-) -> TargetCalibration:
+) -> tuple[TargetCalibration, TargetEvidence]:
     nodes = [node for node in seen.nodes.values() if node.usable]
     refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
     if len(refused) > most or not nodes:
@@ -151,34 +175,48 @@ def _target(
         raise BadInputError(
             recording.path, f"{name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
         )
-    all_mm = np.array([np.mean(node.positions_mm, axis=0) for node in nodes])
+    all_mm = np.array([node.position_mm for node in nodes])
     all_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
     size = recording.header.cameras[name].width, recording.header.cameras[name].height
     try:
-        fit, dropped = fit_nodes(all_mm, all_px, size, degree, most - len(refused))
+        fitted = fit_nodes(all_mm, all_px, size, degree, most - len(refused))
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
-    for row in dropped:
+    fit = fitted.fit
+    used = [node for row, node in enumerate(nodes) if row not in fitted.dropped]
+    exposures = [node.spots_px for node in used]
+    for row in fitted.dropped:
         off_px = float(np.linalg.norm(all_px[row] - fit.map.to_px(all_mm[row : row + 1])[0]))
-        nodes[row].spots_px.clear()
-        nodes[row].complaints.append(f"its spot lies {off_px:.1f} px from where the other nodes put it")
-    nodes = [node for node in nodes if node.usable]
-    nodes_mm = np.delete(all_mm, dropped, axis=0)
+        nodes[row].refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
+    nodes_mm = np.delete(all_mm, fitted.dropped, axis=0)
     distance_mm = _residual_distances_mm(fit, nodes_mm)
-    return TargetCalibration(
+    target = TargetCalibration(
         name=name,
         z_mm=z_mm,
         width=size[0],
         height=size[1],
         localiser=localiser,
         map=fit.map,
+        cross_check=fitted.cross_check,
         left_out_px=fit.left_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px([node.spots_px for node in nodes]),
+        repeatability_px=_repeatability_px(exposures),
         leds_px=_mean_leds_px(seen.leds),
     )
+    evidence = TargetEvidence(
+        name=name,
+        nodes_mm=nodes_mm,
+        nodes_px=np.delete(all_px, fitted.dropped, axis=0),
+        residuals_px=fit.residuals_px,
+        missed_px=fit.missed_px,
+        scatter_px=np.array([_scatter_px(spots) for spots in exposures]),
+        exposures=tuple(len(spots) for spots in exposures),
+        left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
+        candidates=fitted.candidates,
+    )
+    return target, evidence
 
 
 def _residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
@@ -197,6 +235,14 @@ def _repeatability_px(exposures: list[list[tuple[float, float]]]) -> FloatArray:
         return np.zeros(2)
     pooled: FloatArray = np.sqrt(sum(np.square(d).sum(axis=0) for d in deviations) / freedom)
     return pooled
+
+
+def _scatter_px(spots: list[tuple[float, float]]) -> FloatArray:
+    """Standard deviation (2,) of the exposures at one node; NaN when there is but one."""
+    if len(spots) < 2:
+        return np.full(2, np.nan)
+    scatter: FloatArray = np.std(spots, axis=0, ddof=1)
+    return scatter
 
 
 def _mean_leds_px(pairs: list[FloatArray]) -> FloatArray:

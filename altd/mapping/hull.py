@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from altd.records import FloatArray
+
+_EDGE_MM = 1e-3
 
 
 def convex_hull_mm(points_mm: FloatArray) -> FloatArray:
@@ -19,3 +22,11 @@ def edge_lines(hull_mm: FloatArray) -> FloatArray:
     edge = np.roll(hull_mm, -1, axis=0) - hull_mm
     outward = np.stack([edge[:, 1], -edge[:, 0]], axis=-1) / np.linalg.norm(edge, axis=1)[:, None]
     return np.column_stack([outward, np.einsum("ej,ej->e", outward, hull_mm)])
+
+
+def contains(hull_mm: FloatArray, points_mm: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which of the points (n, 2) lie inside a counter-clockwise hull or on its edge, to a micrometre."""
+    lines = edge_lines(hull_mm)
+    outside: npt.NDArray[np.float64] = points_mm @ lines[:, :2].T - lines[:, 2]
+    inside: npt.NDArray[np.bool_] = outside.max(axis=1) <= _EDGE_MM
+    return inside

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from altd.mapping.horner import Rows, horner, horner_with_slopes, plain, rows
 from altd.mapping.hull import edge_lines
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray
@@ -18,8 +19,6 @@ _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
 _SINGULAR = 1e-12
 
-Rows = tuple[tuple[float, ...], ...]
-
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 
 
@@ -27,8 +26,7 @@ _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 class InverseMap:
     """The inverse of a tensor map, with its start: a polynomial x(u, v), y(u, v) of total degree 3.
 
-    A point at a time is what the daemon asks for, and for one point numpy's calls cost ten times the
-    arithmetic: the polynomials are kept as plain numbers, highest power first, for Horner's rule.
+    ``_handed`` is the sign that the determinant of d(u, v)/d(x, y) has where the map is not folded over.
     """
 
     forward: TensorMap
@@ -40,6 +38,7 @@ class InverseMap:
     _centre_px: tuple[float, float]
     _scale_px: float
     _edges: Rows
+    _handed: float
 
     @classmethod
     def of(cls, forward: TensorMap) -> Self:
@@ -54,14 +53,15 @@ class InverseMap:
         u, v, spread_px = forward.powers()
         return cls(
             forward,
-            _rows(u),
-            _rows(v),
+            rows(u),
+            rows(v),
             spread_px,
-            _rows(_triangle(start[:, 0])),
-            _rows(_triangle(start[:, 1])),
+            rows(_triangle(start[:, 0])),
+            rows(_triangle(start[:, 1])),
             (float(centre[0]), float(centre[1])),
             scale,
-            _plain(edge_lines(forward.hull_mm)),
+            plain(edge_lines(forward.hull_mm)),
+            float(np.sign(np.linalg.det(forward.jacobian(forward.hull_mm.mean(axis=0, keepdims=True))[0]))),
         )
 
     def to_mm(self, points_px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -70,7 +70,8 @@ class InverseMap:
         Returns the points, d(x, y)/d(u, v) as (n, 2, 2) mm/px, and the covariance (n, 2, 2) mm² that the
         map's own noise leaves: what a single place scatters about the map (print and speckle are fixed
         patterns, so no averaging removes it) and what the map itself is uncertain by. A point for which
-        Newton does not converge, or that lies outside the hull by more than three of its sigmas, is NaN.
+        Newton does not converge, that lies beyond a fold of the map, or outside the hull by more than three
+        of its sigmas, is NaN.
         """
         mm = np.empty((len(points_px), 2))
         inverse_jacobian = np.empty((len(points_px), 2, 2))
@@ -85,11 +86,11 @@ class InverseMap:
         middle_x, middle_y = (x_axis.first_mm + x_axis.last_mm) / 2, (y_axis.first_mm + y_axis.last_mm) / 2
         reach_x, reach_y = (x_axis.last_mm - x_axis.first_mm) / 4, (y_axis.last_mm - y_axis.first_mm) / 4
         a, b = (u_px - self._centre_px[0]) / self._scale_px, (v_px - self._centre_px[1]) / self._scale_px
-        x, y = _horner(self._start_x, b, a), _horner(self._start_y, b, a)
+        x, y = horner(self._start_x, b, a), horner(self._start_y, b, a)
         for _ in range(_MAX_STEPS):
             q, r = (x - middle_x) * per_x, (y - middle_y) * per_y
-            u, ux, uy = _horner_with_slopes(self._u, q, r)
-            v, vx, vy = _horner_with_slopes(self._v, q, r)
+            u, ux, uy = horner_with_slopes(self._u, q, r)
+            v, vx, vy = horner_with_slopes(self._v, q, r)
             ux, vx, uy, vy = ux * per_x, vx * per_x, uy * per_y, vy * per_y
             determinant = ux * vy - uy * vx
             if not abs(determinant) >= _SINGULAR:  # so written, NaN is singular too
@@ -97,6 +98,8 @@ class InverseMap:
             xu, xv, yu, yv = vy / determinant, -uy / determinant, -vx / determinant, ux / determinant
             miss_u, miss_v = u_px - u, v_px - v
             if abs(miss_u) < _CONVERGED_PX and abs(miss_v) < _CONVERGED_PX:
+                if determinant * self._handed < 0:  # beyond a fold, where the map shows its back
+                    break
                 return self._judged(x, y, ((xu, xv), (yu, yv)))
             x += min(max(xu * miss_u + xv * miss_v, -reach_x), reach_x)
             y += min(max(yu * miss_u + yv * miss_v, -reach_y), reach_y)
@@ -126,40 +129,6 @@ class InverseMap:
         of_u, of_v = row @ self._spread_px
         pattern = self.forward.noise_px**2
         return pattern + float(of_u @ of_u), float(of_u @ of_v), pattern + float(of_v @ of_v)
-
-
-def _horner(rows: Rows, x: float, y: float) -> float:
-    """Σ c_ij x^j y^i; rows by falling i, coefficients by falling j."""
-    value = 0.0
-    for row in rows:
-        along_x = 0.0
-        for coefficient in row:
-            along_x = along_x * x + coefficient
-        value = value * y + along_x
-    return value
-
-
-def _horner_with_slopes(rows: Rows, x: float, y: float) -> tuple[float, float, float]:
-    """The same with its derivatives by x and by y."""
-    value = slope_x = slope_y = 0.0
-    for row in rows:
-        along_x = slope = 0.0
-        for coefficient in row:
-            slope = slope * x + along_x
-            along_x = along_x * x + coefficient
-        slope_y = slope_y * y + value
-        slope_x = slope_x * y + slope
-        value = value * y + along_x
-    return value, slope_x, slope_y
-
-
-def _rows(powers: FloatArray) -> Rows:
-    """A matrix of coefficients by rising powers, for Horner's rule."""
-    return _plain(powers[::-1, ::-1])
-
-
-def _plain(matrix: FloatArray) -> Rows:
-    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def _triangle(start: FloatArray) -> FloatArray:

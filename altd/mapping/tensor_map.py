@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,10 +10,29 @@ import numpy as np
 
 from altd.mapping.gram import gram_basis, gram_powers
 from altd.mapping.grid import Axis
+from altd.mapping.hull import contains
 from altd.records import FloatArray
 
-_LARGEST_DEGREE = 4
+Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
+"""What was fitted: the tensor polynomial itself, or a lens that it stands for."""
+
+_ACROSS = 21
+"""Points along each axis for what is said of the whole hull."""
+
 _FEWEST_NODES = 4
+_LARGEST_DEGREE = 6
+_LEAST_FREEDOM = 2
+_FREE_SHARE = 0.25
+"""Generalised cross-validation chooses among the degrees that leave free this share of what the nodes say:
+with less it takes noise for a bend."""
+
+
+def tensor_basis(axes: tuple[Axis, Axis], degree: tuple[int, int], points_mm: FloatArray) -> FloatArray:
+    """Products of Gram polynomials along y and x at points (n, 2), the degree along x running fastest."""
+    bx = gram_basis(axes[0].to_unit(points_mm[:, 0]), axes[0].nodes, degree[0])
+    by = gram_basis(axes[1].to_unit(points_mm[:, 1]), axes[1].nodes, degree[1])
+    basis: FloatArray = np.einsum("ni,nj->nij", by, bx).reshape(len(points_mm), -1)
+    return basis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +48,7 @@ class TensorMap:
     at a new place. ``hull_mm`` (n, 2) is the convex polygon in which the map is valid, counter-clockwise.
     """
 
-    model: Literal["tensor", "lens"]
+    model: Model
     x_axis: Axis
     y_axis: Axis
     spectra: FloatArray
@@ -37,17 +57,59 @@ class TensorMap:
     hull_mm: FloatArray
 
     @property
+    def name(self) -> str:
+        """The model for people, with its degrees along x and y where they were chosen."""
+        return f"tensor {self.degree[0]} × {self.degree[1]}" if self.model == "tensor" else self.model
+
+    @property
+    def spread_sigma_px(self) -> float:
+        """Rms over the hull, and over u and v, of what the nodes' noise leaves in the map."""
+        spread = self._basis(self.dense_mm()) @ self.spread_px
+        return float(np.sqrt(np.square(spread).sum(axis=2).mean()))
+
+    @property
+    def folds(self) -> bool:
+        """Whether the map turns back on itself inside its hull: two places there would share one pixel."""
+        determinant = np.linalg.det(self.jacobian(self.dense_mm()))
+        return bool(determinant.min() <= 0 <= determinant.max())
+
+    def dense_mm(self) -> FloatArray:
+        """Points (n, 2) on a fine grid over the hull, for what is said of all of it."""
+        x_mm, y_mm = (
+            np.linspace(low, high, _ACROSS)
+            for low, high in zip(self.hull_mm.min(axis=0), self.hull_mm.max(axis=0), strict=True)
+        )
+        points = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+        return points[contains(self.hull_mm, points)]
+
+    @property
     def degree(self) -> tuple[int, int]:
         """Degrees along x and y."""
         return self.spectra.shape[2] - 1, self.spectra.shape[1] - 1
 
     def to_px(self, points_mm: FloatArray) -> FloatArray:
         """Map points (n, 2) mm to (n, 2) px. Not limited to the hull: the inverse needs room to search."""
-        degree_x, degree_y = self.degree
-        bx = gram_basis(self.x_axis.to_unit(points_mm[:, 0]), self.x_axis.nodes, degree_x)
-        by = gram_basis(self.y_axis.to_unit(points_mm[:, 1]), self.y_axis.nodes, degree_y)
-        px: FloatArray = np.einsum("ni,cij,nj->nc", by, self.spectra, bx)
+        px: FloatArray = self._basis(points_mm) @ self.spectra.reshape(2, -1).T
         return px
+
+    def _basis(self, points_mm: FloatArray) -> FloatArray:
+        """The polynomials at points (n, 2), as (n, K), stacked as the spectra are."""
+        return tensor_basis((self.x_axis, self.y_axis), self.degree, points_mm)
+
+    def jacobian(self, points_mm: FloatArray) -> FloatArray:
+        """d(u, v)/d(x, y) at points (n, 2), as (n, 2, 2) px/mm."""
+        u, v, _ = self.powers()
+        q = self.from_middle(points_mm)
+        slopes = [
+            [np.polynomial.polynomial.polyval2d(q[:, 1], q[:, 0], _derived(c, axis)) for axis in (1, 0)]
+            for c in (u, v)
+        ]
+        per_mm = np.array([self.x_axis.unit_per_mm, self.y_axis.unit_per_mm])
+        return np.asarray(np.array(slopes).transpose(2, 0, 1) * per_mm, dtype=np.float64)
+
+    def from_middle(self, points_mm: FloatArray) -> FloatArray:
+        """Points (n, 2) in the axes' units of Eq. 3.22, of which 0 is the middle of an axis."""
+        return np.column_stack([self.x_axis.to_unit(points_mm[:, 0]), self.y_axis.to_unit(points_mm[:, 1])])
 
     def powers(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The map by powers y^i x^j in the axes' units, which for one point cost least.
@@ -60,24 +122,41 @@ class TensorMap:
         return u, v, np.einsum("kl,ckm->clm", np.kron(gram_y, gram_x), self.spread_px)
 
 
+def _derived(coefficients: FloatArray, axis: int) -> FloatArray:
+    """The derivative of a polynomial by the variable of one axis of its coefficients, by rising powers."""
+    return np.asarray(np.polynomial.polynomial.polyder(coefficients, axis=axis), dtype=np.float64)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """A map and what was left over at the nodes, each (n, 2) px.
 
     ``residuals_px`` are measured minus mapped; ``missed_px`` is by how much each node misses the map that is
     fitted without it; ``standard_px`` are the residuals scaled to the same variance at every node, near the
-    middle of the grid or at its corners, where the map bends after them.
+    middle of the grid or at its corners, where the map bends after them. ``degree`` is that of a tensor
+    polynomial among what was fitted, along x and y. ``parameters`` is how many numbers were fitted, for u and
+    v together, and ``bound`` how many of the 2 n coordinates they take up, which is less where something was
+    known before (the trace of the leverage).
     """
 
     map: TensorMap
     residuals_px: FloatArray
     missed_px: FloatArray
     standard_px: FloatArray
+    degree: tuple[int, int] | None
+    parameters: int
+    bound: float
 
     @property
     def left_out_px(self) -> float:
         """Rms over u and v of ``missed_px``: what to expect at a new place, print and speckle included."""
         return float(np.sqrt(np.mean(np.square(self.missed_px))))
+
+    @property
+    def gcv_px(self) -> float:
+        """Root of the generalised cross-validation score: as ``left_out_px``, with one leverage for all."""
+        rms_px = float(np.sqrt(np.mean(np.square(self.residuals_px))))
+        return rms_px / (1 - self.bound / self.residuals_px.size)
 
 
 def fit_tensor_map(
@@ -89,42 +168,81 @@ def fit_tensor_map(
     """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
 
     The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
-    Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is 4 where an axis has six nodes or more, else
-    two less than the nodes.
-
-    Raises ValueError when the nodes are no grid or too few for the degree.
+    Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is that of the least generalised cross-validation
+    score. Raises ValueError when the nodes are no grid or too few for the degree.
     """
+    if degree is None:
+        return min(fit_tensor_maps(nodes_mm, nodes_px, hull_mm), key=lambda fit: fit.gcv_px)
+    return _fit_degree(nodes_mm, nodes_px, hull_mm, _axes(nodes_mm), degree)
+
+
+def fit_tensor_maps(nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray) -> list[Fit]:
+    """The fits of all degrees that the nodes carry: along an axis up to two less than its nodes, 6 at most.
+
+    Raises ValueError when the nodes are no grid or carry none.
+    """
+    axes = _axes(nodes_mm)
+    most_x, most_y = (min(axis.nodes - 2, _LARGEST_DEGREE) for axis in axes)
+    fits, complaint = [], ValueError(f"{len(nodes_mm)} nodes are too few for a map")
+    for degree in itertools.product(range(1, most_x + 1), range(1, most_y + 1)):
+        if (degree[0] + 1) * (degree[1] + 1) > (1 - _FREE_SHARE) * len(nodes_mm):
+            continue
+        try:
+            fits.append(_fit_degree(nodes_mm, nodes_px, hull_mm, axes, degree))
+        except ValueError as error:
+            complaint = error
+    if not fits:
+        raise complaint
+    return fits
+
+
+def _axes(nodes_mm: FloatArray) -> tuple[Axis, Axis]:
     x_axis, y_axis = Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1])
     if min(x_axis.nodes, y_axis.nodes) < _FEWEST_NODES:
         raise ValueError(f"a grid of {x_axis.nodes} × {y_axis.nodes} nodes is too small for a map")
-    degree = degree or (min(_LARGEST_DEGREE, x_axis.nodes - 2), min(_LARGEST_DEGREE, y_axis.nodes - 2))
-    bx = gram_basis(x_axis.to_unit(nodes_mm[:, 0]), x_axis.nodes, degree[0])
-    by = gram_basis(y_axis.to_unit(nodes_mm[:, 1]), y_axis.nodes, degree[1])
-    design = np.einsum("ni,nj->nij", by, bx).reshape(len(nodes_mm), -1)
+    return x_axis, y_axis
+
+
+def _fit_degree(
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    hull_mm: FloatArray,
+    axes: tuple[Axis, Axis],
+    degree: tuple[int, int],
+) -> Fit:
+    design = tensor_basis(axes, degree, nodes_mm)
     freedom = len(nodes_mm) - design.shape[1]
-    if freedom < 2:
+    if freedom < _LEAST_FREEDOM:
         raise ValueError(
             f"{len(nodes_mm)} nodes are too few for degree {degree[0]} × {degree[1]}, "
             f"which has {design.shape[1]} coefficients"
         )
-    normal = design.T @ design
-    if np.linalg.cond(normal) > 1e8:
+    unitary, triangle = np.linalg.qr(design)
+    if np.linalg.cond(triangle) > 1e4:
         raise ValueError(f"the missing nodes leave degree {degree[0]} × {degree[1]} undetermined")
-    unit_covariance = np.linalg.inv(normal)
-    spectra = unit_covariance @ design.T @ nodes_px
-    residuals = nodes_px - design @ spectra
+    back: FloatArray = np.linalg.inv(triangle)
+    along = unitary.T @ nodes_px
+    spectra = back @ along
+    residuals = nodes_px - unitary @ along
     noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * freedom)))
-    either = noise_px * np.linalg.cholesky(unit_covariance)
+    either = noise_px * back
     nothing = np.zeros_like(either)
     fitted = TensorMap(
         model="tensor",
-        x_axis=x_axis,
-        y_axis=y_axis,
+        x_axis=axes[0],
+        y_axis=axes[1],
         spectra=spectra.T.reshape(2, degree[1] + 1, degree[0] + 1),
         spread_px=np.stack([np.hstack([either, nothing]), np.hstack([nothing, either])]),
         noise_px=noise_px,
         hull_mm=hull_mm,
     )
-    leverage = np.einsum("nk,kl,nl->n", design, unit_covariance, design)
-    left = np.maximum(1 - leverage, 1e-9)[:, None]
-    return Fit(fitted, residuals, residuals / left, residuals / np.sqrt(left))
+    left = np.maximum(1 - np.square(unitary).sum(axis=1), 1e-9)[:, None]
+    return Fit(
+        map=fitted,
+        residuals_px=residuals,
+        missed_px=residuals / left,
+        standard_px=residuals / np.sqrt(left),
+        degree=degree,
+        parameters=2 * design.shape[1],
+        bound=2.0 * design.shape[1],
+    )

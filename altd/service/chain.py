@@ -141,6 +141,8 @@ class MeasuringChain:
             if point is None:
                 detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
                 return Fault(Reason.OUT_OF_RANGE, detail=detail)
+            if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
+                return Fault(Reason.IMPLAUSIBLE, target, doubt)
             points.append(point)
         return points
 

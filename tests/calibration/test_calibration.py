@@ -100,7 +100,7 @@ def test_damaged_files_are_refused_with_the_place(file: Path, tmp_path: Path) ->
     good = json.loads(file.read_text())
     targets = good["targets"]
     targets[1]["map"]["spectrum_u_px"].pop()
-    assert "targets.rear.map.spectrum: expected 2 × 4 × 5 numbers" in complaint(
+    assert "targets.rear.map.spectrum: expected 2 × 4 × 4 numbers" in complaint(
         tampered(file, targets=targets)
     )
     del targets[0]["z_mm"]

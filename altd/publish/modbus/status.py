@@ -65,6 +65,7 @@ STATUS_BITS = (
     StatusBit(11, "rear camera silent", "no frames come from it", _only(Reason.CAMERA_SILENT), "rear"),
     StatusBit(12, "playback", "warning: not live, a recording is played", _only(Reason.PLAYBACK)),
     StatusBit(13, "simulated", "warning: not live, a simulator makes the frames", _only(Reason.SIMULATED)),
+    StatusBit(14, "implausible", "two maps of a target contradict each other", _only(Reason.IMPLAUSIBLE)),
 )
 """The status word; bits that are not listed are 0."""
 
@@ -76,6 +77,7 @@ REASON_CODES = (
     ReasonCode(5, Reason.WRONG_SIZE, "spot too small or too large"),
     ReasonCode(6, Reason.WRONG_SHAPE, "spot not round enough to be the laser"),
     ReasonCode(7, Reason.CAMERA_SILENT, "no frames come from the camera"),
+    ReasonCode(8, Reason.IMPLAUSIBLE, "two maps of the target contradict each other"),
     ReasonCode(20, Reason.OUT_OF_STEP, "the cameras' exposures do not fit together"),
     ReasonCode(21, Reason.OUT_OF_RANGE, "spot outside the calibrated area"),
     ReasonCode(22, Reason.UNSTEADY, "the spots move too much to be averaged"),

@@ -20,6 +20,7 @@ ADVICE: dict[Reason, tuple[str, str]] = {
     Reason.WRONG_SIZE: ("the spot has a wrong size", "clean the window and check the focus of the laser"),
     Reason.WRONG_SHAPE: ("the spot has a wrong shape", "clean the window and look for reflections"),
     Reason.CAMERA_SILENT: ("the camera delivers nothing", "check the camera's cable and supply"),
+    Reason.IMPLAUSIBLE: ("two maps of the target contradict each other", "load or make the calibration anew"),
     Reason.OUT_OF_STEP: ("the cameras are out of step", "check the trigger of the cameras"),
     Reason.OUT_OF_RANGE: ("outside the calibrated area", "bring the beam nearer to the middle"),
     Reason.UNSTEADY: ("the spot moves too much", "wait until the machine stands, look for vibration"),

@@ -156,6 +156,7 @@ def test_a_target_that_the_unit_does_not_have_is_not_known(measured: Measured) -
         (Fault(Reason.CAMERA_SILENT, "rear"), 11, [0, 0, 7]),
         (Fault(Reason.PLAYBACK), 12, [0, 0, 0]),
         (Fault(Reason.SIMULATED), 13, [0, 0, 0]),
+        (Fault(Reason.IMPLAUSIBLE, "front"), 14, [0, 8, 0]),
     ],
 )
 def test_every_fault_has_its_bit_and_code(

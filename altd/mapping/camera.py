@@ -1,0 +1,168 @@
+"""A camera that looks at a plane: pinhole with Brown's distortion, or Kannala and Brandt's fisheye."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from altd.mapping.grid import Axis
+from altd.mapping.tensor_map import tensor_basis
+from altd.records import FloatArray
+
+Optics = Literal["brown", "fisheye"]
+OPTICS: tuple[Optics, ...] = get_args(Optics)
+
+_PIXELS_ACROSS = 1.4
+"""Usual focal length in image widths; the nodes of one plane hardly tell it from the distance."""
+
+_POSE_PRIOR = [np.inf] * 6 + [0.5, 0.03, 0.03]
+_POSE_STEP = [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-3, 1e-4, 1e-4]
+
+_PRIOR = {
+    "brown": np.array([*_POSE_PRIOR, 0.5, 0.2, 0.0005, 0.0005]),
+    "fisheye": np.array([*_POSE_PRIOR, 0.5, 0.2]),
+}
+"""Standard deviations, in the parameters' own units, of what is known before: see ``Camera``. Wide against
+what lenses are like, and tight enough to take the guessing out of what 30 nodes can hardly tell apart: tilt,
+principal point and decentring."""
+
+_STEP = {
+    "brown": np.array([*_POSE_STEP, 1e-4, 1e-4, 1e-6, 1e-6]),
+    "fisheye": np.array([*_POSE_STEP, 1e-4, 1e-4]),
+}
+
+_BEND_PX = 0.2
+"""What a lens is thought to depart from its model by, as the rms that one term of the bend adds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """A tensor polynomial in mm on Gram polynomials, added to what the lens model projects.
+
+    Without its constant and linear terms, which the camera's pose has already.
+    """
+
+    x_axis: Axis
+    y_axis: Axis
+    degree: int
+
+    @property
+    def terms(self) -> int:
+        """The coefficients of one coordinate."""
+        return (self.degree + 1) ** 2 - 3
+
+    def basis(self, points_mm: FloatArray) -> FloatArray:
+        """The terms at points (n, 2), as (n, terms)."""
+        size = self.degree + 1
+        bending = [i * size + j for i in range(size) for j in range(size) if i + j > 1]
+        return tensor_basis((self.x_axis, self.y_axis), (self.degree, self.degree), points_mm)[:, bending]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera that looks at a plane.
+
+    ``parameters`` (m,): rotation vector; offset of the axis from the plane's origin (x, y) mm; log of the
+    scale px/mm; log of the focal length over its usual value; principal point's offset from the image's
+    middle in image widths (u, v); then the optics': Brown's k1, k2, p1, p2, or the fisheye's k1, k2 as OpenCV
+    counts them; then those of the bend, u before v, px. ``mirrored``: seen from behind.
+    """
+
+    optics: Optics
+    parameters: FloatArray
+    mirrored: bool
+    width: int
+    height: int
+    bend: Bend | None = None
+
+    @staticmethod
+    def optical_parameters(optics: Optics) -> int:
+        """How many parameters pose and optics have."""
+        return len(_PRIOR[optics])
+
+    @property
+    def prior(self) -> FloatArray:
+        """Standard deviations (m,) of what is known of the parameters before; infinite where nothing is."""
+        if self.bend is None:
+            return _PRIOR[self.optics]
+        nodes = self.bend.x_axis.nodes * self.bend.y_axis.nodes
+        return np.concatenate(
+            [_PRIOR[self.optics], np.full(2 * self.bend.terms, _BEND_PX * math.sqrt(nodes))]
+        )
+
+    def with_parameters(self, parameters: FloatArray) -> Camera:
+        """The same camera with other parameters."""
+        return replace(self, parameters=parameters)
+
+    def with_bend(self, bend: Bend) -> Camera:
+        """The same camera with a bend that is still 0."""
+        return replace(
+            self, parameters=np.concatenate([self.parameters, np.zeros(2 * bend.terms)]), bend=bend
+        )
+
+    def to_px(self, points_mm: FloatArray) -> FloatArray:
+        """Project points (n, 2) mm of the plane to (n, 2) px."""
+        optical = len(_PRIOR[self.optics])
+        px: FloatArray = self._project(self.parameters[None, :optical], points_mm)[0]
+        if self.bend is not None:
+            coefficients = self.parameters[optical:].reshape(2, -1)
+            px = px + self.bend.basis(points_mm) @ coefficients.T
+        return px
+
+    def jacobian(self, points_mm: FloatArray) -> FloatArray:
+        """d(px)/d(parameters) as (2 n, m), by central differences; rows u, v of a point after another."""
+        steps = _STEP[self.optics]
+        at = self.parameters[: len(steps)]
+        shifted = np.concatenate([at + np.diag(steps), at - np.diag(steps)])
+        px = self._project(shifted, points_mm).reshape(2, len(steps), -1)
+        slopes: FloatArray = ((px[0] - px[1]) / (2 * steps[:, None])).T
+        if self.bend is None:
+            return slopes
+        basis = self.bend.basis(points_mm)
+        return np.hstack([slopes, np.einsum("nk,cd->ncdk", basis, np.eye(2)).reshape(len(slopes), -1)])
+
+    def _project(self, p: FloatArray, points_mm: FloatArray) -> FloatArray:
+        """Points (n, 2) by the lens of each of k rows of parameters, as (k, n, 2)."""
+        focal_px = _PIXELS_ACROSS * self.width * np.exp(p[:, 6])
+        side = -1.0 if self.mirrored else 1.0
+        turned = np.einsum("kij,nj->ikn", _rotations(p[:, :3])[:, :, :2], points_mm * (side, -1.0))
+        z = turned[2] + (focal_px / np.exp(p[:, 5]))[:, None]
+        x, y = (turned[0] + p[:, 3:4]) / z, (turned[1] + p[:, 4:5]) / z
+        u, v = _brown(x, y, p[:, 9:]) if self.optics == "brown" else _fisheye(x, y, p[:, 9:])
+        middle = np.array([(self.width - 1) / 2, (self.height - 1) / 2]) + self.width * p[:, 7:9]
+        return np.stack([u, v], axis=-1) * focal_px[:, None, None] + middle[:, None, :]
+
+
+def _brown(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slopes (k, n) bent by radial k1, k2 and decentring p1, p2."""
+    k1, k2, p1, p2 = k.T[:, :, None]
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * k2)
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def _fisheye(x: FloatArray, y: FloatArray, k: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Slopes (k, n) bent so that the distance from the middle goes by the angle, θ + k1 θ³ + k2 θ⁵."""
+    k1, k2 = k.T[:, :, None]
+    slope = np.maximum(np.hypot(x, y), 1e-12)
+    angle = np.arctan(slope)
+    square = angle * angle
+    scale = angle * (1 + square * (k1 + square * k2)) / slope
+    return x * scale, y * scale
+
+
+def _rotations(vectors: FloatArray) -> FloatArray:
+    """Rodrigues' formula for rotation vectors (k, 3), as (k, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    sine, versine = np.sin(angle)[:, None, None], (1 - np.cos(angle))[:, None, None]
+    rotations: FloatArray = np.eye(3) + sine * cross + versine * cross @ cross
+    return rotations

@@ -1,0 +1,89 @@
+"""The homography of a plane, by its vanishing line and Gauss-Newton: what Table 3.2 compares the maps with.
+
+It knows no distortion: the unit does not measure by it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from altd.records import FloatArray
+
+_FEWEST_POINTS = 4
+_MAX_STEPS = 50
+_CONVERGED = 1e-12
+_DEGENERATE = 1e-9
+
+
+def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The homography (3, 3) that takes points (n, 2) to points (n, 2) with the least squares in the target.
+
+    Started by ``vanishing_line_homography`` and refined by Gauss and Newton (Eq. 2.54–2.58). The thesis fits
+    the rims of circular spots, of radius r; for their centres r is 0, and the distance of Eq. 2.54 is taken by
+    its two components, since its own derivative does not exist at 0. Raises ValueError when the points are
+    fewer than four or leave the homography undetermined.
+    """
+    (to_unit, here), (to_unit_there, there) = _normalised(source), _normalised(target)
+    h = vanishing_line_homography(here, there)
+    if abs(h[2, 2]) < _DEGENERATE:
+        raise ValueError("the middle of the points lies on the vanishing line")
+    h = h / h[2, 2]
+    before = np.inf
+    for _ in range(_MAX_STEPS):
+        mapped, slopes = _with_slopes(h, here)
+        miss = (mapped - there).ravel()
+        squares = float(miss @ miss)
+        if not squares < before * (1 - _CONVERGED):
+            break
+        before, best = squares, h
+        step = np.append(-np.linalg.lstsq(slopes, miss, rcond=None)[0], 0.0)  # Eq. 2.58; h9 stays 1
+        h = h + step.reshape(3, 3)
+    h = np.linalg.inv(to_unit_there) @ best @ to_unit
+    return np.asarray(h / h[2, 2])
+
+
+def vanishing_line_homography(source: FloatArray, target: FloatArray) -> FloatArray:
+    """The homography (3, 3) of the least algebraic residuals with a vanishing line of norm 1 (Eq. 2.44–2.53).
+
+    Eq. 2.50 is printed with I − PP⁺ beside X′P and Y′P; it is their product that follows from Eq. 2.49.
+    Raises ValueError when the points are fewer than four or leave the homography undetermined.
+    """
+    if len(source) < _FEWEST_POINTS:
+        raise ValueError(f"{len(source)} points are too few for a homography")
+    plane = np.column_stack([source, np.ones(len(source))])  # P, Eq. 2.45
+    if np.linalg.matrix_rank(plane, tol=_DEGENERATE * np.linalg.norm(plane)) < 3:
+        raise ValueError("the points lie on a line")
+    inverse = np.linalg.pinv(plane)
+    seen = [-coordinate[:, None] * plane for coordinate in target.T]  # X′P and Y′P, Eq. 2.47
+    d = np.vstack([part - plane @ (inverse @ part) for part in seen])
+    _, singular, rows = np.linalg.svd(d)
+    if singular[1] < _DEGENERATE * np.linalg.norm(np.vstack(seen)):
+        raise ValueError("the points leave the homography undetermined")
+    line = rows[-1]  # g3, Eq. 2.51: the smallest singular value's
+    return np.array([*(-inverse @ (part @ line) for part in seen), line])  # g1 and g2, Eq. 2.49
+
+
+def apply_homography(homography: FloatArray, points: FloatArray) -> FloatArray:
+    """Map points (n, 2), Eq. 2.55 and 2.56."""
+    mapped: FloatArray = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def _with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The mapped points and their derivatives by h1 … h8, as (2 n, 8)."""
+    plane = np.column_stack([points, np.ones(len(points))])
+    mapped = plane @ h.T
+    places = mapped[:, :2] / mapped[:, 2:]
+    scaled = plane / mapped[:, 2:]
+    nothing = np.zeros_like(scaled)
+    of_x = np.hstack([scaled, nothing, -places[:, :1] * scaled[:, :2]])
+    of_y = np.hstack([nothing, scaled, -places[:, 1:] * scaled[:, :2]])
+    return places, np.stack([of_x, of_y], axis=1).reshape(-1, 8)
+
+
+def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The similarity that brings points (n, 2) around 0 at a mean distance of √2, and the points after it."""
+    middle = points.mean(axis=0)
+    scale = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), _DEGENERATE)
+    similarity = np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])
+    return similarity, (points - middle) * scale
