@@ -22,6 +22,7 @@ STUDIES = {
     "averaging": "averaging",
     "ambient": "ambient",
     "laser": "laser",
+    "chessboard": "chessboard",
 }
 """Names and modules, imported when they are run: the simulator's other commands need no matplotlib."""
 
@@ -43,11 +44,13 @@ def run(arguments: argparse.Namespace) -> int:
     except ImportError as error:
         raise BadInputError("study", "needs matplotlib: pip install 'altd[report]'") from error
     from hw_sim.study.page import verdict, write_index, write_page
+    from hw_sim.study.plot import style
     from hw_sim.study.table import table
 
     for name in names:
         study = _module(name)
-        result = study.run(_show)
+        with style():
+            result = study.run(_show)
         _show("")
         print(f"{study.TITLE}\n\n{table(result)}\n{result.headline}")
         if said := verdict(result):

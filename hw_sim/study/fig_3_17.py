@@ -134,8 +134,9 @@ eight exposures each); the difference is shown, so that what print and speckle d
 table has the mean of both ends of the range.
 
 Either frame stays within the ±0.05° that were required. Against the 0.002° that are wanted now, aluminium
-would need its temperature or its distance measured, and Kevlar laid along the beam only just would; a weave,
-as the thesis has it, lies nearer to 0. What heat does to targets, lenses and mounts is not in this study.
+would need its temperature or its distance measured, and Kevlar laid along the beam only just would; a
+weave, as the thesis has it, lies nearer to 0. What heat does to targets, lenses and mounts is not in this
+study.
 """,
         figure=figure,
         caption=(

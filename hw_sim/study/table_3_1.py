@@ -104,7 +104,7 @@ def run(progress: Progress) -> Result:
     bars.set(ylabel="σ of displacements, mm", title="Displacements of 1 mm", ylim=(0.003, 1.2))
     bars.grid(visible=False, axis="x")
     bars.legend()
-    edges = np.linspace(-0.06, 0.06, 31)
+    edges = np.linspace(-0.03, 0.03, 31)
     for seen, name, colour in zip((front[2], rear), names[2:], (OURS, THESIS), strict=True):
         histogram.hist(
             seen.displacements_mm, bins=edges.tolist(), histtype="step", lw=1.5, color=colour, label=name
@@ -112,7 +112,8 @@ def run(progress: Progress) -> Result:
     histogram.set(
         xlabel="error of a displacement, mm", ylabel="displacements", title="Their errors, as Fig. 3.11"
     )
-    histogram.legend()
+    histogram.set_ylim(top=1.35 * histogram.get_ylim()[1])
+    histogram.legend(loc="upper left")
 
     rows = [Row(name, seen.row, row) for (name, _, row), seen in zip(PATTERNS, front, strict=True)]
     rows.append(Row("opaque (rear)", rear.row, THESIS_OPAQUE))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from hw_sim.beam import BeamPose
 from hw_sim.scan import COLUMNS, PITCH_MM, ROWS
@@ -45,35 +46,6 @@ def run(progress: Progress) -> Result:
         readings = on.measure(unit, poses, EXPOSURES)
     errors_mm = {"front": readings.front_mm - at_mm, "rear": readings.rear_mm - at_mm}
 
-    figure, axes = panels(1, 3, width=12.6, height=3.7)
-    for axis, (target, kind, _) in zip(axes, TARGETS, strict=False):
-        arrows = axis.quiver(
-            *at_mm.T,
-            *errors_mm[target].T,
-            color=OURS,
-            angles="xy",
-            scale_units="xy",
-            scale=0.002,
-            width=0.006,
-        )
-        axis.quiverkey(arrows, 0.83, 1.06, 0.02, "0.02 mm", labelpos="E")
-        axis.set(xlabel="x, mm", ylabel="y, mm", xlim=(-70, 70), ylim=(-58, 58), aspect="equal")
-        axis.set_title(f"{kind}: errors between the nodes", loc="left")
-    edges = np.linspace(0.0, 0.15, 31)
-    bars = axes[2]
-    for (target, kind, thesis), colour in zip(TARGETS, (OURS, THESIS), strict=True):
-        bars.hist(
-            np.linalg.norm(errors_mm[target], axis=1),
-            bins=edges.tolist(),
-            histtype="step",
-            lw=1.5,
-            color=colour,
-            label=f"{kind}, ours",
-        )
-        bars.axvline(thesis[2], color=colour, ls="--", lw=1.2, label=f"{kind}, thesis: mean at the nodes")
-    bars.set(xlabel="error eᵢ, mm", ylabel="places", title="Lengths of the errors")
-    bars.legend()
-
     rows = tuple(
         Row(kind, _ours(_target(calibration, target), errors_mm[target]), thesis)
         for target, kind, thesis in TARGETS
@@ -112,7 +84,7 @@ never saw (`altd replay`, means of {EXPOSURES} exposures).
 The map that altd chose by its own cross-validation: {models}. The thesis fits a tensor polynomial of
 degree 3 everywhere.
 """,
-        figure=figure,
+        figure=_figure(at_mm, errors_mm),
         caption=(
             "Errors of mapped spots in the middle of the meshes, as arrows and as a histogram "
             "with the thesis' means"
@@ -135,3 +107,30 @@ def _ours(target: dict[str, Any], errors_mm: FloatArray) -> tuple[float, ...]:
         float(length_mm.mean()),
         float(length_mm.max()),
     )
+
+
+def _figure(at_mm: FloatArray, errors_mm: dict[str, FloatArray]) -> Figure:
+    figure, axes = panels(1, 3, width=12.6, height=3.9)
+    for axis, (target, kind, _) in zip(axes, TARGETS, strict=False):
+        arrows = axis.quiver(
+            *at_mm.T,
+            *errors_mm[target].T,
+            color=OURS,
+            angles="xy",
+            scale_units="xy",
+            scale=0.0015,
+            width=0.006,
+        )
+        axis.quiverkey(arrows, 0.74, 1.05, 0.02, "0.02 mm", labelpos="E")
+        axis.set(xlabel="x, mm", ylabel="y, mm", xlim=(-70, 70), ylim=(-58, 58), aspect="equal")
+        axis.set_title(f"Errors, {kind}", loc="left")
+    bars = axes[2]
+    edges = np.linspace(0.0, 0.08, 33).tolist()
+    for (target, kind, thesis), colour in zip(TARGETS, (OURS, THESIS), strict=True):
+        length_mm = np.linalg.norm(errors_mm[target], axis=1)
+        bars.hist(length_mm, bins=edges, histtype="step", lw=1.5, color=colour, label=f"{kind}, ours")
+        bars.axvline(thesis[2], color=colour, ls="--", lw=1.2, label=f"{kind}, mean of the thesis")
+    bars.set(xlabel="error eᵢ, mm", ylabel="places", title="Lengths of the errors")
+    bars.set_ylim(top=1.5 * bars.get_ylim()[1])
+    bars.legend(loc="upper right", ncols=2, fontsize=7)
+    return figure

@@ -144,71 +144,65 @@ def _measured(seed: int, contrast: float, progress: Progress) -> _Seen:
 
 
 def _figure(unit: _Seen, spread: FloatArray, turn_deg: float) -> Figure:
+    """In thousandths of a degree, for short labels."""
     figure, axes = panels(2, 3, width=12.6, height=7.2)
+    errors, single = 1000.0 * unit.errors, 1000.0 * unit.single.reshape(-1, 4)
+    limit = 1.3 * float(np.abs(errors[:, 2:]).max())
     at_mm = np.array([(pose.x_mm, pose.y_mm) for pose in unit.poses])
+    key = 10.0 ** math.floor(math.log10(limit))
     arrows = axes[0].quiver(
-        *at_mm.T, *unit.errors[:, 2:].T, color=OURS, angles="xy", scale_units="xy", scale=0.0004, width=0.005
+        *at_mm.T,
+        *errors[:, 2:].T,
+        color=OURS,
+        angles="xy",
+        scale_units="xy",
+        scale=limit / 20.0,
+        width=0.005,
     )
-    axes[0].quiverkey(arrows, 0.8, 1.05, 0.005, "0.005°", labelpos="E")
+    axes[0].quiverkey(arrows, 0.72, 1.05, key, f"{key / 1000:g}°", labelpos="E")
     axes[0].set(xlabel="x on the window, mm", ylabel="y, mm", xlim=(-72, 72), ylim=(-58, 58), aspect="equal")
     axes[0].set_title("Errors (yaw, pitch), Fig. 3.26", loc="left")
-    edges = np.linspace(-0.006, 0.006, 33)
-    for axis, values, title in (
-        (axes[1], unit.errors, "Accuracy, Fig. 3.27"),
-        (axes[2], unit.single.reshape(-1, 4), "Reproducibility, Fig. 3.27"),
+    edges = np.linspace(-limit, limit, 31).tolist()
+    for axis, values, of, title in (
+        (axes[1], errors, "error", "Accuracy"),
+        (axes[2], single, "single exposure less mean", "Reproducibility"),
     ):
         for column, angle, colour in ((2, "yaw", OURS), (3, "pitch", THESIS)):
-            label = f"{angle}, σ {values[:, column].std(ddof=1):.5f}°"
-            axis.hist(
-                values[:, column], bins=edges.tolist(), histtype="step", lw=1.5, color=colour, label=label
-            )
-        axis.set(
-            xlabel="error, °" if axis is axes[1] else "single exposure less mean, °",
-            ylabel="readings",
-            title=title,
-        )
+            label = f"{angle}, σ {values[:, column].std(ddof=1) / 1000:.5f}°"
+            axis.hist(values[:, column], bins=edges, histtype="step", lw=1.5, color=colour, label=label)
+        axis.set(xlabel=f"{of}, 0.001°", ylabel="readings", title=f"{title}, Fig. 3.27")
+        axis.set_ylim(top=1.3 * axis.get_ylim()[1])
         axis.legend(loc="upper left")
     for axis, column, title in (
         (axes[3], 2, "Error of yaw, Fig. 3.28"),
         (axes[4], 3, "Error of pitch, Fig. 3.29"),
     ):
-        _against_angles(axis, unit, column, title)
-    _principal(axes[5], unit, spread, turn_deg)
+        _against_angles(axis, unit.truth, errors[:, column])
+        axis.set(ylim=(-limit, limit), title=title)
+    _principal(axes[5], errors[:, 2:], 1000.0 * spread, turn_deg)
+    axes[5].set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     return figure
 
 
-def _against_angles(axis: Axes, unit: _Seen, column: int, title: str) -> None:
+def _against_angles(axis: Axes, truth: FloatArray, error: FloatArray) -> None:
     for of, angle, colour, mark in ((2, "yaw", OURS, "o"), (3, "pitch", THESIS, "^")):
-        at, error = unit.truth[:, of], unit.errors[:, column]
-        axis.plot(at, error, mark, ms=3.2, color=colour, alpha=0.7, label=f"over {angle}")
+        at = truth[:, of]
+        axis.plot(at, error, mark, ms=3.2, color=colour, alpha=0.7, label=f"over {angle}, with its line")
         slope, offset = np.polyfit(at, error, 1)
         ends = np.array([at.min(), at.max()])
         axis.plot(ends, offset + slope * ends, color=colour, lw=1.3)
     axis.axhline(0.0, color=GREY, lw=0.8)
-    axis.set(xlabel="angle of the beam, °", ylabel="error, °", ylim=(-0.009, 0.009), title=title)
+    axis.set(xlabel="angle of the beam, °", ylabel="error, 0.001°")
     axis.legend(loc="upper left", ncols=2)
 
 
-def _principal(axis: Axes, unit: _Seen, spread: FloatArray, turn_deg: float) -> None:
-    middle = unit.errors[:, 2:].mean(axis=0)
-    axis.plot(*unit.errors[:, 2:].T, "o", ms=3.2, color=OURS)
+def _principal(axis: Axes, errors: FloatArray, spread: FloatArray, turn_deg: float) -> None:
+    middle = errors.mean(axis=0)
+    axis.plot(*errors.T, "o", ms=3.2, color=OURS)
     for times in (1.0, 2.0):
+        size = 2.0 * times * spread
         axis.add_patch(
-            Ellipse(
-                tuple(middle),
-                2 * times * spread[0],
-                2 * times * spread[1],
-                angle=turn_deg,
-                fill=False,
-                color=THESIS,
-                lw=1.2,
-            )
+            Ellipse(tuple(middle), *size, angle=turn_deg, fill=False, color=THESIS, lw=1.2),
         )
-    axis.set(
-        xlabel="error of yaw, °",
-        ylabel="error of pitch, °",
-        xlim=(-0.008, 0.008),
-        ylim=(-0.008, 0.008),
-        aspect="equal",
-    )
+    axis.set(xlabel="error of yaw, 0.001°", ylabel="error of pitch, 0.001°")
     axis.set_title("Principal axes, 1 and 2 σ", loc="left")
