@@ -199,12 +199,12 @@ def _figure(photos: Sequence[_Photo], missed: dict[str, FloatArray], length: dic
     bars.grid(visible=False, axis="x")
     bars.legend(loc="upper left", ncols=2, fontsize=7)
     photo = photos[SHOWN]
-    board.plot(*photo.corners_px.T, ".", color=GREY, ms=3)
+    board.plot(*photo.corners_px.T, ".", color="black", ms=3)
     for model in ("homography", "altd's map"):
         arrows = board.quiver(
             *photo.corners_px.T,
             *missed[model][SHOWN].T,
-            color=MODELS[model] if model != "homography" else THESIS,
+            color=MODELS[model],
             angles="xy",
             scale_units="xy",
             scale=0.02,

@@ -74,6 +74,7 @@ def run(progress: Progress) -> Result:
         REQUIRED_DEG + 0.003, left.get_ylim()[1] * 0.93, "required\n±0.05°", color=GREY, va="top", fontsize=8
     )
     left.set(xlabel="error of yaw, °", ylabel="density, 1/°", title="Spots with σ = 0.1 mm")
+    left.set_ylim(top=1.25 * left.get_ylim()[1])
     left.legend(loc="upper left", fontsize=7)
 
     sigmas_mm = np.array([0.005, 0.01, 0.02, 0.05, 0.1, 0.2])

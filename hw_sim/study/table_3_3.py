@@ -131,6 +131,5 @@ def _figure(at_mm: FloatArray, errors_mm: dict[str, FloatArray]) -> Figure:
         bars.hist(length_mm, bins=edges, histtype="step", lw=1.5, color=colour, label=f"{kind}, ours")
         bars.axvline(thesis[2], color=colour, ls="--", lw=1.2, label=f"{kind}, mean of the thesis")
     bars.set(xlabel="error eᵢ, mm", ylabel="places", title="Lengths of the errors")
-    bars.set_ylim(top=1.5 * bars.get_ylim()[1])
-    bars.legend(loc="upper right", ncols=2, fontsize=7)
+    bars.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
     return figure
