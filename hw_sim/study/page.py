@@ -67,9 +67,10 @@ def verdict(result: Result) -> str:
     if not result.compared():
         return ""
     worse = result.worse()
+    than = "the thesis" if result.beside == "thesis" else result.beside
     if not worse:
-        return "Worse than the thesis: nothing."
-    return "Worse than the thesis: " + "; ".join(f"{row}, {column}" for row, column in worse) + "."
+        return f"Worse than {than}: nothing."
+    return f"Worse than {than}: " + "; ".join(f"{row}, {column}" for row, column in worse) + "."
 
 
 def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:

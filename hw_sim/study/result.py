@@ -44,6 +44,8 @@ class Result:
     text: str
     figure: Figure
     caption: str
+    beside: str = "thesis"
+    """What stands beside ours: the thesis' measurement, or what it only specifies."""
 
     def compared(self) -> list[tuple[str, str, bool]]:
         """Row, column and whether the thesis has the better value, of all that can be compared."""

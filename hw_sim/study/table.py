@@ -13,7 +13,7 @@ def table(result: Result) -> str:
     head = [result.of, *([""] if beside else []), *(column.name for column in result.columns)]
     lines = [head]
     for row in result.rows:
-        lines += _lines(row, result.columns, beside)
+        lines += _lines(row, result, beside)
     widths = [max(len(line[place]) for line in lines) for place in range(len(head))]
     left = 2 if beside else 1  # names to the left, numbers to the right
     rule = [
@@ -32,7 +32,8 @@ def table(result: Result) -> str:
     return "\n".join(text) + "\n"
 
 
-def _lines(row: Row, columns: tuple[Column, ...], beside: bool) -> list[list[str]]:
+def _lines(row: Row, result: Result, beside: bool) -> list[list[str]]:
+    columns = result.columns
     ours = [_number(column, value) for column, value in zip(columns, row.ours, strict=True)]
     if row.thesis is None:
         return [[row.name, *(["ours"] if beside else []), *ours]]
@@ -41,7 +42,7 @@ def _lines(row: Row, columns: tuple[Column, ...], beside: bool) -> list[list[str
         f"{WORSE} {text}" if is_worse(column, value, other) else text
         for column, value, other, text in zip(columns, row.ours, row.thesis, ours, strict=True)
     ]
-    return [[row.name, "thesis", *thesis], ["", "ours", *marked]]
+    return [[row.name, result.beside, *thesis], ["", "ours", *marked]]
 
 
 def _number(column: Column, value: float | None) -> str:
