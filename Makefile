@@ -63,4 +63,4 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may mbpoll socat systemd-analyze=systemd
+	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils

@@ -41,6 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     calibrate = commands.add_parser("calibrate", help="fit the maps from a scan; prints the residuals")
     calibrate.add_argument("recording", type=Path, metavar="RECORDING")
     calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+    calibrate.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
 
     replay = commands.add_parser("replay", help="measure a recording; one JSON object a line")
     replay.add_argument("recording", type=Path, metavar="RECORDING")

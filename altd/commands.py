@@ -7,16 +7,21 @@ import asyncio
 import json
 import logging
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import cv2
 
 from altd.errors import BadInputError
 from altd.records import Frame, PixelArray, Spot
+
+if TYPE_CHECKING:
+    from altd.calibration.scan import ScanResult
+    from altd.recording import Recording
 
 
 def run(options: argparse.Namespace) -> int:
@@ -65,13 +70,20 @@ async def until_signal(work: Coroutine[None, None, object]) -> object | None:
 
 def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
+    from altd.calibration.report.write import check_report, write_together
     from altd.calibration.scan import calibrate_scan
     from altd.recording import open_recording
 
     if not options.output.resolve().parent.is_dir():
         raise BadInputError(options.output, "its folder does not exist")
-    result = calibrate_scan(open_recording(options.recording), progress=_progress("frames"))
+    if options.report is not None:
+        check_report(options.report)
+    recording = open_recording(options.recording)
+    result = calibrate_scan(recording, progress=_progress("frames"))
+    report = {} if options.report is None else _report(options, recording, result)
     save_calibration(result.calibration, options.output)
+    if options.report is not None:
+        write_together(options.report, report)
     for line in result.refused:
         print(f"altd calibrate: left out: {line}", file=sys.stderr)
     for line in result.doubts:
@@ -90,7 +102,31 @@ def _calibrate(options: argparse.Namespace) -> int:
             f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
             f"{target.cross_check.bound_px:.2f}"
         )
+    if report:
+        print(f"report: {', '.join(str(options.report / name) for name in report)}")
     return 0
+
+
+def _report(options: argparse.Namespace, recording: Recording, result: ScanResult) -> dict[str, bytes]:
+    """The report's files by name; matplotlib is there, somebody looked."""
+    from altd.calibration.report.content import report_on
+    from altd.calibration.report.page import html_page
+    from altd.calibration.report.pictures import scan_negatives
+    from altd.calibration.report.sheets import pdf_sheets
+    from altd.calibration.report.source import Source
+    from altd.calibration.report.write import PAGE, SHEETS
+
+    given = [str(path) for path in (options.recording, "-o", options.output, "--report", options.report)]
+    command = shlex.join(["altd", "calibrate", *given])
+    show = _progress("files of the report")
+    show(0, 2)
+    try:
+        document = report_on(Source(result.calibration, result.evidence, scan_negatives(recording), command))
+    except ValueError as error:
+        raise BadInputError(options.recording, str(error)) from error
+    files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
+    show(2, 2)
+    return files
 
 
 def _replay(options: argparse.Namespace) -> int:

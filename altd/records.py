@@ -17,6 +17,9 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 """Vectors, matrices and covariances of the measuring chain."""
 
+ComplexArray = npt.NDArray[np.complex128]
+"""Waves and their amplitudes."""
+
 PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 """A frame's grey values, (rows, columns)."""
 

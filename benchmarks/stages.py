@@ -194,10 +194,16 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
         for mean in means
         for target, (u, v) in zip(material.calibration.targets, mean.px, strict=True)
     ]
+    check_works = [
+        _call(target.implausible, point, float(u), float(v))
+        for mean, found in zip(means, points, strict=True)
+        for target, point, (u, v) in zip(material.calibration.targets, found, mean.px, strict=True)
+    ]
     return [
         _Stage("pairing", 1, [pair_two] * calls),
         _Stage(f"averaging over {WINDOW}", 1, [lambda: window.add(next(to_average))] * calls),
         _Stage("mapping, one point", 2, map_works),
+        _Stage("cross-check, one point", 2, check_works),
         _Stage("beam fit", 1, [_call(_beam, m, p) for m, p in zip(means, points, strict=True)]),
         _Stage(CHAIN, 1, [through_chain] * calls),
     ]

@@ -41,17 +41,31 @@ class Eye:
         self._lux = lux
         self._backdrops: dict[bool, _Backdrop] = {}
 
-    def mean_e(self, spots: Sequence[Footprint], leds_on: bool, exposure_ms: float) -> Image:
-        """Mean electrons of an exposure, (rows, columns): the light, before any noise."""
+    def mean_e(
+        self, spots: Sequence[Footprint], leds_on: bool, exposure_ms: float, even_mw_per_mm2: float = 0.0
+    ) -> Image:
+        """Mean electrons of an exposure, (rows, columns): the light, before any noise.
+
+        ``even_mw_per_mm2`` lights the whole target, as a flat field wants it.
+        """
         electrons = self.view.background_e(exposure_ms, self._lux, leds_on)
+        if even_mw_per_mm2 > 0.0:
+            electrons += self.view.response * np.float32(even_mw_per_mm2 * exposure_ms)
         region, beam_e = self.view.beam_e(spots, exposure_ms)
         electrons[region] += beam_e
         return electrons
 
-    def expose(self, spots: Sequence[Footprint], leds_on: bool, rng: np.random.Generator) -> PixelArray:
+    def expose(
+        self,
+        spots: Sequence[Footprint],
+        leds_on: bool,
+        rng: np.random.Generator,
+        even_mw_per_mm2: float = 0.0,
+    ) -> PixelArray:
         """Grey values with every photon drawn for itself."""
         settings = self.settings
-        return self.sensor.expose(self.mean_e(spots, leds_on, settings.exposure_ms), settings.gain, rng)
+        mean_e = self.mean_e(spots, leds_on, settings.exposure_ms, even_mw_per_mm2)
+        return self.sensor.expose(mean_e, settings.gain, rng)
 
     def sketch(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
         """Grey values with the same statistics, from standard normal ``noise`` and a kept backdrop."""

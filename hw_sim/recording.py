@@ -40,11 +40,20 @@ class Recorder:
         return self._sequence * self._unit.config.period_ns
 
     def expose(
-        self, pose: BeamPose, *, leds_on: bool = False, stage_mm: tuple[float, float] | None = None
+        self,
+        pose: BeamPose,
+        *,
+        leds_on: bool = False,
+        stage_mm: tuple[float, float] | None = None,
+        even_mw_per_mm2: float = 0.0,
     ) -> None:
-        """One exposure of both cameras; ``stage_mm`` is where the stage believes the beam to be."""
+        """One exposure of both cameras; ``stage_mm`` is where the stage believes the beam to be.
+
+        With even light on the targets, for a flat field, the row says ``leds`` on.
+        """
         self._unit.place(pose)
         self._unit.leds_on = leds_on
+        self._unit.even_mw_per_mm2 = even_mw_per_mm2
         at = ("", "") if stage_mm is None else tuple(f"{value:.4f}" for value in stage_mm)
         for camera in CAMERAS:
             if self._unit.is_silent(camera) or self._unit.drops(camera, self._sequence):
@@ -54,7 +63,7 @@ class Recorder:
             file = f"{camera}/{self._sequence:06d}.png"
             if not cv2.imwrite(str(self._folder / file), frame.pixels):
                 raise BadInputError(self._folder / file, "cannot be written")
-            leds = "on" if frame.leds_on else "off"
+            leds = "on" if frame.leds_on or even_mw_per_mm2 > 0.0 else "off"
             self.rows.append((str(self._sequence), f"{t_ns * 1e-9:.6f}", camera, file, leds, *at))
         self._sequence += 1
         self._progress(self._sequence, self._planned)

@@ -83,6 +83,8 @@ class Unit:
     def __init__(self, config: UnitConfig | None = None) -> None:
         self.config = config or UnitConfig()
         self.leds_on = False
+        self.even_mw_per_mm2 = 0.0
+        """Even light on both targets, for a flat field; in recordings only."""
         self._pose = BeamPose(0.0, 0.0)
         self._faults = self.config.faults
         self._lock = threading.Lock()
@@ -179,7 +181,7 @@ class Unit:
             spots = self._spots(camera, self.truth(t_ns), faults)
             lit = leds_on or Fault.LEDS_ON in faults
             if exact:
-                pixels = eye.expose(spots, lit, self._rng(camera, sequence, 0))
+                pixels = eye.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
             else:
                 key = sequence * len(CAMERAS) + CAMERAS.index(camera)
                 pixels = eye.sketch(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))

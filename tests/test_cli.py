@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import urllib.request
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,8 @@ import pytest
 from support.cli import altd, refusal, write_config
 from support.frames import Blob, frame, light
 from support.recordings import place_px, write, write_beams, write_scan
+
+from altd.calibration.file import load_calibration, save_calibration
 
 BEAMS = [(10.0, 5.0, 0.02, -0.03), (-30.0, 20.0, -0.05, 0.04), (0.0, -12.5, 0.1, 0.05)]
 
@@ -93,6 +96,21 @@ def test_map_turns_px_into_mm_or_says_why_not(folder: Path) -> None:
     assert 0 < sigma_x < 0.02
     assert 0 < sigma_y < 0.02
     assert outside == "invalid out_of_range"
+
+
+def test_map_says_where_two_maps_contradict_each_other(folder: Path, tmp_path: Path) -> None:
+    calibration = load_calibration(folder / "cal.json")
+    rear = calibration.targets[1]
+    spectra = rear.cross_check.map.spectra.copy()
+    spectra[1, 0, 0] += 10.0
+    wrong = replace(rear.cross_check, map=replace(rear.cross_check.map, spectra=spectra))
+    save_calibration(
+        replace(calibration, targets=(calibration.targets[0], replace(rear, cross_check=wrong))),
+        tmp_path / "cal.json",
+    )
+    u, v = place_px("rear", 12.0, -20.0)
+    outcome = altd("map", "--calibration", tmp_path / "cal.json", "--target", "rear", stdin=f"{u} {v}\n")
+    assert (outcome.status, outcome.out) == (0, "invalid implausible\n")
 
 
 def test_check_config_says_good(folder: Path) -> None:

@@ -21,7 +21,7 @@ from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
 from altd.records import FloatArray
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
 
@@ -64,6 +64,7 @@ class _Residuals(_Table):
 
 
 class _Localiser(_Table):
+    method: Method
     smoothing_px: float
     threshold: float
     power: float

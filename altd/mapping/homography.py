@@ -19,9 +19,9 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """The homography (3, 3) that takes points (n, 2) to points (n, 2) with the least squares in the target.
 
     Started by ``vanishing_line_homography`` and refined by Gauss and Newton (Eq. 2.54–2.58). The thesis fits
-    the rims of circular spots, of radius r; for their centres r is 0, and the distance of Eq. 2.54 is taken by
-    its two components, since its own derivative does not exist at 0. Raises ValueError when the points are
-    fewer than four or leave the homography undetermined.
+    the rims of circular spots, of radius r; for their centres r is 0, and the distance of Eq. 2.54 is taken
+    by its two components, since its own derivative does not exist at 0. Raises ValueError when the points
+    are fewer than four or leave the homography undetermined.
     """
     (to_unit, here), (to_unit_there, there) = _normalised(source), _normalised(target)
     h = vanishing_line_homography(here, there)

@@ -14,6 +14,7 @@ import numpy as np
 
 from altd.mapping.camera import OPTICS, Bend, Camera, Optics
 from altd.mapping.grid import Axis
+from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, Model, TensorMap, tensor_basis
 from altd.records import FloatArray
 
@@ -50,21 +51,26 @@ def fit_lens_map(
     image_size: tuple[int, int],
     optics: Optics = "brown",
     bend_degree: int = 0,
+    marks: Marks | None = None,
 ) -> Fit:
     """Levenberg and Marquardt's least squares through nodes (n, 2) mm at (n, 2) px, with weak priors.
 
-    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves. The map is
-    kept as a tensor polynomial through the camera on a dense grid, with what the nodes' noise leaves in it.
+    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``marks`` of a
+    print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through the camera on a dense grid, with what the nodes' noise leaves in it.
     Raises ValueError when the nodes are too few or lie on a line.
     """
-    state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px)
+    state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px, marks)
     if bend_degree > 1:
-        state = _settle(_bent(state.camera, nodes_mm, bend_degree), nodes_mm, nodes_px)
+        state = _settle(_bent(state.camera, nodes_mm, bend_degree), nodes_mm, nodes_px, marks)
     return _as_fit(state, nodes_mm, hull_mm)
 
 
 def fit_lens_maps(
-    nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray, image_size: tuple[int, int]
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    hull_mm: FloatArray,
+    image_size: tuple[int, int],
+    marks: Marks | None = None,
 ) -> list[Fit]:
     """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
 
@@ -73,12 +79,12 @@ def fit_lens_maps(
     fits, complaint = [], ValueError()
     for optics in OPTICS:
         try:
-            state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px)
+            state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px, marks)
             fits.append(_as_fit(state, nodes_mm, hull_mm))
             for degree in _BEND_DEGREES:
                 bent = _bent(state.camera, nodes_mm, degree)
                 if len(bent.parameters) <= _LARGEST_SHARE * 2 * len(nodes_mm):
-                    fits.append(_as_fit(_settle(bent, nodes_mm, nodes_px), nodes_mm, hull_mm))
+                    fits.append(_as_fit(_settle(bent, nodes_mm, nodes_px, marks), nodes_mm, hull_mm))
         except ValueError as error:
             complaint = error
     if not fits:
@@ -108,18 +114,22 @@ def _as_fit(state: _State, nodes_mm: FloatArray, hull_mm: FloatArray) -> Fit:
     )
 
 
-def _settle(camera: Camera, nodes_mm: FloatArray, nodes_px: FloatArray) -> _State:
+def _settle(camera: Camera, nodes_mm: FloatArray, nodes_px: FloatArray, marks: Marks | None) -> _State:
     """Fit, learn the noise, which says what the priors weigh, and fit again."""
     noise_px, precision = _FIRST_NOISE_PX, np.diag(1 / camera.prior**2)
     for _ in range(_ROUNDS):
-        camera = _descend(camera, precision, nodes_mm, nodes_px, noise_px)
+        camera = _descend(camera, precision, nodes_mm, nodes_px, noise_px, marks)
+        known = precision
+        if marks is not None:
+            slopes = marks.misfit(camera)[1]
+            known = precision + slopes.T @ slopes
         residuals = nodes_px - camera.to_px(nodes_mm)
         jacobian = camera.jacobian(nodes_mm)
         normal = jacobian.T @ jacobian
-        leverage = jacobian @ np.linalg.inv(normal + precision * noise_px**2) @ jacobian.T
+        leverage = jacobian @ np.linalg.inv(normal + known * noise_px**2) @ jacobian.T
         freedom = 2 * len(nodes_mm) - float(np.trace(leverage))
         noise_px = max(math.sqrt(float(np.square(residuals).sum()) / freedom), _LEAST_NOISE_PX)
-    covariance = np.linalg.inv(normal / noise_px**2 + precision)
+    covariance = np.linalg.inv(normal / noise_px**2 + known)
     return _State(camera, noise_px, residuals, np.asarray(covariance, dtype=np.float64), leverage)
 
 
@@ -145,12 +155,19 @@ def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, in
 
 
 def _descend(
-    camera: Camera, precision: FloatArray, nodes_mm: FloatArray, nodes_px: FloatArray, noise_px: float
+    camera: Camera,
+    precision: FloatArray,
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    noise_px: float,
+    marks: Marks | None,
 ) -> Camera:
     def cost(candidate: Camera) -> float:
         miss = (nodes_px - candidate.to_px(nodes_mm)) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
         total = float(np.square(miss).sum() + prior)
+        if marks is not None:
+            total += float(np.square(marks.misfit(candidate)[0]).sum())
         return total if math.isfinite(total) else math.inf
 
     now, damping = cost(camera), 1e-3
@@ -159,6 +176,10 @@ def _descend(
         miss = (nodes_px - camera.to_px(nodes_mm)).ravel() / noise_px
         normal = jacobian.T @ jacobian + precision
         gradient = jacobian.T @ miss - precision @ camera.parameters
+        if marks is not None:
+            bent, slopes = marks.misfit(camera)
+            normal += slopes.T @ slopes
+            gradient -= slopes.T @ bent
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
         candidate = camera.with_parameters(camera.parameters + step)
         then = cost(candidate)

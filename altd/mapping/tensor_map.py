@@ -31,8 +31,8 @@ def tensor_basis(axes: tuple[Axis, Axis], degree: tuple[int, int], points_mm: Fl
     """Products of Gram polynomials along y and x at points (n, 2), the degree along x running fastest."""
     bx = gram_basis(axes[0].to_unit(points_mm[:, 0]), axes[0].nodes, degree[0])
     by = gram_basis(axes[1].to_unit(points_mm[:, 1]), axes[1].nodes, degree[1])
-    basis: FloatArray = np.einsum("ni,nj->nij", by, bx).reshape(len(points_mm), -1)
-    return basis
+    basis: FloatArray = np.einsum("ni,nj->nij", by, bx)
+    return basis.reshape(len(points_mm), (degree[0] + 1) * (degree[1] + 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

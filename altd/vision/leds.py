@@ -12,7 +12,9 @@ from altd.vision.localise import spot_in
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
-LED_SETTINGS = SpotSettings(smoothing_px=1.5, threshold=0.3, power=1.0, min_diameter_px=5.0, max_aspect=2.0)
+LED_SETTINGS = SpotSettings(
+    method="moment", smoothing_px=1.5, threshold=0.3, power=1.0, min_diameter_px=5.0, max_aspect=2.0
+)
 """A flat-headed LED is an evenly bright disc: little smoothing, half-way contour, plain moment."""
 
 

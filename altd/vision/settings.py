@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
+
+Method = Literal["auto", "moment", "profile"]
 
 
 @dataclass(frozen=True, slots=True)
 class SpotSettings:
     """How a spot is found and judged.
 
-    The first three decide where the centroid lies, so a map and the frames it is used on must share them.
+    The first four decide where the centre lies, so a map and the frames it is used on must share them.
     """
 
+    method: Method = "auto"
+    """``profile`` fits a super-Gaussian through the flat, ``moment`` takes the first moment, which a printed
+    pattern without a flat disturbs less; ``auto`` looks at the spot which of the two it needs."""
     smoothing_px: float = 4.0
     """Sigma of the Gaussian that bridges the printed dots: about one dot pitch. 0 switches it off."""
     threshold: float = 0.07

@@ -50,6 +50,7 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
         "pairing",
         "averaging over 20",
         "mapping, one point",
+        "cross-check, one point",
         "beam fit",
         "whole chain",
     ]

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.recordings import place_px, write, write_beams, write_scan
+from support.recordings import Shot, place_px, write, write_beams, write_scan
 
 from altd.calibration.file import _checksum, check_image_size, load_calibration, save_calibration
 from altd.calibration.model import Calibration
@@ -76,6 +76,60 @@ def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) 
             saved.map.to_px(np.array([[3.0, 4.0]]))
         )
         assert (read.residual_max_mm, read.z_mm) == (saved.residual_max_mm, saved.z_mm)
+
+
+def test_a_file_keeps_the_map_that_checks_and_its_bound(calibration: Calibration, file: Path) -> None:
+    for saved, read in zip(calibration.targets, load_calibration(file).targets, strict=True):
+        assert (read.map.model, read.cross_check.map.model) == (saved.map.model, saved.cross_check.map.model)
+        assert "tensor" in (read.map.model, read.cross_check.map.model)
+        assert read.map.model != read.cross_check.map.model
+        for name in ("left_out_px", "bound_px", "largest_px"):
+            assert getattr(read.cross_check, name) == getattr(saved.cross_check, name)
+        point = read.point(400.0, 200.0)
+        assert point is not None
+        assert read.cross_check.apart_px(point.x_mm, point.y_mm, 400.0, 200.0) < read.cross_check.bound_px
+
+
+def test_a_file_without_the_map_that_checks_is_refused(file: Path) -> None:
+    targets = json.loads(file.read_text())["targets"]
+    targets[1]["cross_check"]["map"]["spectrum_v_px"][0].pop()
+    assert "targets.rear.cross_check.map.spectrum: expected 2 × " in complaint(
+        tampered(file, targets=targets)
+    )
+    targets[0]["cross_check"]["bound_px"] = 0
+    assert "targets.0.cross_check.bound_px: Input should be greater than 0" in complaint(
+        tampered(file, targets=targets)
+    )
+    del targets[0]["cross_check"]
+    assert "targets.0.cross_check: Field required" in complaint(tampered(file, targets=targets))
+
+
+def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> None:
+    """One node dark for the front, one bumped, the others exposed twice, but for one."""
+    places = [(25.0 * (i - 2.5), 25.0 * (j - 2)) for j in range(5) for i in range(6)]
+    shots: list[Shot] = []
+    for number, place in enumerate(places):
+        reached = (place[0] + 2.0, place[1]) if number == 16 else place
+        shots += [(None if number == 9 else reached, reached, place)] * (1 if number == 20 else 2)
+    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    assert [evidence.name for evidence in result.evidence] == ["front", "rear"]
+    front, rear = result.evidence
+    assert [(place, why.split(" (")[0].split(" lies")[0]) for place, why in front.left_out] == [
+        (places[9], "spot_missing in front0018.png"),
+        (places[16], "its spot"),
+    ]
+    assert [place for place, _ in rear.left_out] == [places[16]]
+    used = [place for number, place in enumerate(places) if number not in (9, 16)]
+    assert front.nodes_mm == pytest.approx(np.array(used))
+    assert front.nodes_px == pytest.approx(np.array([place_px("front", *place) for place in used]), abs=0.1)
+    assert front.exposures == (2,) * 18 + (1,) + (2,) * 9
+    assert np.isnan(front.scatter_px[18]).all()
+    assert 0.001 < np.nanmean(front.scatter_px) < 0.05
+    target = result.calibration.targets[0]
+    assert front.residuals_px == pytest.approx(front.nodes_px - target.map.to_px(front.nodes_mm), abs=1e-3)
+    assert np.sqrt(np.mean(front.missed_px**2)) == pytest.approx(target.left_out_px)
+    assert {candidate.model for candidate in front.candidates} >= {"tensor", "lens", "fisheye"}
+    assert result.doubts == ()
 
 
 def test_one_changed_digit_fails_the_checksum(file: Path) -> None:

@@ -72,24 +72,6 @@ def test_the_inverse_finds_the_points_back_and_its_jacobian_is_the_derivative() 
         assert (shifted - found) / step == pytest.approx(jacobian[:, :, axis], abs=1e-4)
 
 
-def test_the_published_covariance_is_that_of_monte_carlo() -> None:
-    """Noise on the nodes and on the spot, many times over: the scatter of the mapped point."""
-    rng = np.random.default_rng(4)
-    nodes = grid()
-    truth_mm = np.array([[0.0, 0.0], [-50.0, 40.0], [37.0, -12.0]])
-    smooth = fit(nodes, lens(nodes)).map
-    errors, predicted = [], []
-    for _ in range(1500):
-        noisy = fit(nodes, smooth.to_px(nodes) + rng.normal(0, NOISE_PX, nodes.shape)).map
-        spot = smooth.to_px(truth_mm) + rng.normal(0, NOISE_PX, truth_mm.shape)
-        found, _, covariance = InverseMap.of(noisy).to_mm(spot)
-        errors.append(found - truth_mm)
-        predicted.append(covariance)
-    scatter = np.var(errors, axis=0)
-    mean_predicted = np.diagonal(np.mean(predicted, axis=0), axis1=1, axis2=2)
-    assert np.sqrt(mean_predicted / scatter) == pytest.approx(1.0, abs=0.05)
-
-
 def test_a_point_outside_the_hull_is_nan_and_one_on_its_edge_is_not() -> None:
     nodes = grid()
     px = lens(nodes) + np.random.default_rng(5).normal(0, NOISE_PX, nodes.shape)

@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.recordings import picture, write_scan
 
-from altd.calibration.model import Calibration
+from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
+from altd.mapping.tensor_map import TensorMap
 from altd.recording import open_recording
 from altd.records import Frame, Measurement, Origin
 from altd.service.chain import MeasuringChain, View
@@ -96,6 +99,36 @@ def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Cal
     drifting = last(chain(calibration), shots([(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0)]))
     assert drifting.beam is not None
     assert drifting.beam.x_mm == pytest.approx(0.075, abs=0.03)
+
+
+@pytest.mark.parametrize("which", ["map", "cross_check"])
+@pytest.mark.parametrize("target", ["front", "rear"])
+def test_maps_that_contradict_each_other_are_implausible(
+    calibration: Calibration, target: str, which: str
+) -> None:
+    """0.3 mm are 1.2 px here; one map is off by that, as after a mistake in its coefficients."""
+
+    def shifted(forward: TensorMap) -> TensorMap:
+        spectra = forward.spectra.copy()
+        spectra[0, 0, 0] += 1.2 * math.sqrt(forward.x_axis.nodes * forward.y_axis.nodes)
+        return replace(forward, spectra=spectra)
+
+    def spoilt(known: TargetCalibration) -> TargetCalibration:
+        if which == "map":
+            return replace(known, map=shifted(known.map))
+        return replace(known, cross_check=replace(known.cross_check, map=shifted(known.cross_check.map)))
+
+    wrong = replace(
+        calibration,
+        targets=tuple(spoilt(known) if known.name == target else known for known in calibration.targets),
+    )
+    frames = shots([(10.0, 5.0)] * 4)
+    assert last(chain(calibration), frames).beam is not None
+    measurement = last(chain(wrong), frames)
+    assert [str(fault) for fault in measurement.status] == [f"{target}_implausible"]
+    assert (measurement.beam, set(measurement.points_mm.values())) == (None, {None})
+    assert " map are 1.2" in measurement.status[0].detail
+    assert " px apart at x " in measurement.status[0].detail
 
 
 def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> None:

@@ -17,9 +17,9 @@ def need(available: bool, reason: str) -> None:
     pytest.skip(reason)
 
 
-def need_program(name: str) -> str:
+def need_program(name: str, package: str | None = None) -> str:
     """The path of a foreign program, or a skip with the name of the Debian package that has it."""
     path = shutil.which(name)
-    need(path is not None, f"{name} is not installed (Debian package {name})")
+    need(path is not None, f"{name} is not installed (Debian package {package or name})")
     assert path is not None
     return path

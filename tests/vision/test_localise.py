@@ -36,8 +36,7 @@ def test_the_centroid_of_an_ellipse_without_noise_is_its_centre(u, v, diameter, 
     scale = (1 << bits) / 256
     blob = Blob(u, v, diameter, max(diameter * ratio, 12), angle, peak=180 * scale)
     spot = found(locate(frame(light(blob), background=10 * scale, bits=bits)))
-    # A power below 1 makes the weights end steeply, so the pixel grid alone moves the moment: 0.0075 px rms.
-    assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.03)
+    assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.01)
 
 
 def test_the_diameter_is_the_one_over_e_squared_diameter() -> None:

@@ -1,0 +1,108 @@
+"""What the report says and shows, in the order in which a person asks."""
+
+from __future__ import annotations
+
+import platform
+
+import cv2
+import matplotlib
+import numpy as np
+
+from altd import __version__
+from altd.calibration.report.beam_section import beam_section
+from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
+from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
+from altd.calibration.report.picture_sections import pictures
+from altd.calibration.report.prediction import Prediction, predict
+from altd.calibration.report.source import Source
+from altd.calibration.report.verdict import Verdict, judge
+from altd.measurement_json import utc_text
+
+
+def report_on(source: Source) -> Document:
+    """Compute, judge and arrange. Raises ValueError when the targets have no area in common."""
+    prediction = predict(source.calibration)
+    verdict = judge(source.calibration, source.evidence, prediction)
+    blocks = [
+        *_verdict(verdict, prediction),
+        *beam_section(prediction, source),
+        *residuals(source),
+        *models(source),
+        *cross_checks(source),
+        *covariances(source),
+        *pictures(source),
+        *_left_out(source),
+        *_inputs(source),
+    ]
+    serial = source.calibration.unit_serial
+    made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
+    return Document(
+        f"Calibration of unit {serial}", f"{source.calibration.recording_note} · {made}", tuple(blocks)
+    )
+
+
+def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
+    promise = (
+        f"A measurement of {prediction.exposures} exposures is predicted to be right within "
+        f"{prediction.rms('yaw_deg'):.4f}° in yaw, {prediction.rms('pitch_deg'):.4f}° in pitch, "
+        f"{prediction.rms('x_mm'):.4f} mm in x and {prediction.rms('y_mm'):.4f} mm in y "
+        "(1 sigma, rms over the calibrated area)."
+    )
+    return [
+        Banner(
+            verdict.level,
+            verdict.headline,
+            (promise, verdict.limit, *(verdict.remedies or (verdict.advice,))),
+        ),
+        Heading("By which numbers"),
+        Table(
+            ("", "found", "wanted", ""),
+            tuple((check.name, check.value, check.wanted, check.level.word) for check in verdict.checks),
+            (0.3, 0.33, 0.23, 0.14),
+            tuple(check.level for check in verdict.checks),
+        ),
+    ]
+
+
+def _left_out(source: Source) -> list[Block]:
+    rows = tuple(
+        (target.name, f"{x:g}", f"{y:g}", reason)
+        for target, seen in source.targets()
+        for (x, y), reason in seen.left_out
+    )
+    if not rows:
+        return [Heading("Nodes left out"), Words("None: every node of the scan was used.")]
+    return [
+        Heading("Nodes left out"),
+        Table(("target", "x, mm", "y, mm", "reason"), rows, (0.12, 0.1, 0.1, 0.68)),
+    ]
+
+
+def _inputs(source: Source) -> list[Block]:
+    calibration = source.calibration
+    exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
+    facts = [
+        ("Unit", calibration.unit_serial),
+        ("Recording", calibration.recording_note),
+        ("SHA-256 of the recording", calibration.recording_sha256),
+        ("Calibrated", utc_text(calibration.created)),
+        ("Command", source.command),
+        ("Exposures used", exposures),
+    ]
+    for target in calibration.targets:
+        low, high = target.map.hull_mm.min(axis=0), target.map.hull_mm.max(axis=0)
+        facts.append(
+            (
+                f"Target {target.name}",
+                f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.name}, "
+                f"valid for x {low[0]:g} … {high[0]:g} mm, y {low[1]:g} … {high[1]:g} mm",
+            )
+        )
+    facts.append(
+        (
+            "Made with",
+            f"altd {__version__}, numpy {np.__version__}, OpenCV {cv2.__version__}, matplotlib "
+            f"{matplotlib.__version__}, Python {platform.python_version()}",
+        )
+    )
+    return [Heading("Inputs and versions"), Table((), tuple(facts), (0.25, 0.75))]

@@ -1,0 +1,81 @@
+"""The report before it is set: headings, words, tables and pictures, the same for HTML and PDF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from altd.calibration.report.verdict import Level
+
+if TYPE_CHECKING:
+    from altd.calibration.report.canvas import Canvas
+
+
+WIDTH_IN = 3.45
+"""Of every picture: two fill a sheet, one a phone, and the type in them is legible on either."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """Starts a section."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """A paragraph."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The verdict, for all to see."""
+
+    level: Level
+    headline: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """``columns`` are the headings, none for a list of names and values; ``shares`` of the width make 1.
+
+    ``levels`` has one a row where rows are judged, else it is empty.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    shares: tuple[float, ...]
+    levels: tuple[Level, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A drawing ``WIDTH_IN`` wide; ``words`` are for those who cannot see it."""
+
+    words: str
+    height_in: float
+    draw: Callable[[Canvas], None] = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Pictures to be compared: beside each other where there is room."""
+
+    pictures: tuple[Picture, ...]
+    caption: str
+
+
+Block = Heading | Words | Banner | Table | Row
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """The whole report."""
+
+    title: str
+    subtitle: str
+    blocks: tuple[Block, ...]

@@ -1,0 +1,216 @@
+"""How well the maps meet the nodes, which models were tried, and what is uncertain of the maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.calibration.evidence import Candidate
+from altd.calibration.model import TargetCalibration
+from altd.calibration.report import map_plots, target_plots
+from altd.calibration.report.document import Block, Heading, Picture, Row, Table
+from altd.calibration.report.prediction import (
+    common_area,
+    difference_mm,
+    node_covariance_px2,
+    noise_in_map_px,
+    offsets_mm,
+    spectrum_covariance_px2,
+)
+from altd.calibration.report.source import Source
+from altd.calibration.report.target_plots import Plane, nice_length
+from altd.mapping.hull import contains
+
+_LONGEST_ARROW_MM = 20.0
+_LONGEST_DIFFERENCE_MM = 15.0
+_LEAST_MM, _LEAST_PX2 = 1e-4, 1e-12
+"""What is smaller is drawn as if it were so large: scales need something to hold on to."""
+
+
+def residuals(source: Source) -> list[Block]:
+    """Residual vectors of all targets on one scale, and the numbers that sum them up."""
+    plane = Plane([target.map.hull_mm for target in source.calibration.targets])
+    offsets = [offsets_mm(target, seen.nodes_mm, seen.residuals_px) for target, seen in source.targets()]
+    longest_mm = max(_LEAST_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
+    scale = nice_length(_LONGEST_ARROW_MM / longest_mm)
+    pictures = []
+    rows = []
+    for (target, seen), of_one in zip(source.targets(), offsets, strict=True):
+        left_out = [place for place, _ in seen.left_out]
+        draw = target_plots.arrows(
+            plane, target.name, seen.nodes_mm, of_one, target.map.hull_mm, left_out, scale
+        )
+        pictures.append(Picture(f"residual vectors of target {target.name}", plane.height_in(), draw))
+        rows.append(
+            (
+                target.name,
+                f"{len(seen.nodes_mm)}",
+                f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / "
+                f"{target.residual_max_mm:.4f}",
+                f"{target.left_out_px:.3f}",
+                f"{target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}",
+            )
+        )
+    caption = (
+        "Residual vectors, seen along the beam: from each node's known place to where the map puts it, "
+        f"{scale:g} times enlarged (arrow: scale). Arrows that point anywhere are pattern and noise; arrows "
+        "that run along each other over several nodes are an error of stage or lens that the map could not "
+        "follow. Dashed: the area in which the map is valid. Crosses: nodes left out."
+    )
+    columns = (
+        "target", "nodes", "residual mean / std / max, mm", "left out, px", "repeatability u / v, px"
+    )  # fmt: skip
+    return [
+        Heading("How well the map meets the nodes"),
+        Row(tuple(pictures), caption),
+        Table(columns, tuple(rows), (0.12, 0.1, 0.36, 0.15, 0.27)),
+    ]
+
+
+def models(source: Source) -> list[Block]:
+    """The candidates: error against degree."""
+    noises = [
+        np.array([noise_in_map_px(c, len(seen.nodes_mm), target.map.noise_px) for c in shown])
+        for target, seen in source.targets()
+        if (shown := _shown(seen.candidates))
+    ]
+    values = np.concatenate(
+        [
+            *noises,
+            *([c.left_out_px, c.gcv_px] for _, seen in source.targets() for c in _shown(seen.candidates)),
+        ]
+    )
+    limits = float(np.nanmin(values)) / 1.4, float(np.nanmax(values)) * 1.8
+    pictures = []
+    for (target, seen), noise_px in zip(source.targets(), noises, strict=True):
+        shown = _shown(seen.candidates)
+        draw = map_plots.candidates(target.name, shown, noise_px, _chosen(target, shown), limits)
+        pictures.append(Picture(f"error against degree, target {target.name}", map_plots.CANDIDATES_IN, draw))
+    caption = (
+        "The models that were tried; of tensor polynomials with the same sum of degrees the better one. "
+        "With the degree the misfit falls and what the nodes' noise leaves in the map grows (at the noise "
+        "that the chosen map finds); the map is the model that misses a node least which it was not shown. "
+        "The table has all models: node left out / cross-validation / own noise left in the map, px."
+    )
+    return [
+        Heading("Which model, and why"),
+        Row(tuple(pictures), caption),
+        _table_of_models(source),
+    ]
+
+
+def _table_of_models(source: Source) -> Table:
+    """All candidates, a line each, with the numbers of each target."""
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for target, seen in source.targets():
+        tried = _in_order(seen.candidates)
+        chosen = _chosen(target, tried)
+        for number, c in enumerate(tried):
+            numbers = f"{c.left_out_px:.4f} / {c.gcv_px:.4f} / {c.map_sigma_px:.4f}"
+            of_target = lines.setdefault((_full_name(c), str(c.parameters)), {})
+            of_target[target.name] = f"{numbers}, chosen" if number == chosen else numbers
+    names = source.calibration.target_names
+    rows = tuple((*of, *(numbers.get(name, "–") for name in names)) for of, numbers in lines.items())
+    return Table(("model", "parameters", *names), rows, (0.21, 0.13, *[0.66 / len(names)] * len(names)))
+
+
+def _full_name(candidate: Candidate) -> str:
+    name = map_plots.name_of(candidate)
+    return f"tensor {name}" if candidate.model == "tensor" else name.replace("+", " + tensor")
+
+
+def _in_order(tried: Sequence[Candidate]) -> list[Candidate]:
+    """Tensor polynomials first, each kind by the number of parameters."""
+    return sorted(tried, key=lambda c: (c.model != "tensor", c.parameters, c.degree or (0, 0)))
+
+
+def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
+    """What is drawn: of the tensor polynomials with one sum of degrees the one that misses nodes least."""
+    best: dict[int, Candidate] = {}
+    for candidate in tried:
+        if candidate.model == "tensor" and candidate.degree is not None:
+            total = sum(candidate.degree)
+            rival = best.get(total)
+            if rival is None or candidate.left_out_px < rival.left_out_px:
+                best[total] = candidate
+    others = [c for c in _in_order(tried) if c.model != "tensor"]
+    return [best[total] for total in sorted(best)] + others
+
+
+def _chosen(target: TargetCalibration, tried: Sequence[Candidate]) -> int | None:
+    """Which candidate became the map: of its model the one with the map's left-out error."""
+    same = [n for n, c in enumerate(tried) if c.model == target.map.model]
+    return min(same, key=lambda n: abs(tried[n].left_out_px - target.left_out_px), default=None)
+
+
+def cross_checks(source: Source) -> list[Block]:
+    """How far the map and the second, independent one lie apart over the area."""
+    targets = source.calibration.targets
+    plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
+    x_mm, y_mm = common_area(targets)
+    places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
+    apart = []
+    for target in targets:
+        off_mm = difference_mm(target, target.cross_check.map, places_mm.reshape(-1, 2))
+        off_mm[~contains(target.map.hull_mm, places_mm.reshape(-1, 2))] = np.nan
+        apart.append(off_mm.reshape(places_mm.shape))
+    longest_mm = max(_LEAST_MM, *(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart))
+    scale = nice_length(_LONGEST_DIFFERENCE_MM / longest_mm)
+    pictures, said = [], []
+    for target, off_mm in zip(targets, apart, strict=True):
+        other = target.cross_check
+        draw = target_plots.differences(plane, target.name, x_mm, y_mm, off_mm, longest_mm, scale)
+        pictures.append(
+            Picture(f"cross-check difference over target {target.name}", plane.height_in(bar=True), draw)
+        )
+        said.append(
+            f"{target.name.capitalize()}: {other.map.name} against {target.map.name}, at most "
+            f"{other.largest_px:.2f} px apart, bound {other.bound_px:.2f} px; a node that it was not shown "
+            f"it misses by {other.left_out_px:.3f} px."
+        )
+    caption = (
+        "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
+        f"{scale:g} times enlarged, both targets on one scale, seen along the beam. {' '.join(said)} A "
+        "measurement at which the two lie further apart than the bound is implausible and has no numbers."
+    )
+    return [Heading("Does a second map agree?"), Row(tuple(pictures), caption)]
+
+
+def covariances(source: Source) -> list[Block]:
+    """Covariance of the nodes and of the spectrum, as images."""
+    of_nodes = [node_covariance_px2(target.map, seen.nodes_mm) for target, seen in source.targets()]
+    of_spectra = [spectrum_covariance_px2(target.map) for target, _ in source.targets()]
+    blocks: list[Block] = [Heading("What is uncertain of the map")]
+    for matrices, symlog, axis, what, caption in (
+        (
+            of_nodes,
+            False,
+            "node",
+            "nodes",
+            "Covariance of the mapped nodes' u (Eq. 3.53, Fig. 3.19); the nodes are stacked column by "
+            "column, from the lowest x and y. The diagonal holds the nodes' variances; the corners, which "
+            "only few neighbours hold, are the most uncertain.",
+        ),
+        (
+            of_spectra,
+            True,
+            "coefficient",
+            "spectrum",
+            "Covariance of the spectrum of u (Eq. 3.51), stacked row by row: coefficients of degree 0, 1, "
+            "… in x for degree 0 in y, then for degree 1, and so on. For a tensor polynomial on a "
+            "complete grid it is diagonal (Eq. 3.52); a lens model ties the coefficients together. The "
+            "scale is logarithmic on both sides of zero.",
+        ),
+    ):
+        largest = max(_LEAST_PX2, *(float(np.abs(matrix).max()) for matrix in matrices))
+        pictures = tuple(
+            Picture(
+                f"covariance of the {what}, target {target.name}",
+                map_plots.COVARIANCE_IN,
+                map_plots.covariance(f"{target.name}: {what}", matrix, largest, symlog, axis),
+            )
+            for target, matrix in zip(source.calibration.targets, matrices, strict=True)
+        )
+        blocks.append(Row(pictures, caption))
+    return blocks

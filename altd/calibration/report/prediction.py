@@ -1,0 +1,178 @@
+"""What a calibration promises: sigma over the area, what it is made of, how far two maps differ."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.beam import fit_beam, joint_covariance_mm2
+from altd.calibration.evidence import Candidate
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.mapping.hull import contains
+from altd.mapping.tensor_map import TensorMap, tensor_basis
+from altd.records import FloatArray, MeanSpots, TargetPoint
+
+QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+CAUSES = ("pattern", "map", "scatter")
+"""What makes sigma: print and speckle of a place, what is uncertain of the map, single exposures."""
+
+EXPOSURES = 20
+"""Exposures that a measurement averages unless the config says otherwise (``measuring.window``)."""
+
+_COLUMNS, _ROWS = 41, 33
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Predicted sigma of a beam normal to the targets, over the area that all targets have in common.
+
+    ``x_mm`` (columns,) and ``y_mm`` (rows,) are the places, ``sigma`` (4, rows, columns) is of ``QUANTITIES``
+    in their units, NaN outside. ``shares`` (4, 3) is what part of each quantity's variance, averaged over the
+    area, comes from each of ``CAUSES``; a row adds up to 1. ``exposures`` are averaged.
+    """
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    sigma: FloatArray
+    shares: FloatArray
+    exposures: int
+
+    def rms(self, quantity: str) -> float:
+        """Root of the mean variance over the area."""
+        return float(np.sqrt(np.nanmean(np.square(self.sigma[QUANTITIES.index(quantity)]))))
+
+    def rms_after(self, quantity: str, exposures: FloatArray) -> FloatArray:
+        """The rms if so many exposures (n,) were averaged: only the scatter falls with their number."""
+        row = QUANTITIES.index(quantity)
+        scatter = self.shares[row, CAUSES.index("scatter")]
+        factor = np.sqrt(1 - scatter + scatter * self.exposures / exposures)
+        rms: FloatArray = self.rms(quantity) * factor
+        return rms
+
+    def worst(self, quantity: str) -> float:
+        """The largest sigma in the area."""
+        return float(np.nanmax(self.sigma[QUANTITIES.index(quantity)]))
+
+
+def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
+    """Predict sigma from the maps and the repeatability, by the same formulas that a measurement uses.
+
+    The scatter of single exposures counts as independent between the targets: a scan does not show how much
+    of it moves all spots together and so leaves yaw and pitch alone. Raises ValueError when the targets have
+    no area in common.
+    """
+    x_mm, y_mm = common_area(calibration.targets)
+    sigma = np.full((4, len(y_mm), len(x_mm)), np.nan)
+    variances = np.zeros((4, len(CAUSES)))
+    z_mm = [target.z_mm for target in calibration.targets]
+    for row, y in enumerate(y_mm):
+        line_mm = np.column_stack([x_mm, np.full(len(x_mm), y)])
+        columns = np.flatnonzero(
+            np.all([contains(t.map.hull_mm, line_mm) for t in calibration.targets], axis=0)
+        )
+        along = [_points(target, line_mm[columns]) for target in calibration.targets]
+        for column, *points in zip(columns, *along, strict=True):
+            parts = _covariances_mm2(calibration.targets, points, exposures)
+            total = joint_covariance_mm2(_spots(calibration, exposures), points)
+            beam = fit_beam(z_mm, points, total)
+            sigma[:, row, column] = (
+                beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg
+            )  # fmt: skip
+            variances += _by_cause(z_mm, total, parts)
+    return Prediction(x_mm, y_mm, sigma, variances / variances.sum(axis=1, keepdims=True), exposures)
+
+
+def noise_in_map_px(candidate: Candidate, nodes: int, noise_px: float) -> float:
+    """What noise of ``noise_px`` at each of so many nodes leaves in a candidate's map, rms over the hull.
+
+    A candidate's own ``map_sigma_px`` counts its misfit as noise, and so falls with it; at one noise for all
+    it grows with the degree, as in Sec. 3.5.6. Follows from the definition of the cross-validation score.
+    """
+    free = 1 - candidate.parameters / (2 * nodes)
+    own_px = candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
+    return candidate.map_sigma_px * noise_px / own_px if own_px > 0 else float("nan")
+
+
+def common_area(targets: Sequence[TargetCalibration]) -> tuple[FloatArray, FloatArray]:
+    """Places x (columns,) and y (rows,) over the rectangle that the targets' hulls have in common, mm.
+
+    Raises ValueError when they have none.
+    """
+    low = np.max([target.map.hull_mm.min(axis=0) for target in targets], axis=0)
+    high = np.min([target.map.hull_mm.max(axis=0) for target in targets], axis=0)
+    if (low >= high).any():
+        raise ValueError("the targets have no calibrated area in common")
+    return np.linspace(low[0], high[0], _COLUMNS), np.linspace(low[1], high[1], _ROWS)
+
+
+def difference_mm(target: TargetCalibration, other: TensorMap, points_mm: FloatArray) -> FloatArray:
+    """By how much another map of the target puts spots elsewhere, (n, 2) mm: other minus the target's own.
+
+    The spots are those that the target's own map has at points (n, 2) mm; to first order, which for maps that
+    differ by less than a millimetre is right to a few micrometres.
+    """
+    return offsets_mm(target, points_mm, target.map.to_px(points_mm) - other.to_px(points_mm))
+
+
+def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: FloatArray) -> FloatArray:
+    """Offsets (n, 2) px in the picture at nodes (n, 2) mm, as (n, 2) mm on the target."""
+    _, jacobian, _ = target.inverse.to_mm(target.map.to_px(nodes_mm))
+    offsets: FloatArray = np.einsum("nij,nj->ni", jacobian, offsets_px)
+    return offsets
+
+
+def node_covariance_px2(fitted: TensorMap, nodes_mm: FloatArray) -> FloatArray:
+    """Covariance (n, n) of the mapped u of nodes (n, 2) mm, stacked column-wise: Eq. 3.53, Fig. 3.19."""
+    stacked = nodes_mm[np.lexsort((nodes_mm[:, 1], np.rint(nodes_mm[:, 0])))]
+    basis = tensor_basis((fitted.x_axis, fitted.y_axis), fitted.degree, stacked)
+    spread = basis @ fitted.spread_px[0]
+    covariance: FloatArray = spread @ spread.T
+    return covariance
+
+
+def spectrum_covariance_px2(fitted: TensorMap) -> FloatArray:
+    """Covariance (K, K) of the spectrum of u, stacked row by row: Eq. 3.51."""
+    covariance: FloatArray = fitted.spread_px[0] @ fitted.spread_px[0].T
+    return covariance
+
+
+def _points(target: TargetCalibration, points_mm: FloatArray) -> list[TargetPoint]:
+    found, jacobian, covariance = target.inverse.to_mm(target.map.to_px(points_mm))
+    return [
+        TargetPoint(float(x), float(y), jacobian[n], covariance[n]) for n, (x, y) in enumerate(found.tolist())
+    ]
+
+
+def _spots(calibration: Calibration, exposures: int) -> MeanSpots:
+    """The mean spots of a window whose exposures scatter as those at the nodes did."""
+    repeatability = np.concatenate([target.repeatability_px for target in calibration.targets])
+    targets = calibration.target_names
+    covariance = np.diag(np.square(repeatability) / exposures)
+    return MeanSpots(targets, np.zeros((len(targets), 2)), covariance, 0, exposures, 0)
+
+
+def _covariances_mm2(
+    targets: Sequence[TargetCalibration], points: Sequence[TargetPoint], exposures: int
+) -> FloatArray:
+    """Covariances (3, 2 T, 2 T) of the points by ``CAUSES``; they add up to the joint covariance."""
+    parts = np.zeros((len(CAUSES), 2 * len(points), 2 * len(points)))
+    for index, (target, point) in enumerate(zip(targets, points, strict=True)):
+        block = slice(2 * index, 2 * index + 2)
+        jacobian = point.jacobian_mm_per_px
+        parts[0, block, block] = target.map.noise_px**2 * jacobian @ jacobian.T
+        parts[1, block, block] = point.covariance_mm2 - parts[0, block, block]
+        parts[2, block, block] = jacobian @ np.diag(target.repeatability_px**2 / exposures) @ jacobian.T
+    return parts
+
+
+def _by_cause(z_mm: Sequence[float], total_mm2: FloatArray, parts_mm2: FloatArray) -> FloatArray:
+    """What each cause adds to the variances of ``QUANTITIES``, (4, 3); the angles' as slopes."""
+    design = np.zeros((2 * len(z_mm), 4))
+    design[0::2, 0] = design[1::2, 1] = 1.0
+    design[0::2, 2] = design[1::2, 3] = z_mm
+    weighted = np.linalg.solve(total_mm2, design)
+    gain = np.linalg.solve(design.T @ weighted, weighted.T)
+    added: FloatArray = np.einsum("qi,cij,qj->qc", gain, parts_mm2, gain)
+    return added

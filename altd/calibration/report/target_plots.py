@@ -1,0 +1,162 @@
+"""Drawings over the target, in mm, as seen looking along the beam: x to the right, y up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+
+from altd.calibration.report.canvas import BLUE, FAINT, INK, QUIET, VERMILION, Canvas
+from altd.calibration.report.document import WIDTH_IN
+from altd.records import FloatArray
+
+_LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN = 0.48, 0.42, 0.1, 0.28
+_BAR_IN = 0.52
+_AROUND_MM = 12.0
+_FLATTEST = 0.05
+"""A colour scale spans at least this share of its largest value."""
+
+Draw = Callable[[Canvas], None]
+Place = tuple[float, float]
+
+
+class Plane:
+    """The part of a target's plane that all drawings of it show, and so their height."""
+
+    def __init__(self, hulls_mm: Sequence[FloatArray], around_mm: float = _AROUND_MM) -> None:
+        corners = np.vstack(hulls_mm)
+        self.low, self.high = corners.min(axis=0) - around_mm, corners.max(axis=0) + around_mm
+
+    def height_in(self, bar: bool = False) -> float:
+        """Height of a drawing ``WIDTH_IN`` wide in which a mm is as long along x as along y."""
+        width_in = WIDTH_IN - _LEFT_IN - _RIGHT_IN - (_BAR_IN if bar else 0)
+        across, up = self.high - self.low
+        return float(width_in * up / across) + _BOTTOM_IN + _TOP_IN
+
+    def axes(self, canvas: Canvas, title: str, bar: bool = False) -> Axes:
+        """Axes in mm of the unit frame."""
+        axes = canvas.axes(_LEFT_IN, _BOTTOM_IN, _RIGHT_IN + (_BAR_IN if bar else 0), _TOP_IN)
+        axes.set_xlim(self.low[0], self.high[0])
+        axes.set_ylim(self.low[1], self.high[1])
+        axes.set_aspect("equal")
+        axes.set_title(title)
+        axes.set_xlabel("x in mm", labelpad=2)
+        axes.set_ylabel("y in mm", labelpad=1)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(MultipleLocator(25))
+        return axes
+
+
+def nice_length(longest: float) -> float:
+    """1, 2 or 5 times a power of ten, the largest that is not longer."""
+    if not longest > 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(longest))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= longest * (1 + 1e-9)))
+
+
+def arrows(
+    plane: Plane,
+    title: str,
+    nodes_mm: FloatArray,
+    offsets_mm: FloatArray,
+    hull_mm: FloatArray,
+    left_out_mm: Sequence[Place],
+    scale: float,
+) -> Draw:
+    """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets are, with a scale arrow."""
+
+    def draw(canvas: Canvas) -> None:
+        axes = plane.axes(canvas, title)
+        axes.grid()
+        axes.add_patch(Polygon(hull_mm, fill=False, edgecolor=QUIET, linewidth=0.7, linestyle=(0, (4, 3))))
+        axes.plot(nodes_mm[:, 0], nodes_mm[:, 1], "o", color=QUIET, markersize=1.8)
+        _quiver(axes, nodes_mm, scale * offsets_mm, BLUE)
+        for place in left_out_mm:
+            axes.plot(*place, "x", color=VERMILION, markersize=6, markeredgewidth=1.6)
+        key_mm = nice_length(18.0 / scale)
+        _key(axes, plane, scale * key_mm, f"{1000 * key_mm:g} µm")
+
+    return draw
+
+
+def differences(
+    plane: Plane,
+    title: str,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    offsets_mm: FloatArray,
+    largest_mm: float,
+    scale: float,
+) -> Draw:
+    """Where another map puts spots, offsets (rows, columns, 2): colour for length, and some arrows."""
+
+    def draw(canvas: Canvas) -> None:
+        axes = plane.axes(canvas, title, bar=True)
+        length_um = 1000 * np.linalg.norm(offsets_mm, axis=2)
+        levels = MaxNLocator(7).tick_values(0, 1000 * largest_mm)
+        filled = axes.contourf(x_mm, y_mm, length_um, levels=levels, cmap="YlGnBu", extend="max")
+        _bar(canvas, axes, filled, "µm")
+        rows, columns = slice(2, None, 7), slice(2, None, 6)
+        grid = np.stack(np.meshgrid(x_mm[columns], y_mm[rows]), axis=-1).reshape(-1, 2)
+        _quiver(axes, grid, scale * offsets_mm[rows, columns].reshape(-1, 2), INK)
+        key_mm = nice_length(18.0 / scale)
+        _key(axes, plane, scale * key_mm, f"{1000 * key_mm:g} µm")
+
+    return draw
+
+
+def contours(
+    plane: Plane,
+    title: str,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    value: FloatArray,
+    limits: tuple[float, float],
+    unit: str,
+) -> Draw:
+    """A value (rows, columns) over the area, NaN where there is none, on the given scale."""
+
+    def draw(canvas: Canvas) -> None:
+        axes = plane.axes(canvas, title, bar=True)
+        low, high = limits
+        slack = max(_FLATTEST * high - (high - low), 0.0) / 2  # hardly any difference is not to look like one
+        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(low - slack, high + slack)
+        filled = axes.contourf(x_mm, y_mm, value, levels=levels, cmap="YlGnBu")
+        lines = axes.contour(x_mm, y_mm, value, levels=levels, colors=INK, linewidths=0.5)
+        axes.clabel(lines, fontsize=6, fmt="%g", inline_spacing=2)
+        _bar(canvas, axes, filled, unit)
+
+    return draw
+
+
+def _quiver(axes: Axes, places_mm: FloatArray, arrows_mm: FloatArray, colour: str) -> None:
+    axes.quiver(
+        *places_mm.T, *arrows_mm.T, color=colour, angles="xy", scale_units="xy", scale=1, units="inches",
+        width=0.014, headwidth=4.5, headlength=5.5, headaxislength=5, minlength=0.1, zorder=3, clip_on=False,
+    )  # fmt: skip
+
+
+def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
+    """A scale arrow in the title's line, where no other arrow comes."""
+    right = plane.high[0]
+    top = plane.high[1] + 0.045 * (plane.high[1] - plane.low[1])
+    axes.annotate(
+        words, (right - length_mm, top), (-3, 0), textcoords="offset points", ha="right", va="center",
+        fontsize=7, annotation_clip=False,
+    )  # fmt: skip
+    _quiver(axes, np.array([[right - length_mm, top]]), np.array([[length_mm, 0.0]]), INK)
+
+
+def _bar(canvas: Canvas, axes: Axes, filled: object, unit: str) -> None:
+    """A colour scale at the right edge, as high as the axes."""
+    box = axes.get_position()
+    inch = 1 / canvas.width_in
+    bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))
+    scale = canvas.figure.colorbar(filled, cax=bar)  # type: ignore[arg-type]
+    scale.outline.set_edgecolor(FAINT)
+    bar.set_title(unit, fontsize=7, fontweight="normal", loc="left", pad=4)
+    bar.tick_params(labelsize=6.5, length=2)

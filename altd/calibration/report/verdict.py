@@ -1,0 +1,247 @@
+"""Whether a calibration is good, by which numbers, what limits it and what to do: in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from altd.calibration.evidence import TargetEvidence
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.report.prediction import CAUSES, Prediction
+
+_GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
+_GOOD_MM, _USABLE_MM = 0.0120, 0.0500
+"""Good is what a unit with strong speckle reaches, usable what the thesis reached (Tables 3.1 and 3.4)."""
+
+_GOOD_NODES_MM, _USABLE_NODES_MM = 0.020, 0.0714
+"""Mean distance of the nodes from the map; usable is Table 3.3, semi-transparent target."""
+
+_GOOD_SCATTER_PX, _USABLE_SCATTER_PX = 0.0747, 0.20
+"""Scatter of single exposures at one node; good is Table 3.3."""
+
+_GOOD_STRAY, _USABLE_STRAY = 4.5, 6.0
+"""How far the worst node misses the map of the others, over the rms of all: of 60 nodes with normal errors
+one goes beyond 4.5 once in four hundred calibrations."""
+
+_MANY_LEFT_OUT = 0.1
+_FEWEST_LEDS = 3
+"""Fewer do not tell a shift of the picture from a turn and a change of scale."""
+
+
+class Level(IntEnum):
+    """How good; a calibration is as good as its worst check."""
+
+    GOOD = 0
+    USABLE = 1
+    BAD = 2
+
+    @property
+    def word(self) -> str:
+        """For people."""
+        return ("good", "usable", "not good")[self]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One number that was judged: its value and what was wanted, in words; what to do when it is not good."""
+
+    name: str
+    value: str
+    wanted: str
+    level: Level
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The calibration's level, the checks behind it and what limits the measurement."""
+
+    checks: tuple[Check, ...]
+    limit: str
+    advice: str
+
+    @property
+    def level(self) -> Level:
+        """That of the worst check."""
+        return max(check.level for check in self.checks)
+
+    @property
+    def headline(self) -> str:
+        """One sentence."""
+        return {
+            Level.GOOD: "This calibration is good.",
+            Level.USABLE: "This calibration can be used, but it is not as good as it should be.",
+            Level.BAD: "This calibration is not good. Do not measure with it.",
+        }[self.level]
+
+    @property
+    def remedies(self) -> tuple[str, ...]:
+        """What to do about each check that is not good, each once."""
+        return tuple(dict.fromkeys(check.remedy for check in self.checks if check.level > Level.GOOD))
+
+
+def judge(
+    calibration: Calibration,
+    evidence: Sequence[TargetEvidence],
+    prediction: Prediction,
+) -> Verdict:
+    """Judge a calibration by what its scan shows."""
+    limit, advice = _limit(prediction)
+    checks = [
+        *_of_the_beam(prediction),
+        *_of_the_maps(calibration.targets),
+        _of_the_cross_check(calibration.targets),
+        *_of_the_nodes(evidence),
+        _of_the_leds(calibration.targets),
+    ]
+    return Verdict(tuple(checks), limit, advice)
+
+
+def _of_the_beam(prediction: Prediction) -> list[Check]:
+    remedy = _sentence("; ".join(_ADVICE[cause] for cause in _main_causes(prediction)))
+    checks = []
+    for name, quantity, unit, good, usable in (
+        ("yaw", "yaw_deg", "°", _GOOD_DEG, _USABLE_DEG),
+        ("pitch", "pitch_deg", "°", _GOOD_DEG, _USABLE_DEG),
+        ("x", "x_mm", " mm", _GOOD_MM, _USABLE_MM),
+        ("y", "y_mm", " mm", _GOOD_MM, _USABLE_MM),
+    ):
+        rms, worst = prediction.rms(quantity), prediction.worst(quantity)
+        checks.append(
+            Check(
+                f"Predicted sigma of {name}",
+                f"{rms:.4f}{unit} rms, {worst:.4f}{unit} at worst",
+                f"rms at most {good:.4f}{unit}",
+                _level(rms, good, usable),
+                remedy,
+            )
+        )
+    return checks
+
+
+def _of_the_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
+    mean_mm = [target.residual_mean_mm for target in targets]
+    scatter_px = [float(target.repeatability_px.max()) for target in targets]
+    return [
+        Check(
+            "Nodes from the map, mean",
+            _each(targets, [f"{value:.4f}" for value in mean_mm], " mm"),
+            f"at most {_GOOD_NODES_MM:.4f} mm",
+            _level(max(mean_mm), _GOOD_NODES_MM, _USABLE_NODES_MM),
+            "Look at the residual vectors: if they run along each other, the stage or the model of the "
+            "lens is at fault; if they point anywhere, spots are badly seen: clean the window, check the "
+            "laser.",
+        ),
+        Check(
+            "Scatter of single exposures",
+            _each(targets, [f"{value:.3f}" for value in scatter_px], " px"),
+            f"at most {_GOOD_SCATTER_PX:.3f} px",
+            _level(max(scatter_px), _GOOD_SCATTER_PX, _USABLE_SCATTER_PX),
+            "Let stage and laser settle, keep vibration and draught away, take more exposures a node.",
+        ),
+    ]
+
+
+def _of_the_cross_check(targets: Sequence[TargetCalibration]) -> Check:
+    checks = [target.cross_check for target in targets]
+    apart = any(check.largest_px > check.bound_px for check in checks)
+    return Check(
+        "Cross-check, maps apart at most",
+        _each(targets, [f"{check.largest_px:.2f}" for check in checks], " px"),
+        _each(targets, [f"{check.bound_px:.2f}" for check in checks], " px"),
+        Level.USABLE if apart else Level.GOOD,
+        "Two independent maps disagree more than noise explains, and where they do a measurement will be "
+        "called implausible: look for nodes that stand out and for a stage with unequal steps, and repeat "
+        "the scan with more nodes.",
+    )
+
+
+def _of_the_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
+    shares = [len(seen.left_out) / (len(seen.left_out) + len(seen.nodes_mm)) for seen in evidence]
+    strays = [
+        float(np.linalg.norm(seen.missed_px, axis=1).max() / np.sqrt(np.mean(np.square(seen.missed_px))))
+        for seen in evidence
+    ]
+    counts = [f"{len(seen.left_out)} of {len(seen.left_out) + len(seen.nodes_mm)}" for seen in evidence]
+    share = max(shares)
+    return [
+        Check(
+            "Nodes left out",
+            _each(evidence, counts, ""),
+            "none",
+            Level.GOOD if share == 0 else Level.USABLE if share <= _MANY_LEFT_OUT else Level.BAD,
+            "See the reasons under “Nodes left out”. Where one lies at the edge, the area that can be "
+            "measured is smaller by it: repeat the scan.",
+        ),
+        Check(
+            "Worst node, over the rms of all",
+            _each(evidence, [f"{stray:.1f}" for stray in strays], " times"),
+            f"at most {_GOOD_STRAY:g} times",
+            _level(max(strays), _GOOD_STRAY, _USABLE_STRAY),
+            "One node stands out: look for a bumped stage, dirt or a reflection there, and repeat the scan.",
+        ),
+    ]
+
+
+def _of_the_leds(targets: Sequence[TargetCalibration]) -> Check:
+    found = [len(target.leds_px) for target in targets]
+    return Check(
+        "Frame LEDs found",
+        _each(targets, [str(count) for count in found], ""),
+        f"at least {_FEWEST_LEDS}",
+        Level.GOOD if min(found) >= _FEWEST_LEDS else Level.USABLE,
+        "Record LED reference pairs before the grid, LEDs off and then on: without them nobody can tell "
+        "later whether a camera has moved.",
+    )
+
+
+def _each(
+    named: Sequence[TargetCalibration] | Sequence[TargetEvidence], values: Sequence[str], unit: str
+) -> str:
+    names = [one.name for one in named]
+    return ", ".join(f"{name} {value}" for name, value in zip(names, values, strict=True)) + unit
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}."
+
+
+_CAUSE_WORDS = {
+    "pattern": "the fixed pattern of print and speckle",
+    "map": "the map",
+    "scatter": "the scatter of single exposures",
+}
+_ADVICE = {
+    "pattern": "a larger laser spot covers more dots and speckle grains and shifts less; clean the targets; "
+    "averaging longer does not help",
+    "map": "a scan with more nodes makes the map more certain",
+    "scatter": "average more exposures in a measurement, and take vibration and draught away",
+}
+
+
+def _main_causes(prediction: Prediction) -> list[str]:
+    """The causes that have a third of the variance or more, the largest first."""
+    shares = prediction.shares.mean(axis=0)
+    order = np.argsort(shares)[::-1]
+    return [CAUSES[n] for n in order if shares[n] >= 1 / 3] or [CAUSES[order[0]]]
+
+
+def _limit(prediction: Prediction) -> tuple[str, str]:
+    """What limits the measurement, and what would make it better."""
+    shares = prediction.shares.mean(axis=0)
+    first, second, third = (CAUSES[n] for n in np.argsort(shares)[::-1])
+    percent = {cause: f"{100 * share:.0f} %" for cause, share in zip(CAUSES, shares, strict=True)}
+    limit = (
+        f"What limits it is {_CAUSE_WORDS[first]}: {percent[first]} of the variance; {_CAUSE_WORDS[second]} "
+        f"makes {percent[second]}, {_CAUSE_WORDS[third]} {percent[third]}."
+    )
+    advice = "; ".join(_ADVICE[cause] for cause in _main_causes(prediction))
+    return limit, f"To measure better than this: {advice}."
+
+
+def _level(value: float, good: float, usable: float) -> Level:
+    """NaN is bad."""
+    return Level.GOOD if value <= good else Level.USABLE if value <= usable else Level.BAD

@@ -1,0 +1,99 @@
+"""Both files of a report, or none."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from altd.errors import BadInputError
+
+PAGE, SHEETS = "calibration.html", "calibration.pdf"
+
+
+def check_report(folder: Path) -> None:
+    """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
+
+    Leaves nothing behind. Raises BadInputError.
+    """
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
+    try:
+        importlib.import_module("matplotlib")
+    except ImportError as error:
+        raise BadInputError(
+            "--report", "needs matplotlib, which comes with the extra altd[report]"
+        ) from error
+    for name in (PAGE, SHEETS):
+        if (folder / name).is_dir():
+            raise BadInputError(folder / name, "is a folder")
+    try:
+        is_new = _made(folder)
+        descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
+        os.close(descriptor)
+        Path(trial).unlink()
+        if is_new:
+            folder.rmdir()
+    except OSError as error:
+        raise BadInputError(folder, error.strerror or "cannot be written") from error
+
+
+def _made(folder: Path) -> bool:
+    """Whether the folder had to be made."""
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        if not folder.is_dir():
+            raise BadInputError(folder, "is not a folder") from None
+        return False
+    return True
+
+
+def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into the folder, made when it is not there, all or none; older ones are replaced.
+
+    Raises BadInputError when one cannot be written; then all are as they were.
+    """
+    written: dict[str, Path] = {}
+    kept: dict[str, bytes | None] = {}
+    try:
+        _made(folder)
+        try:
+            for name, content in files.items():
+                written[name] = _temporary(folder, name, content)
+            for name, temporary in written.items():
+                place = folder / name
+                kept[name] = place.read_bytes() if place.exists() else None
+                temporary.replace(place)
+        except BaseException:
+            _put_back(folder, kept)
+            raise
+        finally:
+            for temporary in written.values():
+                temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise BadInputError(folder, error.strerror or "cannot be written") from error
+
+
+def _temporary(folder: Path, name: str, content: bytes) -> Path:
+    descriptor, path = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(path).chmod(0o644)
+    except BaseException:
+        Path(path).unlink(missing_ok=True)
+        raise
+    return Path(path)
+
+
+def _put_back(folder: Path, kept: Mapping[str, bytes | None]) -> None:
+    for name, content in kept.items():
+        if content is None:
+            (folder / name).unlink(missing_ok=True)
+        else:
+            _temporary(folder, name, content).replace(folder / name)

@@ -1,0 +1,57 @@
+"""Marks of a regular print: they tell how a camera bends the plane, though not where in it they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from altd.mapping.camera import Camera
+from altd.records import FloatArray
+
+_NEWTON_STEPS = 3
+_DIFFERENCE_MM = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Places seen at ``px`` (n, 2) whose coordinates on a regular print are ``regular_mm`` (n, 2).
+
+    The regular coordinates are those of the plane but for an affine map, which nobody knows: print lies
+    anyhow on its glass. ``sigma_mm`` is the standard deviation of each coordinate.
+    """
+
+    px: FloatArray
+    regular_mm: FloatArray
+    sigma_mm: float
+
+    def misfit(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
+        """What no affine map explains of where the camera sees the marks, and its slopes by the parameters.
+
+        (2 n,) and (2 n, m), both in units of sigma; x of all marks, then y.
+        """
+        mm = self.regular_mm
+        for _ in range(_NEWTON_STEPS):
+            mm = mm + self._unprojected(camera, mm, (self.px - camera.to_px(mm))[:, :, None])[:, :, 0]
+        by_parameters = camera.jacobian(mm).reshape(len(mm), 2, -1)
+        moves = -self._unprojected(camera, mm, by_parameters)
+        bent, slopes = self._without_affine @ mm, np.einsum("ij,jcm->icm", self._without_affine, moves)
+        return (
+            bent.T.ravel() / self.sigma_mm,
+            slopes.transpose(1, 0, 2).reshape(2 * len(mm), -1) / self.sigma_mm,
+        )
+
+    @cached_property
+    def _without_affine(self) -> FloatArray:
+        basis = np.linalg.qr(np.column_stack([np.ones(len(self.px)), self.regular_mm]))[0]
+        return np.asarray(np.eye(len(self.px)) - basis @ basis.T)
+
+    @staticmethod
+    def _unprojected(camera: Camera, mm: FloatArray, px: FloatArray) -> FloatArray:
+        """Small changes (n, 2, k) px at points mm, as changes in mm."""
+        steps = [np.array([_DIFFERENCE_MM, 0.0]), np.array([0.0, _DIFFERENCE_MM])]
+        columns = [
+            (camera.to_px(mm + step) - camera.to_px(mm - step)) / (2 * _DIFFERENCE_MM) for step in steps
+        ]
+        return np.asarray(np.linalg.solve(np.stack(columns, axis=-1), px))

@@ -1,0 +1,104 @@
+"""The surroundings of a bright region: excess over the background, smoothed, and the spot's mask."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import Frame, NoSpot, PixelArray, Reason
+from altd.vision.background import Image
+from altd.vision.flat import BLOCK_PX
+from altd.vision.search import Region, Search
+from altd.vision.settings import SpotSettings
+
+Mask = npt.NDArray[np.uint8]
+
+_MARGIN_SIGMAS = 3.0
+_HOT_RATIO = 3.0
+_RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+"""The eight neighbours of a pixel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """A spot's surroundings: excess over the background, smoothed, and the mask of the spot in it.
+
+    ``left`` and ``top`` are multiples of BLOCK_PX.
+    """
+
+    left: int
+    top: int
+    excess: Image
+    smooth: Image
+    peak: float
+    """Of the smoothed excess."""
+    mask: Mask
+
+
+def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSettings) -> Patch | NoSpot:
+    """Cut out and smooth the region, growing it until the spot's contour lies inside."""
+    rows, columns = frame.pixels.shape
+    margin = max(8, BLOCK_PX * math.ceil(_MARGIN_SIGMAS * settings.smoothing_px / BLOCK_PX))
+    while True:
+        left, top = max(region.left - margin, 0), max(region.top - margin, 0)
+        right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
+        excess = without_hot_pixels(frame.pixels[top:bottom, left:right])
+        excess -= found.background.at(
+            np.arange(left, right, dtype=np.float64), np.arange(top, bottom, dtype=np.float64)
+        )
+        smooth = _smoothed(excess, settings.smoothing_px)
+        _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
+        if peak <= 0:
+            return NoSpot(Reason.SPOT_MISSING, "only single pixels shine")
+        mask = _connected(smooth > settings.threshold * peak, peak_u, peak_v)
+        at_image_edge, at_patch_edge = _touches(mask, left == 0, top == 0, right == columns, bottom == rows)
+        if at_image_edge:
+            return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
+        if not at_patch_edge:
+            return Patch(left, top, excess, smooth, peak, mask)
+        margin *= 2
+
+
+def _smoothed(image: Image, sigma_px: float) -> Image:
+    if sigma_px <= 0:
+        return image
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
+
+
+def without_hot_pixels(window: PixelArray) -> Image:
+    """A window of the frame as float, with single bright pixels replaced by their neighbours' median.
+
+    A pixel is hot when it stands out of the window's floor three times as far as the brightest of its eight
+    neighbours: the smallest printed dot spreads over more than one pixel, a hot pixel does not.
+    """
+    image: Image = window.astype(np.float32)
+    floor = float(np.partition(image.ravel(), image.size // 4)[image.size // 4])
+    limit = cv2.dilate(window, _RING).astype(np.float32)
+    np.maximum(limit, floor + 3, out=limit)
+    limit *= _HOT_RATIO
+    limit -= (_HOT_RATIO - 1) * floor  # all of it whole numbers, so nothing is rounded
+    hot = image > limit
+    if hot.any():
+        image[hot] = cv2.medianBlur(window, 5)[hot]
+    return image
+
+
+def _connected(mask: npt.NDArray[np.bool_], u: int, v: int) -> Mask:
+    """The part of a mask that hangs together with pixel (u, v)."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    mask_of_spot: Mask = np.equal(labels, labels[v, u]).astype(np.uint8)
+    return mask_of_spot
+
+
+def _touches(mask: Mask, left: bool, top: bool, right: bool, bottom: bool) -> tuple[bool, bool]:
+    """Whether the mask reaches a border that is the image's own, and whether it reaches another one."""
+    reached = (mask[:, 0].any(), mask[0].any(), mask[:, -1].any(), mask[-1].any())
+    own = (left, top, right, bottom)
+    return (
+        any(r and o for r, o in zip(reached, own, strict=True)),
+        any(r and not o for r, o in zip(reached, own, strict=True)),
+    )

@@ -1,0 +1,77 @@
+"""``altd calibrate --report`` as a process."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.cli import Outcome, altd, refusal
+from support.recordings import write_scan
+
+WITHOUT_MATPLOTLIB = "import sys; sys.modules['matplotlib'] = None"
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scan(tmp_path_factory.mktemp("scan") / "rec", columns=5, rows=4)
+
+
+def calibrate_without_matplotlib(*arguments: object) -> Outcome:
+    program = f"{WITHOUT_MATPLOTLIB}; from altd.cli import main; sys.exit(main(['calibrate', *sys.argv[1:]]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def test_a_scan_gives_calibration_page_and_sheets(scan: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / "calibration.html").write_text("older")
+    done = altd("calibrate", scan, "-o", tmp_path / "cal.json", "--report", folder)
+    assert (done.status, done.err) == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cal.json", "report"]
+    assert sorted(path.name for path in folder.iterdir()) == ["calibration.html", "calibration.pdf"]
+    assert (folder / "calibration.pdf").read_bytes().startswith(b"%PDF")
+    page = (folder / "calibration.html").read_text()
+    printed = re.findall(r"\d\.\d{4} / \d\.\d{4} / \d\.\d{4}", done.out)
+    assert len(printed) == 2
+    assert all(numbers in page for numbers in printed)
+    assert f"altd calibrate {scan} -o {tmp_path / 'cal.json'} --report {folder}" in page
+    assert f"report: {folder / 'calibration.html'}" in done.out
+
+
+def test_without_matplotlib_the_extra_is_named_before_any_work(tmp_path: Path) -> None:
+    output, folder = tmp_path / "cal.json", tmp_path / "report"
+    done = calibrate_without_matplotlib(tmp_path / "none", "-o", output, "--report", folder)
+    assert refusal(done) == (
+        "altd calibrate: --report: needs matplotlib, which comes with the extra altd[report]"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_calibration_without_report_needs_no_matplotlib(scan: Path, tmp_path: Path) -> None:
+    done = calibrate_without_matplotlib(scan, "-o", tmp_path / "cal.json")
+    assert (done.status, done.err) == (0, "")
+
+
+def test_a_folder_that_cannot_be_written_is_one_line_and_nothing_else(scan: Path, tmp_path: Path) -> None:
+    output = tmp_path / "cal.json"
+    said = refusal(altd("calibrate", scan, "-o", output, "--report", "/proc"))
+    assert said.startswith("altd calibrate: /proc: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scan_that_is_refused_leaves_no_report(tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    assert "recording.json" in refusal(
+        altd("calibrate", tmp_path / "none", "-o", tmp_path / "cal.json", "--report", folder)
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.evidence import DISTANCE_MM, calibration, nodes_mm, straight_map, straight_px, target
+from support.recordings import PX_PER_MM
+
+from altd.calibration.report.prediction import (
+    common_area,
+    difference_mm,
+    node_covariance_px2,
+    offsets_mm,
+    predict,
+    spectrum_covariance_px2,
+)
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.tensor_map import fit_tensor_map
+
+PATTERN_PX, SHIFT_PX, SCATTER_PX = 0.03, 0.01, 0.02
+
+
+def test_sigma_of_straight_maps_is_the_closed_form_everywhere() -> None:
+    prediction = predict(calibration(), exposures=16)
+    one_mm = math.sqrt(PATTERN_PX**2 + SHIFT_PX**2 + SCATTER_PX**2 / 16) / PX_PER_MM
+    assert prediction.sigma[:2] == pytest.approx(np.full_like(prediction.sigma[:2], one_mm), rel=1e-6)
+    angle_deg = math.degrees(math.sqrt(2) * one_mm / DISTANCE_MM)
+    assert prediction.sigma[2:] == pytest.approx(np.full_like(prediction.sigma[2:], angle_deg), rel=1e-6)
+    assert prediction.rms("yaw_deg") == pytest.approx(prediction.worst("pitch_deg"))
+
+
+def test_the_shares_are_those_of_the_variances() -> None:
+    prediction = predict(calibration(), exposures=1)
+    parts = np.square([PATTERN_PX, SHIFT_PX, SCATTER_PX])
+    assert prediction.shares == pytest.approx(np.tile(parts / parts.sum(), (4, 1)), rel=1e-6)
+
+
+def test_targets_of_unlike_quality_count_by_their_own_errors() -> None:
+    prediction = predict(calibration(target("front", pattern_px=0.01), target("rear", pattern_px=0.1)), 10**6)
+    front_mm, rear_mm = (math.hypot(pattern, SHIFT_PX) / PX_PER_MM for pattern in (0.01, 0.1))
+    assert prediction.rms("x_mm") == pytest.approx(front_mm, rel=1e-4)
+    expected_deg = math.degrees(math.hypot(front_mm, rear_mm) / DISTANCE_MM)
+    assert prediction.rms("yaw_deg") == pytest.approx(expected_deg, rel=1e-4)
+
+
+def test_averaging_more_takes_away_the_scatter_alone() -> None:
+    windows = np.array([1.0, 5.0, 100.0])
+    after = predict(calibration(), exposures=20).rms_after("pitch_deg", windows)
+    expected = [predict(calibration(), exposures=round(n)).rms("pitch_deg") for n in windows]
+    assert after == pytest.approx(expected, rel=1e-6)
+
+
+def test_outside_a_hull_nothing_is_predicted() -> None:
+    rear = target("rear")
+    corner_off = nodes_mm()[~(nodes_mm() > (50, 40)).all(axis=1)]
+    rear = replace(rear, map=replace(rear.map, hull_mm=convex_hull_mm(corner_off)))
+    prediction = predict(calibration(target("front"), rear))
+    assert np.isnan(prediction.sigma[:, -1, -1]).all()
+    assert np.isfinite(prediction.sigma[:, -1, 0]).all()
+    assert np.isfinite(prediction.sigma[0]).mean() == pytest.approx(1 - 0.5 / 20, abs=0.01)
+
+
+def test_targets_without_a_common_area_are_refused() -> None:
+    rear = target("rear")
+    aside = replace(rear.map, hull_mm=rear.map.hull_mm + np.array([0.0, 200.0]))
+    with pytest.raises(ValueError, match="no calibrated area in common"):
+        predict(calibration(target("front"), replace(rear, map=aside)))
+
+
+def test_the_area_is_what_all_targets_share() -> None:
+    x_mm, y_mm = common_area(calibration().targets)
+    assert (x_mm[0], x_mm[-1], y_mm[0], y_mm[-1]) == pytest.approx((-62.5, 62.5, -50, 50))
+
+
+def test_a_shifted_second_map_differs_by_its_shift() -> None:
+    """A spot stays where it is: a map whose picture lies further right puts it further left."""
+    for name, mirror in (("front", -1), ("rear", 1)):
+        own = target(name)
+        places = nodes_mm()
+        rng = np.random.default_rng(1)
+        shifted = straight_px(name, places) + np.array([0.2, 0.1]) + rng.normal(0, 1e-6, places.shape)
+        other = fit_tensor_map(places, shifted, own.map.hull_mm, (1, 1)).map
+        off = difference_mm(own, other, places)
+        expected = (-mirror * 0.2 / PX_PER_MM, 0.1 / PX_PER_MM)
+        assert off == pytest.approx(np.tile(expected, (len(places), 1)), abs=1e-5)
+
+
+def test_offsets_in_the_picture_turn_with_the_camera() -> None:
+    off = offsets_mm(target("front"), nodes_mm()[:3], np.array([[4.0, 0.0], [0.0, 4.0], [0.0, 0.0]]))
+    assert off == pytest.approx(np.array([[-1.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), abs=1e-4)
+
+
+def test_the_covariance_of_the_nodes_is_that_of_the_thesis() -> None:
+    """Eq. 3.53 with an orthonormal basis that QR makes, not altd's own."""
+    places = nodes_mm()
+    rng = np.random.default_rng(2)
+    noisy = straight_px("rear", places) + rng.normal(0, 0.05, places.shape)
+    fitted = fit_tensor_map(places, noisy, convex_hull_mm(places), (3, 2)).map
+    bx, _ = np.linalg.qr(np.vander(np.arange(6.0), 4))
+    by, _ = np.linalg.qr(np.vander(np.arange(5.0), 3))
+    expected = fitted.noise_px**2 * np.kron(bx @ bx.T, by @ by.T)
+    assert node_covariance_px2(fitted, rng.permutation(places)) == pytest.approx(expected, abs=1e-9)
+    spectrum = spectrum_covariance_px2(fitted)
+    assert spectrum == pytest.approx(fitted.noise_px**2 * np.eye(12), abs=1e-9)
+
+
+def test_a_map_without_errors_has_no_covariance() -> None:
+    assert not node_covariance_px2(straight_map("front", shift_px=0.0), nodes_mm()).any()

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.evidence import calibration, evidence, target
+
+from altd.calibration.evidence import TargetEvidence
+from altd.calibration.model import Calibration
+from altd.calibration.report.prediction import predict
+from altd.calibration.report.verdict import Check, Level, Verdict, judge
+
+
+def verdict_of(made: Calibration | None = None, seen: tuple[TargetEvidence, ...] | None = None) -> Verdict:
+    made = made or calibration()
+    return judge(made, seen or (evidence("front"), evidence("rear", seed=2)), predict(made))
+
+
+def not_good(verdict: Verdict) -> list[Check]:
+    return [check for check in verdict.checks if check.level > Level.GOOD]
+
+
+def test_a_good_calibration_is_called_good() -> None:
+    verdict = verdict_of()
+    assert verdict.level is Level.GOOD
+    assert verdict.headline == "This calibration is good."
+    assert verdict.remedies == ()
+
+
+def test_the_numbers_are_in_the_checks() -> None:
+    found = {check.name: check.value for check in verdict_of().checks}
+    assert found["Nodes from the map, mean"] == "front 0.0099, rear 0.0099 mm"
+    assert found["Scatter of single exposures"] == "front 0.020, rear 0.020 px"
+    assert found["Nodes left out"] == "front 0 of 30, rear 0 of 30"
+    assert found["Frame LEDs found"] == "front 4, rear 4"
+
+
+@pytest.mark.parametrize(
+    ("pattern_px", "level", "word"), [(0.09, Level.USABLE, "can be used"), (1.0, Level.BAD, "not good")]
+)
+def test_a_coarse_pattern_spoils_yaw_and_pitch(pattern_px: float, level: Level, word: str) -> None:
+    made = calibration(target("front", pattern_px=pattern_px), target("rear", pattern_px=pattern_px))
+    verdict = verdict_of(made)
+    assert verdict.level is level
+    assert word in verdict.headline
+    assert {check.name.split()[-1] for check in not_good(verdict)} == {"yaw", "pitch", "x", "y"}
+    assert verdict.limit.startswith("What limits it is the fixed pattern of print and speckle: ")
+    (remedy,) = verdict.remedies
+    assert "larger laser spot" in remedy
+
+
+def test_what_limits_is_named_with_what_to_do_about_it() -> None:
+    for cause, advice, errors in (
+        ("the map", "more nodes", {"pattern_px": 0.001, "shift_px": 0.05, "scatter_px": 0.001}),
+        (
+            "the scatter of single exposures",
+            "average more",
+            {"pattern_px": 0.001, "shift_px": 0.001, "scatter_px": 0.2},
+        ),
+    ):
+        verdict = verdict_of(calibration(target("front", **errors), target("rear", **errors)))
+        assert verdict.limit.startswith(f"What limits it is {cause}: ")
+        assert advice in verdict.advice
+
+
+def test_a_node_left_out_is_said_and_many_are_too_many() -> None:
+    one = (((12.5, 25.0), "spot_missing in front0007.png"),)
+    few = replace(evidence("front"), left_out=one)
+    verdict = verdict_of(seen=(few, evidence("rear")))
+    (check,) = not_good(verdict)
+    assert (check.level, check.value) == (Level.USABLE, "front 1 of 31, rear 0 of 30")
+    many = replace(evidence("front"), left_out=one * 4)
+    assert verdict_of(seen=(many, evidence("rear"))).level is Level.BAD
+
+
+def test_a_node_that_stands_out_is_said() -> None:
+    seen = evidence("rear")
+    missed = seen.missed_px.copy()
+    missed[7] = 0.4, 0.0
+    (check,) = not_good(verdict_of(seen=(evidence("front"), replace(seen, missed_px=missed))))
+    assert check.name == "Worst node, over the rms of all"
+    assert check.level is Level.BAD
+
+
+def test_without_leds_it_can_be_used() -> None:
+    dark = replace(target("rear"), leds_px=np.empty((0, 2)))
+    verdict = verdict_of(calibration(target("front"), dark))
+    assert verdict.level is Level.USABLE
+    assert "LED reference pairs" in verdict.remedies[0]
+
+
+def test_maps_that_lie_apart_are_said() -> None:
+    own = target("front")
+    apart = replace(own, cross_check=replace(own.cross_check, largest_px=0.17))
+    (check,) = not_good(verdict_of(calibration(apart, target("rear"))))
+    assert (check.value, check.wanted) == ("front 0.17, rear 0.05 px", "front 0.16, rear 0.16 px")
+    assert "implausible" in check.remedy
+
+
+def test_a_number_that_is_none_is_not_good() -> None:
+    made = calibration(replace(target("front"), residual_mean_mm=float("nan")), target("rear"))
+    assert verdict_of(made).level is Level.BAD

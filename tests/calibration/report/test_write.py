@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from altd.calibration.report.write import check_report, write_together
+from altd.errors import BadInputError
+
+
+def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
+    (tmp_path / "other").write_text("stays")
+    for content in (b"1", b"22"):
+        write_together(tmp_path, {"a": content, "b": content})
+    found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert found == {"a": b"22", "b": b"22", "other": b"stays"}
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("before", [None, b"old"])
+def test_when_the_second_cannot_be_written_the_first_is_as_it_was(
+    before: bytes | None, tmp_path: Path
+) -> None:
+    if before is not None:
+        (tmp_path / "a").write_bytes(before)
+    (tmp_path / "b").mkdir()
+    with pytest.raises(BadInputError, match="Is a directory"):
+        write_together(tmp_path, {"a": b"new", "b": b"new"})
+    found = sorted(path.name for path in tmp_path.iterdir())
+    assert found == (["b"] if before is None else ["a", "b"])
+    if before is not None:
+        assert (tmp_path / "a").read_bytes() == before
+
+
+def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
+    check_report(tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+    check_report(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_folder_is_made_when_it_is_written(tmp_path: Path) -> None:
+    write_together(tmp_path / "new", {"a": b"1"})
+    assert (tmp_path / "new" / "a").read_bytes() == b"1"
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ("none/report", "No such file"),
+        ("file", "is not a folder"),
+        ("full", "full/calibration.pdf: is a folder"),
+    ],
+)
+def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "full" / "calibration.pdf").mkdir(parents=True)
+    with pytest.raises(BadInputError, match=why) as caught:
+        check_report(tmp_path / place)
+    assert place in str(caught.value)
+    assert "\n" not in str(caught.value)
