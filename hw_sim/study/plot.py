@@ -50,7 +50,7 @@ def as_svg(figure: Figure, salt: str) -> str:
     stream = io.StringIO()
     with style(), mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "path"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    slim = re.sub(r'(?<= d=")[^"]*', _in_hundredths, stream.getvalue())
+    slim = re.sub(r'(?<= [dxy]=")[^"]*', _in_hundredths, stream.getvalue())
     return re.sub(r"[ \t]+$", "", slim, flags=re.MULTILINE)
 
 
