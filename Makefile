@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench studies docs lock clean venv programs
+.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -20,7 +20,7 @@ pages := \
     config:altd.config_page
 
 help:
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
 
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
@@ -42,6 +42,10 @@ check: venv ## style, types, layers, generated pages
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
 
+bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
+	@.ci/venv peers
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec .venv-peers/bin/python -m benchmarks.peers_measure --page docs/studies/peers.md
+
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m hw_sim study -o docs/studies
 
@@ -52,11 +56,11 @@ docs: venv ## write the generated pages of docs/
 		mv "$$file.new" "$$file"
 	done
 
-lock: venv ## write requirements.lock with today's newest packages
+lock: venv ## write requirements.lock and peers.lock with today's newest packages
 	@.ci/lock
 
 clean: ## remove .venv and all that tools leave behind
-	@rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@rm -rf .venv .venv-peers build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find altd hw_sim tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 venv:

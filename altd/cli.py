@@ -38,9 +38,12 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="the daemon")
     run.add_argument("--config", type=Path, required=True, metavar="FILE")
 
-    calibrate = commands.add_parser("calibrate", help="fit the maps from a scan; prints the residuals")
+    calibrate = commands.add_parser(
+        "calibrate", help="fit the maps from a scan or an LED plate; prints the residuals"
+    )
     calibrate.add_argument("recording", type=Path, metavar="RECORDING")
     calibrate.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+    calibrate.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
     calibrate.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
 
     replay = commands.add_parser("replay", help="measure a recording; one JSON object a line")

@@ -20,7 +20,7 @@ from altd.errors import BadInputError
 from altd.records import Frame, PixelArray, Spot
 
 if TYPE_CHECKING:
-    from altd.calibration.scan import ScanResult
+    from altd.calibration.result import CalibrationResult
     from altd.recording import Recording
 
 
@@ -71,7 +71,6 @@ async def until_signal(work: Coroutine[None, None, object]) -> object | None:
 def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, write_together
-    from altd.calibration.scan import calibrate_scan
     from altd.recording import open_recording
 
     if not options.output.resolve().parent.is_dir():
@@ -79,11 +78,34 @@ def _calibrate(options: argparse.Namespace) -> int:
     if options.report is not None:
         check_report(options.report)
     recording = open_recording(options.recording)
-    result = calibrate_scan(recording, progress=_progress("frames"))
+    result = _calibrated(recording, options.flat)
     report = {} if options.report is None else _report(options, recording, result)
     save_calibration(result.calibration, options.output)
     if options.report is not None:
         write_together(options.report, report)
+    _print_result(result)
+    if report:
+        print(f"report: {', '.join(str(options.report / name) for name in report)}")
+    return 0
+
+
+def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
+    from altd.calibration.flat import flats_of
+    from altd.calibration.plate import calibrate_plate
+    from altd.calibration.scan import calibrate_scan
+    from altd.recording import open_recording
+
+    progress = _progress("frames")
+    if recording.header.kind == "plate":
+        if flat is not None:
+            raise BadInputError(flat, "is for a scan; a plate shows no laser spot")
+        return calibrate_plate(recording, progress=progress)
+    return calibrate_scan(
+        recording, flats_of(open_recording(flat), progress) if flat else {}, progress=progress
+    )
+
+
+def _print_result(result: CalibrationResult) -> None:
     for line in result.refused:
         print(f"altd calibrate: left out: {line}", file=sys.stderr)
     for line in result.doubts:
@@ -102,12 +124,11 @@ def _calibrate(options: argparse.Namespace) -> int:
             f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
             f"{target.cross_check.bound_px:.2f}"
         )
-    if report:
-        print(f"report: {', '.join(str(options.report / name) for name in report)}")
-    return 0
+    for line in result.remarks:
+        print(line)
 
 
-def _report(options: argparse.Namespace, recording: Recording, result: ScanResult) -> dict[str, bytes]:
+def _report(options: argparse.Namespace, recording: Recording, result: CalibrationResult) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, somebody looked."""
     from altd.calibration.report.content import report_on
     from altd.calibration.report.page import html_page

@@ -37,6 +37,8 @@ class CameraHeader(BaseModel):
     width: Annotated[int, Field(ge=16, le=20_000)]
     height: Annotated[int, Field(ge=16, le=20_000)]
     bits: Annotated[int, Field(ge=8, le=16)]
+    mirrored: bool | None = None
+    """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
 
 
 class UnitHeader(BaseModel):
@@ -46,6 +48,25 @@ class UnitHeader(BaseModel):
 
     serial: str
     target_distance_mm: Annotated[float, Field(gt=0)]
+
+
+class PlateHeader(BaseModel):
+    """A grid of lit LEDs; ``origin_mm`` is the LED with the smallest x and the smallest y.
+
+    ``disc_mm`` is the diameter of an LED's even disc, ``beam_mm`` the 1/e² diameter of the laser spot that
+    will be measured.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    columns: Annotated[int, Field(ge=4, le=100)]
+    rows: Annotated[int, Field(ge=4, le=100)]
+    pitch_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    origin_mm: tuple[
+        Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]
+    ]
+    disc_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
 
 
 class RecordingHeader(BaseModel):
@@ -61,6 +82,8 @@ class RecordingHeader(BaseModel):
     note: str = ""
     start: datetime | None = None
     """UTC of t_s = 0, where it is known."""
+    plate: PlateHeader | None = None
+    """In a recording of kind ``plate``."""
 
 
 @dataclass(frozen=True, slots=True)

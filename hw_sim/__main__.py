@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from altd.errors import BadInputError
-from hw_sim import demo, flat, measure, scan
+from hw_sim import demo, flat, measure, plate, scan
 from hw_sim.study import command as study
 
 COMMANDS = {
     "scan": (scan, "record a calibration scan"),
     "flat": (flat, "record the flat field: the targets in even light"),
+    "plate": (plate, "record a calibration plate of LEDs"),
     "demo": (demo, "run the whole unit, simulated, and watch it"),
     "measure": (measure, "record poses of the beam, with their truth"),
     "study": (study, "repeat the thesis' experiments; its figures beside ours"),

@@ -48,15 +48,15 @@ def make_lens(focal_range_mm: tuple[float, float], mirrored: bool, rng: np.rando
         translation_mm=np.array([aim_x, aim_y, 0.0]),
         mirrored=mirrored,
     )
-    return _filling_the_picture(lens)
+    return filling_the_picture(lens, FRAME_HALF_MM, (30.0, 60.0))
 
 
-def _filling_the_picture(lens: Lens) -> Lens:
-    """The lens at the smallest distance from which it sees the whole frame."""
-    too_near, far_enough = 30.0 * lens.focal_mm, 60.0 * lens.focal_mm
+def filling_the_picture(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:
+    """The lens at the smallest distance, in its focal lengths, from which it sees all of a rectangle."""
+    too_near, far_enough = (lengths * lens.focal_mm for lengths in focal_lengths)
     while far_enough - too_near > PIXEL_MM:
         middle = 0.5 * (too_near + far_enough)
-        if _sees_frame(_at_distance(lens, middle)):
+        if _sees(_at_distance(lens, middle), half_mm):
             far_enough = middle
         else:
             too_near = middle
@@ -67,14 +67,14 @@ def _at_distance(lens: Lens, distance_mm: float) -> Lens:
     return replace(lens, translation_mm=np.array([*lens.translation_mm[:2], distance_mm]))
 
 
-def _sees_frame(lens: Lens) -> bool:
+def _sees(lens: Lens, half_mm: tuple[float, float]) -> bool:
     along = np.linspace(-1.0, 1.0, 17)
     border = np.concatenate(
         [np.stack([along, np.full_like(along, end)]) for end in (-1.0, 1.0)]
         + [np.stack([np.full_like(along, end), along]) for end in (-1.0, 1.0)],
         axis=1,
     )
-    u, v = lens.project(border[0] * FRAME_HALF_MM[0], border[1] * FRAME_HALF_MM[1])
+    u, v = lens.project(border[0] * half_mm[0], border[1] * half_mm[1])
     within_u = (u >= MARGIN_PX) & (u <= WIDTH_PX - 1 - MARGIN_PX)
     within_v = (v >= MARGIN_PX) & (v <= HEIGHT_PX - 1 - MARGIN_PX)
     return bool(np.all(within_u & within_v))

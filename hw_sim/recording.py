@@ -6,7 +6,7 @@ import csv
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -70,8 +70,17 @@ class Recorder:
 
 
 @contextmanager
-def recording(folder: Path, unit: Unit, kind: str, planned: int, progress: Progress) -> Iterator[Recorder]:
+def recording(
+    folder: Path,
+    unit: Unit,
+    kind: str,
+    planned: int,
+    progress: Progress,
+    about: Mapping[str, object] | None = None,
+) -> Iterator[Recorder]:
     """A recorder whose frames become the recording ``folder`` at the end, or nothing at all.
+
+    ``about`` adds to the header or replaces what it has.
 
     Raises BadInputError for a folder that holds something or that cannot be made.
     """
@@ -86,7 +95,9 @@ def recording(folder: Path, unit: Unit, kind: str, planned: int, progress: Progr
         yield recorder
         with (draft / "frames.csv").open("w", newline="") as table:
             csv.writer(table, lineterminator="\n").writerows([HEADER, *recorder.rows])
-        (draft / "recording.json").write_text(json.dumps(_about(unit, kind), indent=1) + "\n")
+        (draft / "recording.json").write_text(
+            json.dumps({**_about(unit, kind), **(about or {})}, indent=1) + "\n"
+        )
         draft.replace(folder)
     except OSError as error:
         raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error

@@ -63,7 +63,7 @@ class DotPrint:
             for offset in map(np.float32, offsets)
         ]
         distance = np.sqrt(np.minimum.reduce(squared))
-        return _soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
+        return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
 
 
 def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
@@ -71,7 +71,7 @@ def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
     cover = np.zeros_like(x_mm)
     for led_x, led_y in LED_POSITIONS_MM:
         distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
-        cover += _soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
+        cover += soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
     return cover
 
 
@@ -87,7 +87,7 @@ def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -
     return factor
 
 
-def _soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
+def soft_disc(distance_mm: Image, radius_mm: float, softness_mm: float) -> Image:
     """1 inside and 0 outside of a disc, with an edge as wide as the cell that is asked about.
 
     A straight edge of width w adds π·w²/12 to the disc's area; the radius gives that back.

@@ -45,9 +45,10 @@ _SILENT = {FRONT: Fault.FRONT_SILENT, REAR: Fault.REAR_SILENT}
 class UnitConfig:
     """A unit and its surroundings. The seed alone decides lenses, tilts, print, speckle and hot pixels.
 
-    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. The focal
-    lengths are drawn from the ranges given. ``expansion`` is by how much of its length the frame between the
-    targets has grown since it was adjusted: the rear target stands at (1 + expansion) times its distance.
+    ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
+    ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
+    given. ``expansion`` is by how much of its length the frame between the targets has grown since it was
+    adjusted: the rear target stands at (1 + expansion) times its distance.
     """
 
     seed: int = 1
@@ -59,7 +60,7 @@ class UnitConfig:
     fps: float = 20.0
     target_distance_mm: float = 280.0
     expansion: float = 0.0
-    dots: DotPattern = field(default_factory=DotPattern)
+    dots: DotPattern | None = field(default_factory=DotPattern)
     front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
     rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
     vibration: Vibration | None = None
@@ -83,6 +84,7 @@ class Unit:
     def __init__(self, config: UnitConfig | None = None) -> None:
         self.config = config or UnitConfig()
         self.leds_on = False
+        self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
         self._pose = BeamPose(0.0, 0.0)
@@ -90,7 +92,7 @@ class Unit:
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
         rngs = (np.random.default_rng(stream) for stream in streams)
-        dots = make_dots(self.config.dots, next(rngs))
+        dots = make_dots(self._pattern, next(rngs))
         lenses = {
             FRONT: make_lens(self.config.front_focal_mm, mirrored=True, rng=next(rngs)),
             REAR: make_lens(self.config.rear_focal_mm, mirrored=False, rng=next(rngs)),
@@ -99,7 +101,7 @@ class Unit:
             name: Eye(
                 make_view(
                     lens,
-                    dots if name == FRONT else None,
+                    dots if name == FRONT and self.config.dots else None,
                     self.config.speckle_contrast * (INK_GRAIN if name == FRONT else 1.0),
                     self.config.hot_pixels,
                     next(rngs),
@@ -204,7 +206,7 @@ class Unit:
         share = OVERLOAD if Fault.SATURATED in faults else 1.0
         z_mm = 0.0
         if camera == REAR:
-            share *= (1.0 - self.config.dots.coverage) * WINDOW_TRANSMISSION
+            share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
         spot = footprint(self.config.laser, pose, z_mm, share)
         if _SECOND[camera] not in faults:

@@ -19,33 +19,46 @@ import altd as package
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-LOCK = (ROOT / "requirements.lock").read_text()
+LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "peers.lock")}
 
 
-def locked() -> dict[str, str]:
-    return dict(re.findall(r"^(\S+)==(\S+)", LOCK, re.MULTILINE))
+def locked(lock: str = "requirements.lock") -> dict[str, str]:
+    return dict(re.findall(r"^(\S+)==(\S+)", LOCKS[lock], re.MULTILINE))
 
 
-def required() -> list[str]:
-    extras = PROJECT["project"]["optional-dependencies"].values()
-    return [
-        *PROJECT["project"]["dependencies"],
-        *(line for extra in extras for line in extra),
+def required() -> list[tuple[str, str]]:
+    """Each lock with a line of pyproject.toml that it must fulfil."""
+    project = PROJECT["project"]
+    extras = project["optional-dependencies"]
+    product = [
+        *project["dependencies"],
+        *(line for extra in extras if extra != "peers" for line in extras[extra]),
         *PROJECT["build-system"]["requires"],
+    ]
+    return [
+        *(("requirements.lock", line) for line in product if not line.startswith("altd[")),
+        *(("peers.lock", line) for line in (*project["dependencies"], *extras["peers"])),
     ]
 
 
 class TestLock:
-    def test_names_no_registry_and_no_place(self) -> None:
-        said = [line for line in LOCK.splitlines() if not line.startswith("#")]
+    @pytest.mark.parametrize("lock", LOCKS)
+    def test_names_no_registry_and_no_place(self, lock: str) -> None:
+        said = [line for line in LOCKS[lock].splitlines() if not line.startswith("#")]
         expected = re.compile(r"[a-z0-9.-]+==\S+( ; [^#]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
         assert [line for line in said if not expected.fullmatch(line)] == []
-        assert not re.search(r"https?:|file:|/", LOCK)
+        assert not re.search(r"https?:|file:|/", LOCKS[lock])
 
-    @pytest.mark.parametrize("line", required())
-    def test_has_what_the_project_asks_for(self, line: str) -> None:
+    @pytest.mark.parametrize(("lock", "line"), required())
+    def test_has_what_the_project_asks_for(self, lock: str, line: str) -> None:
         wanted = Requirement(line)
-        assert wanted.specifier.contains(locked()[canonicalize_name(wanted.name)])
+        assert wanted.specifier.contains(locked(lock)[canonicalize_name(wanted.name)])
+
+    def test_of_the_peers_has_the_versions_that_the_product_runs_on(self) -> None:
+        product, peers = locked(), locked("peers.lock")
+        assert {name: peers[name] for name in product.keys() & peers.keys()} == {
+            name: product[name] for name in product.keys() & peers.keys()
+        }
 
     def test_is_what_these_tests_run_with(self) -> None:
         """Else they prove nothing about it; ``make test`` sees to that."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import os
@@ -11,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -21,6 +23,7 @@ from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
 from altd.records import FloatArray
+from altd.vision.flat import Flat, Source
 from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
@@ -78,6 +81,11 @@ class _Localiser(_Table):
     full_well_electrons: float
 
 
+class _Flat(_Table):
+    source: Source
+    png: str
+
+
 class _Target(_Table):
     name: str
     z_mm: float
@@ -85,6 +93,7 @@ class _Target(_Table):
     width: int
     height: int
     localiser: _Localiser
+    flat: _Flat | None
     map: _Map
     cross_check: _CrossCheck
     left_out_px: Annotated[float, Field(gt=0)]
@@ -196,6 +205,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
+        "flat": _flat_document(target.flat),
         "map": _map_document(target.map),
         "cross_check": {
             "map": _map_document(target.cross_check.map),
@@ -212,6 +222,14 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
     }
+
+
+def _flat_document(flat: Flat | None) -> dict[str, str] | None:
+    """The levels as a grey PNG in base64."""
+    if flat is None:
+        return None
+    png = cv2.imencode(".png", flat.levels)[1].tobytes()
+    return {"source": flat.source, "png": base64.b64encode(png).decode("ascii")}
 
 
 def _map_document(fitted: TensorMap) -> dict[str, Any]:
@@ -247,6 +265,7 @@ def _from_target(target: _Target) -> TargetCalibration:
         width=target.width,
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
+        flat=_from_flat(target),
         map=_from_map(f"targets.{target.name}.map", target.map),
         cross_check=CrossCheck(
             map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
@@ -261,6 +280,20 @@ def _from_target(target: _Target) -> TargetCalibration:
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
     )
+
+
+def _from_flat(target: _Target) -> Flat | None:
+    if target.flat is None:
+        return None
+    place = f"targets.{target.name}.flat.png"
+    try:
+        png = base64.b64decode(target.flat.png, validate=True)
+        levels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
+    except (ValueError, cv2.error) as error:
+        raise ValueError(f"{place}: is no picture") from error
+    if levels is None or levels.dtype != np.uint8 or levels.shape != (target.height, target.width):
+        raise ValueError(f"{place}: is no grey picture of {target.width} × {target.height}")
+    return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source)
 
 
 def _from_map(place: str, content: _Map) -> TensorMap:

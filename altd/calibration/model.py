@@ -12,6 +12,7 @@ from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, TargetPoint
+from altd.vision.flat import Flat
 from altd.vision.settings import SpotSettings
 
 
@@ -19,6 +20,7 @@ from altd.vision.settings import SpotSettings
 class TargetCalibration:
     """One target: how its spot is localised, the map, how well it fits, and the map that checks it.
 
+    ``flat`` is the target's response to even light, None for a target taken as plain.
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
@@ -30,6 +32,7 @@ class TargetCalibration:
     width: int
     height: int
     localiser: SpotSettings
+    flat: Flat | None
     map: TensorMap
     cross_check: CrossCheck
     left_out_px: float

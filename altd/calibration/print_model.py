@@ -184,7 +184,7 @@ def _diameter_px(mask: Mask) -> float:
 
 
 def _find_lattice(samples: Sequence[_Sample], nodes_px: FloatArray, plane: _Plane) -> Lattice | None:
-    """The two strongest reciprocal vectors: in all nodes' spectra together, then coherently over the target."""
+    """The two strongest reciprocal vectors: in the inner nodes' spectra, then coherently over all nodes."""
     steps = np.arange(-_MOST_RADIANS_PER_MM, _MOST_RADIANS_PER_MM + 1e-9, _STEP_RADIANS_PER_MM)
     half = steps[steps > -1e-9]
     power = np.zeros((len(half), len(steps)))
@@ -258,7 +258,7 @@ def _harmonics() -> list[tuple[int, int]]:
 class _Series:
     """F over the print's plane as a Fourier series on the lattice: mean, then a complex number a harmonic.
 
-    Lens and pixel blur the picture alike everywhere, ``blur_px``, so where the picture of the print is smaller
+    Lens and pixel blur the picture alike everywhere, ``blur_px``, so where the picture of the print is small
     its harmonics are weaker; the amplitudes are those of the print itself.
     """
 
@@ -360,5 +360,4 @@ def _render(series: _Series, plane: _Plane, correction: FloatArray, rows: int, c
     response = np.empty((rows, columns), np.float32)
     for row in range(rows):  # in pieces that stay in the cache
         response[row] = series.at(mm[row] + _smooth(mm[row], correction), metrics[row])
-    np.maximum(response, 0, out=response)
-    return Flat(response / response.mean())
+    return Flat.of(response, "print")

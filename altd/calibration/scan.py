@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -11,17 +11,21 @@ import numpy as np
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.print_model import find_print
+from altd.calibration.result import (
+    CalibrationResult,
+    Progress,
+    cross_check_doubts,
+    residual_distances_mm,
+)
 from altd.errors import BadInputError
-from altd.mapping.inverse import InverseMap
-from altd.mapping.tensor_map import Fit
+from altd.mapping.marks import Marks
 from altd.recording import Recording, Row
 from altd.records import FloatArray, Frame, NoSpot
+from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
-from altd.vision.localise import locate
+from altd.vision.localise import locate, shows_print
 from altd.vision.settings import SpotSettings
-
-Progress = Callable[[int, int], None]
-"""Told how many of how many frames are done."""
 
 _LARGEST_MISSING_SHARE = 0.2
 _SAME_NODE_MM = 0.5
@@ -35,6 +39,8 @@ class _Node:
     positions_mm: list[tuple[float, float]] = field(default_factory=list)
     spots_px: list[tuple[float, float]] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
+    located: list[Row] = field(default_factory=list)
+    """The rows that the spots come from."""
 
     @property
     def usable(self) -> bool:
@@ -50,6 +56,7 @@ class _Node:
     def refuse(self, why: str) -> None:
         """Take its exposures out of use."""
         self.spots_px.clear()
+        self.located.clear()
         self.complaints.append(why)
 
 
@@ -67,27 +74,35 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class ScanResult:
-    """A calibration and, in words, the nodes that it was made without and what is doubtful about it.
+class _Job:
+    """One target of a scan and how its spots are localised."""
 
-    ``evidence`` is what each target's calibration was made from, in the order of the targets.
-    """
+    recording: Recording
+    name: str
+    z_mm: float
+    localiser: SpotSettings
+    flat: Flat | None
+    degree: tuple[int, int] | None
 
-    calibration: Calibration
-    refused: tuple[str, ...]
-    evidence: tuple[TargetEvidence, ...]
-    doubts: tuple[str, ...]
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the target's pictures, px."""
+        camera = self.recording.header.cameras[self.name]
+        return camera.width, camera.height
 
 
 def calibrate_scan(
     recording: Recording,
+    flats: Mapping[str, Flat] | None = None,
     localiser: SpotSettings | None = None,
     degree: tuple[int, int] | None = None,
     progress: Progress = lambda done, total: None,
-) -> ScanResult:
+) -> CalibrationResult:
     """Fit the maps of every target of a recording of kind ``scan``.
 
-    Raises BadInputError when it is no scan, when too few nodes have a spot, or when the nodes are no grid.
+    Spots are localised through the target's flat; where ``flats`` has none, the scan is searched for a
+    regular print, of which a model is made. Raises BadInputError when it is no scan, when flats do not belong
+    to it, when too few nodes have a spot, or when the nodes are no grid.
     """
     header = recording.header
     if header.kind != "scan":
@@ -95,79 +110,92 @@ def calibrate_scan(
     distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
     if set(header.cameras) != set(distances):
         raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")
-    localiser = localiser or SpotSettings()
-    seen = _look(recording, localiser, progress)
-    made = [
-        _target(recording, name, z_mm, seen[name], localiser, degree)
+    jobs = [
+        _Job(recording, name, z_mm, localiser or SpotSettings(), (flats or {}).get(name), degree)
         for name, z_mm in sorted(distances.items(), key=lambda item: item[1])
     ]
+    for job in jobs:
+        if job.flat is not None and job.flat.levels.shape[::-1] != job.image_size:
+            raise BadInputError(recording.path, f"{job.name}: the flat is of another size than the frames")
+    made = [_calibrate_target(job, progress) for job in jobs]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
         recording_note=header.note,
         recording_sha256=recording.sha256(),
-        targets=tuple(target for target, _ in made),
+        targets=tuple(target for target, _, _ in made),
     )
-    refused = [
-        f"{name} node x {node.positions_mm[0][0]:g} y {node.positions_mm[0][1]:g} mm: {node.complaints[0]}"
-        for name, of_target in seen.items()
-        for node in of_target.refused
-    ]
-    doubts = [
-        f"{target.name}: the {target.map.model} and the {target.cross_check.map.model} map lie up to "
-        f"{target.cross_check.largest_px:.2f} px apart; where it is more than "
-        f"{target.cross_check.bound_px:.2f} px a measurement will be implausible"
-        for target in calibration.targets
-        if target.cross_check.largest_px > target.cross_check.bound_px
-    ]
-    return ScanResult(calibration, tuple(refused), tuple(evidence for _, evidence in made), tuple(doubts))
+    return CalibrationResult(
+        calibration,
+        tuple(
+            f"{evidence.name} node x {x:g} y {y:g} mm: {why}"
+            for _, evidence, _ in made
+            for (x, y), why in evidence.left_out
+        ),
+        tuple(evidence for _, evidence, _ in made),
+        cross_check_doubts(calibration.targets),
+        tuple(remark for _, _, remark in made),
+    )
 
 
-def _look(recording: Recording, localiser: SpotSettings, progress: Progress) -> dict[str, _Seen]:
-    """Localise the spots of all nodes and the LEDs of all reference pairs."""
-    seen = {camera: _Seen() for camera in recording.header.cameras}
-    dark: dict[str, Frame] = {}
-    for done, row in enumerate(recording.rows):
-        progress(done, len(recording.rows))
-        frame = recording.frame(row)
-        if row.position_mm is None:
-            _take_reference(seen[row.camera], frame, dark)
+def _calibrate_target(job: _Job, progress: Progress) -> tuple[TargetCalibration, TargetEvidence, str]:
+    """One target; the sentence says what is known of how it responds to light."""
+    seen = _look(job, progress)
+    target, evidence = _fit_target(job, seen, None)
+    if job.flat is not None:
+        return target, evidence, f"{job.name}: localised through its recorded flat"
+    usable = [node for node in seen.nodes.values() if node.usable]
+    frames = [job.recording.frame(node.located[0]) for node in usable]
+    printed = sum(shows_print(frame, job.localiser) for frame in frames)
+    if 2 * printed < len(frames):
+        plain = replace(target, localiser=replace(job.localiser, method="profile"))
+        return plain, evidence, f"{job.name}: plain, no print"
+    nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in usable])
+    found = find_print(frames, nodes_px, target.map, job.localiser)
+    if found is None:
+        bare = replace(target, localiser=replace(job.localiser, method="moment"))
+        return bare, evidence, f"{job.name}: printed, but not regularly: a flat would help"
+    job = replace(job, flat=found.flat)
+    target, evidence = _fit_target(job, _look(job, lambda done, total: None), found.marks)
+    pitch_mm = found.lattice.pitches_mm[0]
+    return target, evidence, f"{job.name}: print of {pitch_mm:.3f} mm pitch found and modelled"
+
+
+def _look(job: _Job, progress: Progress) -> _Seen:
+    """Localise the spots of all nodes and the LEDs of all reference pairs in one camera's frames."""
+    seen = _Seen()
+    dark: Frame | None = None
+    rows = [row for row in job.recording.rows if row.camera == job.name]
+    for done, row in enumerate(rows, start=1):
+        frame = job.recording.frame(row)
+        if row.position_mm is not None:
+            if not row.leds_on:
+                _take_node(seen, frame, row, job)
         elif not row.leds_on:
-            _take_node(seen[row.camera], frame, row, localiser)
-    progress(len(recording.rows), len(recording.rows))
+            dark = frame
+        elif dark is not None:  # LED reference exposures come in pairs: off, then on
+            spots = locate_leds(frame, dark)
+            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
+        progress(done, len(rows))
     return seen
 
 
-def _take_reference(seen: _Seen, frame: Frame, dark: dict[str, Frame]) -> None:
-    """LED reference exposures come in pairs: off, then on."""
-    if not frame.leds_on:
-        dark[frame.camera] = frame
-    elif frame.camera in dark:
-        spots = locate_leds(frame, dark[frame.camera])
-        seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
-
-
-def _take_node(seen: _Seen, frame: Frame, row: Row, localiser: SpotSettings) -> None:
+def _take_node(seen: _Seen, frame: Frame, row: Row, job: _Job) -> None:
     assert row.position_mm is not None  # noqa: S101  the caller looked
     x_mm, y_mm = row.position_mm
     node = seen.nodes.setdefault((round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)), _Node())
     node.positions_mm.append(row.position_mm)
-    spot = locate(frame, localiser)
+    spot = locate(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
         detail = f" ({spot.detail})" if spot.detail else ""
         node.complaints.append(f"{spot.reason} in {row.file}{detail}")
     else:
         node.spots_px.append((spot.u_px, spot.v_px))
+        node.located.append(row)
 
 
-def _target(
-    recording: Recording,
-    name: str,
-    z_mm: float,
-    seen: _Seen,
-    localiser: SpotSettings,
-    degree: tuple[int, int] | None,
-) -> tuple[TargetCalibration, TargetEvidence]:
+def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> tuple[TargetCalibration, TargetEvidence]:
+    recording, name = job.recording, job.name
     nodes = [node for node in seen.nodes.values() if node.usable]
     refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
     if len(refused) > most or not nodes:
@@ -177,9 +205,8 @@ def _target(
         )
     all_mm = np.array([node.position_mm for node in nodes])
     all_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
-    size = recording.header.cameras[name].width, recording.header.cameras[name].height
     try:
-        fitted = fit_nodes(all_mm, all_px, size, degree, most - len(refused))
+        fitted = fit_nodes(all_mm, all_px, job.image_size, job.degree, most - len(refused), marks)
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
     fit = fitted.fit
@@ -189,13 +216,14 @@ def _target(
         off_px = float(np.linalg.norm(all_px[row] - fit.map.to_px(all_mm[row : row + 1])[0]))
         nodes[row].refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
     nodes_mm = np.delete(all_mm, fitted.dropped, axis=0)
-    distance_mm = _residual_distances_mm(fit, nodes_mm)
+    distance_mm = residual_distances_mm(fit, nodes_mm)
     target = TargetCalibration(
         name=name,
-        z_mm=z_mm,
-        width=size[0],
-        height=size[1],
-        localiser=localiser,
+        z_mm=job.z_mm,
+        width=job.image_size[0],
+        height=job.image_size[1],
+        localiser=replace(job.localiser, method="profile") if job.flat is not None else job.localiser,
+        flat=job.flat,
         map=fit.map,
         cross_check=fitted.cross_check,
         left_out_px=fit.left_out_px,
@@ -217,14 +245,6 @@ def _target(
         candidates=fitted.candidates,
     )
     return target, evidence
-
-
-def _residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
-    """Eq. 3.1 for the nodes themselves: how far from its known place the map puts each one."""
-    nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px
-    _, jacobian, _ = InverseMap.of(fit.map).to_mm(nodes_px)
-    offsets: FloatArray = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, fit.residuals_px), axis=1)
-    return offsets
 
 
 def _repeatability_px(exposures: list[list[tuple[float, float]]]) -> FloatArray:

@@ -55,8 +55,9 @@ def fit_lens_map(
 ) -> Fit:
     """Levenberg and Marquardt's least squares through nodes (n, 2) mm at (n, 2) px, with weak priors.
 
-    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``marks`` of a
-    print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through the camera on a dense grid, with what the nodes' noise leaves in it.
+    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``marks`` of
+    a print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through
+    the camera on a dense grid, with what the nodes' noise leaves in it.
     Raises ValueError when the nodes are too few or lie on a line.
     """
     state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px, marks)

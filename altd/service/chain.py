@@ -83,7 +83,8 @@ class MeasuringChain:
         if frame.leds_on:
             return []
         view = self._views[frame.camera]
-        spot = locate(frame, self._calibration[view.target].localiser)
+        target = self._calibration[view.target]
+        spot = locate(frame, target.localiser, target.flat)
         self._last_spots[view.target] = spot
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, spot)
         return self._measure(pairs)

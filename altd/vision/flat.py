@@ -4,25 +4,47 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 Image = npt.NDArray[np.float32]
+Source = Literal["recording", "print"]
 
 BLOCK_PX = 4
 """Side of the blocks into which a spot is summed before it is fitted."""
 
+_FULL = 255
+_BRIGHTEST_PERCENT = 99.99
+
 
 @dataclass(frozen=True, eq=False)
 class Flat:
-    """A target's response F to even light, (rows, columns), mean 1.
+    """A target's response F to even light, mean 1: what a pixel shows of an irradiance E is E · F.
 
-    What a pixel shows of an irradiance E is E · F.
+    Kept as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as a calibration file keeps it:
+    the steps are far below what grain does. A pixel of 0 does not count. ``source`` says where it comes from:
+    a recording of the evenly lit target, or a model of its print.
     """
 
-    response: Image
+    levels: npt.NDArray[np.uint8]
+    source: Source
+
+    @classmethod
+    def of(cls, response: npt.NDArray[np.floating], source: Source) -> Self:
+        """The flat of a response (rows, columns) in any unit; negative values are 0."""
+        brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
+        levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL).astype(np.uint8)
+        return cls(levels, source)
+
+    @cached_property
+    def response(self) -> Image:
+        """F, (rows, columns)."""
+        response = self.levels.astype(np.float32)
+        response /= max(float(self.levels.mean()), 1e-6)
+        return response
 
     @cached_property
     def blocks(self) -> BlockSums:
@@ -34,8 +56,8 @@ class Flat:
 class BlockSums:
     """Sums of powers of F over square blocks, each (rows, columns) of blocks.
 
-    ``f1`` … ``f4`` are ΣF … ΣF⁴. ``u_px`` and ``v_px`` are where a block measures: its centroid weighted with
-    F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block.
+    ``f1`` … ``f4`` are ΣF … ΣF⁴. ``u_px`` and ``v_px`` are where a block measures: its centroid weighted
+    with F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block.
     """
 
     f1: Image
@@ -52,21 +74,24 @@ class BlockSums:
 
 def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
     """The sums of a part of a flat whose first pixel is (left, top); incomplete blocks are left out."""
-    rows, columns = response.shape
-    u = np.arange(left, left + columns, dtype=np.float32)
-    v = np.arange(top, top + rows, dtype=np.float32)[:, None]
-    square = response * response
+    rows, columns = response.shape[0] // size, response.shape[1] // size
+    # from the blocks' middles: small numbers keep their digits in float32
+    offset = np.arange(size, dtype=np.float32) - np.float32((size - 1) / 2)
+    by_column = np.tile(offset, columns)
+    by_row = np.tile(offset, rows)[:, None]
+    whole = response[: rows * size, : columns * size]
+    square = whole * whole
     f2 = block_sum(square, size)
-    floor = np.maximum(f2, np.float32(1e-12))
-    middle_u, middle_v = block_sum(square * 0 + u, size) / size**2, block_sum(square * 0 + v, size) / size**2
-    lit = f2 > 1e-9
+    lit = np.maximum(f2, np.float32(1e-12))
+    middle_u = left + size * np.arange(columns, dtype=np.float32) + np.float32((size - 1) / 2)
+    middle_v = top + size * np.arange(rows, dtype=np.float32) + np.float32((size - 1) / 2)
     return BlockSums(
-        f1=block_sum(response, size),
+        f1=block_sum(whole, size),
         f2=f2,
-        f3=block_sum(square * response, size),
+        f3=block_sum(square * whole, size),
         f4=block_sum(square * square, size),
-        u_px=np.where(lit, block_sum(square * u, size) / floor, middle_u),
-        v_px=np.where(lit, block_sum(square * v, size) / floor, middle_v),
+        u_px=np.asarray(middle_u + block_sum(square * by_column, size) / lit, dtype=np.float32),
+        v_px=np.asarray(middle_v[:, None] + block_sum(square * by_row, size) / lit, dtype=np.float32),
     )
 
 

@@ -59,9 +59,7 @@ def spot_in(
     if isinstance(judged, NoSpot):
         return judged
     diameter_px, peak = judged
-    noise = Noise(
-        pixel_noise(frame.pixels, found.background), settings.full_well_electrons / frame.full_scale
-    )
+    noise = _noise(frame, found, settings)
     if settings.method == "moment" or (
         settings.method == "auto" and flat is None and is_printed(patch, noise)
     ):
@@ -73,6 +71,20 @@ def spot_in(
     if centre.sigma_px > settings.max_sigma_px:
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
     return Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
+
+
+def shows_print(frame: Frame, settings: SpotSettings) -> bool:
+    """Whether the spot of a frame lies on print; a frame without a spot shows none."""
+    found = search(frame.pixels)
+    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
+    if patch is None or isinstance(patch, NoSpot):
+        return False
+    return is_printed(patch, _noise(frame, found, settings))
+
+
+def _noise(frame: Frame, found: Search, settings: SpotSettings) -> Noise:
+    read_counts = pixel_noise(frame.pixels, found.background)
+    return Noise(read_counts, settings.full_well_electrons / frame.full_scale)
 
 
 def is_printed(patch: Patch, noise: Noise) -> bool:
@@ -113,7 +125,7 @@ def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, f
     if not settings.min_diameter_px <= diameter_px <= largest:
         limits = f"{settings.min_diameter_px:.0f} to {largest:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
-    aspect, fill = _shape(patch.mask)
+    aspect, fill = shape_of(patch.mask)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
     return diameter_px, peak
@@ -151,7 +163,7 @@ def _diameter_px(patch: Patch, settings: SpotSettings) -> float:
     return math.sqrt(max(4 * area / math.pi - 16 * settings.smoothing_px**2, 0.0))
 
 
-def _shape(mask: Mask) -> tuple[float, float]:
+def shape_of(mask: Mask) -> tuple[float, float]:
     """Aspect ratio of the ellipse with the mask's second moments, and the mask's area over that ellipse's."""
     m = cv2.moments(mask, binaryImage=True)
     area = m["m00"]

@@ -35,9 +35,9 @@ _PEAK, _U, _V, _A, _B, _C, _REST, _ORDER = range(8)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off. ``pattern_px`` is what
-    the grain does to the centre, rms of both axes; ``grain`` is the relative scatter of single pixels that
-    the fit has seen.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off. ``pattern_px`` is
+    what the grain does to the centre, rms of both axes; ``grain`` is the relative scatter of single pixels
+    that the fit has seen.
     """
 
     centre: Centre

@@ -132,6 +132,13 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
     assert result.doubts == ()
 
 
+def test_maps_that_lie_too_far_apart_are_doubted(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("altd.calibration.cross_check._BOUND_SIGMAS", 0.1)
+    front, rear = calibrate_scan(open_recording(scan)).doubts
+    assert front.startswith("front: the tensor and the lens+tensor map lie up to 0.0")
+    assert rear.endswith(" px a measurement will be implausible")
+
+
 def test_one_changed_digit_fails_the_checksum(file: Path) -> None:
     text = file.read_text()
     file.write_text(text.replace('"smoothing_px": 4.0', '"smoothing_px": 5.0', 1))

@@ -52,6 +52,14 @@ def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> N
         assert quick.var(axis=0).mean() == pytest.approx(exact.var(axis=0).mean(), rel=0.02)
 
 
+def test_without_dots_the_window_is_as_even_as_the_plate() -> None:
+    for dots in (True, False):
+        bare = Unit(UnitConfig(seed=11, dots=dots, speckle_contrast=0.0))
+        response = bare.eyes[FRONT].view.response
+        ripple = float(np.std(response / cv2.GaussianBlur(response, (0, 0), 4.0)))
+        assert ripple > 0.2 if dots else ripple < 1e-3
+
+
 def test_hot_pixels_stay_where_they_are(unit: Unit) -> None:
     unit.inject(Fault.NO_LASER)
     hot = [set(np.flatnonzero(unit.expose(REAR, k, 0).pixels > 40)) for k in range(3)]

@@ -50,6 +50,7 @@ def target(name: str, scatter_px: float = 0.02, **of_map: float) -> TargetCalibr
         width=752,
         height=480,
         localiser=SpotSettings(),
+        flat=None,
         map=straight_map(name, **of_map),
         left_out_px=0.0321,
         residual_mean_mm=0.00987,

@@ -76,7 +76,7 @@ def test_on_a_clean_target_the_error_is_the_bound() -> None:
 
 def test_on_print_with_a_flat_the_error_is_near_the_bound() -> None:
     response = dots()
-    rms_px, bound_px, failures = rms_and_bound_px(300, response, Flat(response.astype(np.float32)), 45.0, 2)
+    rms_px, bound_px, failures = rms_and_bound_px(300, response, Flat.of(response, "recording"), 45.0, 2)
     assert failures == 0
     assert 0.9 * bound_px <= rms_px <= 1.5 * bound_px
 

@@ -1,0 +1,299 @@
+"""A recording of an LED plate becomes a calibration (thesis 3.3.2, 3.3.4): discs, grid, maps.
+
+The LEDs stand where the plate says; no stage, no beam. What they cannot show of a laser spot is said in
+docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import count
+
+import numpy as np
+
+from altd.calibration.evidence import TargetEvidence
+from altd.calibration.fitting import TargetFit, fit_nodes
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.result import (
+    CalibrationResult,
+    Progress,
+    cross_check_doubts,
+    residual_distances_mm,
+)
+from altd.errors import BadInputError
+from altd.mapping.light_centre import (
+    disc_moment_mm2,
+    jacobian_px_per_mm,
+    light_centre_shift_px,
+    spot_moment_mm2,
+)
+from altd.recording import PlateHeader, Recording, Row
+from altd.records import FloatArray, Frame
+from altd.vision.background import Image
+from altd.vision.lattice import match_grid
+from altd.vision.plate import Disc, disc_centres_px, find_discs
+from altd.vision.settings import SpotSettings
+
+LASER_SPOT_SIGMA_MM = 0.015
+"""What a laser spot scatters about a map that LEDs made, per axis: 0.009 mm by print and speckle, as the
+nodes of scans do (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which
+draws the centre of light of a 12 mm spot towards the middle."""
+
+_LARGEST_MISSING_SHARE = 0.2
+_SIZE_LIMITS = 0.5, 2.0
+_WIDTH_LIMITS = 0.75, 1.35
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Leds:
+    """The LEDs of one target that were found, in the order of the grid, and what is wrong with the others."""
+
+    cells: tuple[tuple[int, int], ...]
+    discs: tuple[Disc, ...]
+    missing: Mapping[tuple[int, int], str]
+    lights: tuple[str, ...]
+
+
+def calibrate_plate(
+    recording: Recording,
+    localiser: SpotSettings | None = None,
+    degree: tuple[int, int] | None = None,
+    progress: Progress = lambda done, total: None,
+) -> CalibrationResult:
+    """Fit the maps of every target of a recording of kind ``plate``.
+
+    Raises BadInputError when it is none, when too few LEDs shine, or when it cannot be told which is which.
+    """
+    header = recording.header
+    if header.kind != "plate":
+        raise BadInputError(recording.path, f"is of kind {header.kind!r}, not 'plate'")
+    if header.plate is None:
+        raise BadInputError(
+            recording.path / "recording.json", "plate: Field required in a recording of a plate"
+        )
+    distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
+    if set(header.cameras) != set(distances):
+        raise BadInputError(recording.path, "a plate's recording must have the cameras 'front' and 'rear'")
+    localiser = localiser or SpotSettings(method="moment")  # whose shift on a bent map is known
+    targets, evidence, refused = [], [], []
+    done, total = count(1), len(recording.rows) + sum(row.leds_on for row in recording.rows)
+
+    def frame(row: Row) -> Frame:
+        progress(next(done), total)
+        return recording.frame(row)
+
+    for name, z_mm in sorted(distances.items(), key=lambda item: item[1]):
+        rows = [row for row in recording.rows if row.camera == name]
+        target, of_target, lights = _target(recording, name, z_mm, rows, frame, localiser, degree)
+        targets.append(target)
+        evidence.append(of_target)
+        refused += [f"{name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
+        refused += [f"{name}: {light}" for light in lights]
+    calibration = Calibration(
+        unit_serial=header.unit.serial,
+        created=datetime.now(UTC),
+        recording_note=header.note,
+        recording_sha256=recording.sha256(),
+        targets=tuple(targets),
+    )
+    remark = f"a plate shows no laser spot: its pattern and fall-off are taken as {LASER_SPOT_SIGMA_MM} mm"
+    return CalibrationResult(
+        calibration, tuple(refused), tuple(evidence), cross_check_doubts(calibration.targets), (remark,)
+    )
+
+
+def _target(
+    recording: Recording,
+    name: str,
+    z_mm: float,
+    rows: list[Row],
+    frame: Callable[[Row], Frame],
+    localiser: SpotSettings,
+    degree: tuple[int, int] | None,
+) -> tuple[TargetCalibration, TargetEvidence, tuple[str, ...]]:
+    """One target's map, what it rests on, and the lights that are no LED."""
+    plate, camera = recording.header.plate, recording.header.cameras[name]
+    assert plate is not None  # noqa: S101  the caller looked
+    by_leds = {state: [row for row in rows if row.leds_on == state] for state in (False, True)}
+    for state, of_state in by_leds.items():
+        if not of_state:
+            word = "on" if state else "off"
+            raise BadInputError(recording.path, f"{name}: no frame has the plate's LEDs {word}")
+    dark, lit = (_mean(frame(row) for row in of_state) for of_state in by_leds.values())
+    mirrored = name == "front" if camera.mirrored is None else camera.mirrored
+    try:
+        leds = _find(lit - dark, plate, mirrored)
+        most = int(_LARGEST_MISSING_SHARE * plate.columns * plate.rows)
+        if len(leds.missing) > most:
+            first = next(iter(leds.missing.items()))
+            raise ValueError(
+                f"{len(leds.missing)} of {plate.columns * plate.rows} LEDs cannot be used, {most} at most: "
+                f"the first at {_place(_at(plate, first[0]))} is {first[1]}"
+            )
+        nodes_mm = np.array([_at(plate, cell) for cell in leds.cells])
+        centres_px = np.array([(disc.u_px, disc.v_px) for disc in leds.discs])
+        areas_px = np.array([disc.area_px for disc in leds.discs])
+        fitted, kept, complaints = _fit(
+            plate,
+            nodes_mm,
+            centres_px,
+            areas_px,
+            (camera.width, camera.height),
+            localiser,
+            degree,
+            most - len(leds.missing),
+        )
+    except ValueError as error:
+        raise BadInputError(recording.path, f"{name}: {error}") from error
+    fit = fitted.fit
+    scatter_px, exposures = _scatter_px(
+        (frame(row) for row in by_leds[True]), dark, tuple(leds.discs[row] for row in kept)
+    )
+    distance_mm = residual_distances_mm(fit, nodes_mm[kept])
+    scale = np.sqrt(np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm[kept]))))
+    pattern_px = LASER_SPOT_SIGMA_MM * float(np.median(scale))
+    target = TargetCalibration(
+        name=name,
+        z_mm=z_mm,
+        width=camera.width,
+        height=camera.height,
+        localiser=localiser,
+        flat=None,
+        map=replace(fit.map, noise_px=float(np.hypot(fit.map.noise_px, pattern_px))),
+        cross_check=fitted.cross_check,
+        left_out_px=fit.left_out_px,
+        residual_mean_mm=float(distance_mm.mean()),
+        residual_std_mm=float(distance_mm.std(ddof=1)),
+        residual_max_mm=float(distance_mm.max()),
+        repeatability_px=_pooled(scatter_px),
+        leds_px=np.empty((0, 2)),
+    )
+    missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
+    evidence = TargetEvidence(
+        name=name,
+        nodes_mm=nodes_mm[kept],
+        nodes_px=fit.map.to_px(nodes_mm[kept]) + fit.residuals_px,
+        residuals_px=fit.residuals_px,
+        missed_px=fit.missed_px,
+        scatter_px=scatter_px,
+        exposures=exposures,
+        left_out=tuple(missing + [(tuple(nodes_mm[row].tolist()), why) for row, why in complaints.items()]),
+        candidates=fitted.candidates,
+    )
+    return target, evidence, leds.lights
+
+
+def _mean(frames: Iterable[Frame]) -> Image:
+    """The frames' mean, counts."""
+    total, number = np.zeros(()), 0
+    for frame in frames:
+        total, number = total + frame.pixels, number + 1
+    return np.asarray(total / number, dtype=np.float32)
+
+
+def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
+    """The plate's LEDs in a picture of them; raises ValueError when it cannot be told which is which."""
+    seen = find_discs(difference)
+    if not seen.found:
+        detail = f": {seen.rejected[0]}" if seen.rejected else ""
+        raise ValueError(f"no LED of the plate is seen{detail}")
+    points_px = np.array([(disc.u_px, disc.v_px) for disc in seen.found])
+    match = match_grid(points_px, plate.columns, plate.rows, mirrored)
+    cells, discs, missing = [], [], {}
+    for (j, i), row in np.ndenumerate(match.rows_of):
+        if row < 0:
+            missing[i, j] = "dark"
+        elif seen.found[row].cut:
+            missing[i, j] = "cut by the edge of the picture"
+        else:
+            cells.append((i, j))
+            discs.append(seen.found[row])
+    lights = [
+        f"a light at ({seen.found[row].u_px:.0f}, {seen.found[row].v_px:.0f}) px is not on the grid"
+        for row in match.extra
+    ]
+    return _Leds(tuple(cells), tuple(discs), missing, (*lights, *seen.rejected))
+
+
+def _fit(
+    plate: PlateHeader,
+    nodes_mm: FloatArray,
+    centres_px: FloatArray,
+    areas_px: FloatArray,
+    image_size: tuple[int, int],
+    localiser: SpotSettings,
+    degree: tuple[int, int] | None,
+    most_dropped: int,
+) -> tuple[TargetFit, list[int], dict[int, str]]:
+    """The map of where a laser spot's centre of light lands; the LEDs used, what is wrong with the others.
+
+    A disc's centre of area is not the picture of its middle, and a wider laser spot's centre of light still
+    less. Both shifts follow from the map, so it is fitted again with what it says.
+    """
+    spot_moment = spot_moment_mm2(plate.beam_mm, localiser.threshold, localiser.power)
+    kept = list(range(len(nodes_mm)))
+    complaints: dict[int, str] = {}
+    shift_px = np.zeros_like(centres_px)
+    for _ in range(_ROUNDS):
+        nodes_px = centres_px + shift_px
+        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, degree, most_dropped - len(complaints))
+        fit = fitted.fit
+        for row in (kept[at] for at in fitted.dropped):
+            off_px = float(np.linalg.norm(nodes_px[row] - fit.map.to_px(nodes_mm[row : row + 1])[0]))
+            complaints[row] = f"its disc lies {off_px:.1f} px from where the other LEDs put it"
+        kept = [row for row in kept if row not in complaints]
+        areas_mm2 = areas_px / np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm)))
+        usual_mm2 = float(np.median(areas_mm2[kept]))
+        odd = [row for row in kept if not _SIZE_LIMITS[0] < areas_mm2[row] / usual_mm2 < _SIZE_LIMITS[1]]
+        for row in odd[: most_dropped - len(complaints)]:
+            complaints[row] = f"its disc has {areas_mm2[row] / usual_mm2:.1f} times the area of the others"
+        kept = [row for row in kept if row not in complaints]
+        disc_mm = _disc_mm(plate, usual_mm2)
+        moment = spot_moment - disc_moment_mm2(disc_mm)
+        shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
+    fitted = fit_nodes(nodes_mm[kept], (centres_px + shift_px)[kept], image_size, degree, 0)
+    return fitted, kept, complaints
+
+
+def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:
+    """The LEDs' diameter as the plate's table has it, else as the pictures show it."""
+    seen_mm = float(np.sqrt(4 * area_mm2 / np.pi))
+    if plate.disc_mm is None:
+        return seen_mm
+    if not _WIDTH_LIMITS[0] < seen_mm / plate.disc_mm < _WIDTH_LIMITS[1]:
+        raise ValueError(
+            f"the LEDs look {seen_mm:.1f} mm wide with a pitch of {plate.pitch_mm:g} mm, but disc_mm is "
+            f"{plate.disc_mm:g}: one of them is wrong"
+        )
+    return plate.disc_mm
+
+
+def _scatter_px(
+    lit: Iterable[Frame], dark: Image, discs: tuple[Disc, ...]
+) -> tuple[FloatArray, tuple[int, ...]]:
+    """Standard deviation (n, 2) of each LED's centre in single exposures, and in how many it was found."""
+    centres = np.stack([disc_centres_px(frame.pixels.astype(np.float32) - dark, discs) for frame in lit])
+    exposures = np.count_nonzero(np.isfinite(centres[:, :, 0]), axis=0)
+    scatter = np.full((len(discs), 2), np.nan)
+    for led in np.flatnonzero(exposures > 1):
+        scatter[led] = np.nanstd(centres[:, led], axis=0, ddof=1)
+    return scatter, tuple(exposures.tolist())
+
+
+def _pooled(scatter_px: FloatArray) -> FloatArray:
+    """Root mean square over the LEDs, u and v; 0 where there was but one exposure."""
+    known = scatter_px[np.isfinite(scatter_px[:, 0])]
+    return np.asarray(np.sqrt(np.mean(np.square(known), axis=0))) if len(known) else np.zeros(2)
+
+
+def _at(plate: PlateHeader, cell: tuple[int, int]) -> tuple[float, float]:
+    """Where an LED (column, row) stands, mm."""
+    x, y = (origin + plate.pitch_mm * at for origin, at in zip(plate.origin_mm, cell, strict=True))
+    return x, y
+
+
+def _place(node_mm: tuple[float, float]) -> str:
+    return f"x {node_mm[0]:g} y {node_mm[1]:g} mm"

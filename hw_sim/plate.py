@@ -1,0 +1,210 @@
+"""``python -m hw_sim plate``: the plate of 7 × 5 LEDs (Sec. 3.3.4) at each target's place, recorded."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.errors import BadInputError
+from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
+from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, filling_the_picture
+from hw_sim.beam import BeamPose
+from hw_sim.eye import Eye
+from hw_sim.faults import Fault
+from hw_sim.fisheye import FisheyeLens
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
+from hw_sim.recording import Progress, recording
+from hw_sim.targets import Image, soft_disc
+from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
+from hw_sim.view import LED_LEVEL_E_PER_MS, PSF_SIGMA_PX, View, make_view
+
+COLUMNS, ROWS = 7, 5
+LED_DIAMETER_MM = 5.0
+PITCH_MM = 23.0
+"""The plate of App. A.3 has 25 mm; its outer columns do not fit the picture of an ordinary unit's cameras,
+which stand as near as the 140 × 110 mm target allows."""
+WIDE_PITCH_MM = 25.0
+"""For cameras that are made for the plate, tilted or with a fisheye lens."""
+FISHEYE_FOCAL_MM = (3.5, 3.7)
+BORED_SIGMA_MM = 0.005
+"""How well the LEDs' holes are bored, per axis."""
+DIMMEST = 0.8
+SUBSAMPLES = 6
+LARGEST_TILT_DEG = 35.0
+PLATE_STREAM = 9
+"""Keeps the plate's random numbers apart from those of the frames."""
+
+Led = tuple[int, int]
+"""Column and row, counted from the smallest x and y."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """A plate: its pitch, and its LEDs that are dark. ``tilt_deg`` and ``fisheye`` are the cameras'."""
+
+    pitch_mm: float = PITCH_MM
+    dark: tuple[Led, ...] = ()
+    tilt_deg: float | None = None
+    fisheye: bool = False
+
+    @property
+    def origin_mm(self) -> tuple[float, float]:
+        """The LED with the smallest x and y; the plate's middle is the target's."""
+        return -(COLUMNS - 1) / 2.0 * self.pitch_mm, -(ROWS - 1) / 2.0 * self.pitch_mm
+
+    @property
+    def half_mm(self) -> tuple[float, float]:
+        """Half width and half height of the rectangle around its LEDs."""
+        return (-self.origin_mm[0] + LED_DIAMETER_MM / 2.0, -self.origin_mm[1] + LED_DIAMETER_MM / 2.0)
+
+    def lit_mm(self) -> list[tuple[float, float]]:
+        """Where the drawing has the LEDs that shine."""
+        return [
+            (self.origin_mm[0] + column * self.pitch_mm, self.origin_mm[1] + row * self.pitch_mm)
+            for row in range(ROWS)
+            for column in range(COLUMNS)
+            if (column, row) not in self.dark
+        ]
+
+
+def with_plate(unit: Unit, plate: Plate) -> Unit:
+    """Let the unit's cameras see the plate instead of their targets, and no laser; the same unit."""
+    rng = np.random.default_rng([unit.config.seed, PLATE_STREAM])
+    eyes = {}
+    for camera in CAMERAS:
+        eye = unit.eyes[camera]
+        view = eye.view
+        if plate.tilt_deg is not None or plate.fisheye:
+            lens = _plate_lens(view.lens, plate, FRONT_FOCAL_MM if camera == FRONT else REAR_FOCAL_MM, rng)
+            view = make_view(lens, None, unit.config.speckle_contrast, unit.config.hot_pixels, rng)
+        eyes[camera] = Eye(
+            replace(view, lamps=_lamps(view, plate.lit_mm(), rng)), eye.sensor, eye.settings, unit.config.lux
+        )
+    unit.eyes = eyes
+    unit.inject(Fault.NO_LASER)
+    return unit
+
+
+def record_plate(folder: Path, unit: Unit, plate: Plate, exposures: int, progress: Progress) -> None:
+    """Write ``exposures`` pairs of the plate, LEDs off and on, into ``folder``."""
+    header = {
+        "plate": {
+            "columns": COLUMNS,
+            "rows": ROWS,
+            "pitch_mm": plate.pitch_mm,
+            "origin_mm": list(plate.origin_mm),
+            "disc_mm": LED_DIAMETER_MM,
+        },
+        "note": f"hw_sim, seed {unit.config.seed}, plate",
+    }
+    with recording(folder, unit, "plate", 2 * exposures, progress, header) as recorder:
+        for _ in range(exposures):
+            for leds_on in (False, True):
+                recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
+
+
+def _plate_lens(
+    lens: Lens, plate: Plate, focal_range_mm: tuple[float, float], rng: np.random.Generator
+) -> Lens:
+    """A lens that looks at the plate under its tilt, from where it sees all of it."""
+    tilt, towards = math.radians(plate.tilt_deg or 0.0), rng.uniform(0.0, 2.0 * math.pi)
+    turned = rotation(
+        tilt * math.cos(towards), tilt * math.sin(towards), math.radians(rng.uniform(-2.0, 2.0))
+    )
+    focal_mm = rng.uniform(*(FISHEYE_FOCAL_MM if plate.fisheye else focal_range_mm))
+    ahead_mm = np.array([0.0, 0.0, 40.0 * focal_mm])
+    if plate.fisheye:
+        k1, k2 = rng.uniform((-0.03, -0.01), (0.01, 0.01))
+        tilted: Lens = FisheyeLens(
+            float(focal_mm),
+            lens.principal_px,
+            (float(k1), float(k2), 0.0, 0.0, 0.0),
+            turned,
+            ahead_mm,
+            lens.mirrored,
+        )
+    else:
+        tilted = replace(lens, focal_mm=float(focal_mm), rotation=turned, translation_mm=ahead_mm)
+    return filling_the_picture(tilted, plate.half_mm, (20.0, 120.0))
+
+
+def _lamps(view: View, lit_mm: Sequence[tuple[float, float]], rng: np.random.Generator) -> Image:
+    """Electrons per ms of the plate's LEDs, each a bit off its place and of a brightness of its own."""
+    lit = np.zeros_like(view.x_mm)
+    for x_mm, y_mm in lit_mm:
+        off_x, off_y = rng.normal(0.0, BORED_SIGMA_MM, size=2)
+        _add_disc(lit, view, (x_mm + off_x, y_mm + off_y), float(rng.uniform(DIMMEST, 1.0)))
+    columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
+    falloff = view.lens.relative_illumination(*view.lens.unproject(columns, rows)).astype(np.float32)
+    blurred = cv2.GaussianBlur(lit, (0, 0), PSF_SIGMA_PX).astype(np.float32)
+    return np.asarray(blurred * falloff * np.float32(LED_LEVEL_E_PER_MS))
+
+
+def _add_disc(lit: Image, view: View, place_mm: tuple[float, float], brightness: float) -> None:
+    """Add the share of each pixel's area that one LED covers."""
+    radius = LED_DIAMETER_MM / 2.0
+    around = np.linspace(0.0, 2.0 * math.pi, 32)
+    u, v = view.lens.project(
+        place_mm[0] + 1.2 * radius * np.cos(around), place_mm[1] + 1.2 * radius * np.sin(around)
+    )
+    left, right = (int(np.clip(edge, 0, WIDTH_PX)) for edge in (u.min() - 2, u.max() + 3))
+    top, bottom = (int(np.clip(edge, 0, HEIGHT_PX)) for edge in (v.min() - 2, v.max() + 3))
+    if right - left < 2 or bottom - top < 2:
+        return
+    here = slice(top, bottom), slice(left, right)
+    x_mm, y_mm = view.x_mm[here], view.y_mm[here]
+    (x_by_v, x_by_u), (y_by_v, y_by_u) = np.gradient(x_mm), np.gradient(y_mm)
+    cell_mm = float(np.median(np.hypot(x_by_u, y_by_u))) / SUBSAMPLES
+    offsets = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES - 0.5
+    for down in offsets:
+        for across in offsets:
+            distance = np.hypot(
+                x_mm + across * x_by_u + down * x_by_v - place_mm[0],
+                y_mm + across * y_by_u + down * y_by_v - place_mm[1],
+            )
+            lit[here] += brightness / SUBSAMPLES**2 * soft_disc(distance, radius, cell_mm)
+
+
+def _led(text: str) -> Led:
+    """An LED as COLUMN,ROW, counted from 0."""
+    try:
+        column, row = (int(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not COLUMN,ROW") from None
+    if not (0 <= column < COLUMNS and 0 <= row < ROWS):
+        raise argparse.ArgumentTypeError(f"{text} is not on the plate of {COLUMNS} × {ROWS} LEDs")
+    return column, row
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the plate takes on the command line."""
+    add_common_arguments(parser)
+    parser.add_argument(
+        "--exposures", type=at_least_one, default=4, help="pairs, LEDs off and on (default 4)"
+    )
+    parser.add_argument(
+        "--dark", type=_led, nargs="+", default=[], metavar="C,R", help="LEDs that do not shine, from 0,0"
+    )
+    parser.add_argument(
+        "--tilt", type=float, metavar="DEG", help="other cameras, that look at the plate under this angle"
+    )
+    parser.add_argument("--fisheye", action="store_true", help="other cameras, with lenses of f = 3.6 mm")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record a plate; raises BadInputError."""
+    if arguments.tilt is not None and not 0.0 <= arguments.tilt <= LARGEST_TILT_DEG:
+        raise BadInputError("--tilt", f"{arguments.tilt:g} is not between 0 and {LARGEST_TILT_DEG:g} degrees")
+    own_cameras = arguments.tilt is None and not arguments.fisheye
+    plate = Plate(
+        PITCH_MM if own_cameras else WIDE_PITCH_MM, tuple(arguments.dark), arguments.tilt, arguments.fisheye
+    )
+    unit = with_plate(Unit(UnitConfig(seed=arguments.seed)), plate)
+    record_plate(arguments.output, unit, plate, arguments.exposures, terminal_progress("plate"))
+    return 0
