@@ -7,7 +7,7 @@ import numpy as np
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Vibration
 from hw_sim.study.bench import FloatArray, bench, rms, truth_of
-from hw_sim.study.plot import GREY, OURS, THESIS, panels
+from hw_sim.study.plot import GREY, OURS, THESIS, panels, plain_decades
 from hw_sim.study.result import Column, Progress, Result, Row
 from hw_sim.unit import Unit, UnitConfig
 
@@ -81,6 +81,7 @@ def run(progress: Progress) -> Result:
         axis.loglog(WINDOWS, white, color=GREY, lw=1.0, ls="--", label="σ/√N")
         axis.set_xticks(WINDOWS, [str(window) for window in WINDOWS])
         axis.minorticks_off()
+        plain_decades(axis.yaxis)
         axis.set(xlabel="exposures averaged", ylabel=f"σ of {what}, {unit_name}", title=what)
         axis.legend()
     lines_hz = ", ".join(f"{at:g}" for at in vibration.lines_hz)

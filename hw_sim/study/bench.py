@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from altd.cli import main as altd
 from hw_sim.beam import BeamPose
+from hw_sim.flat import record_flat
 from hw_sim.measure import record_measurement
 from hw_sim.recording import Progress as Exposures
 from hw_sim.scan import STAGE_STREAM, record_scan
@@ -25,6 +26,9 @@ from hw_sim.study.result import Progress
 from hw_sim.unit import Unit
 
 FloatArray = npt.NDArray[np.float64]
+
+FLAT_EXPOSURES = 20
+"""Lit, and as many dark: the simulator's own default."""
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
@@ -64,13 +68,21 @@ class Bench:
         """The calibration, once it was made."""
         return self._folder / "calibration.json"
 
-    def calibrate(self, unit: Unit, exposures: int = 2) -> dict[str, Any]:
-        """Scan the unit, fit its maps (``altd calibrate``); the calibration file's content."""
+    def calibrate(self, unit: Unit, exposures: int = 2, *, flat: bool = False) -> dict[str, Any]:
+        """Scan the unit, fit its maps (``altd calibrate``); the calibration file's content.
+
+        With ``flat`` its targets are also recorded in even light, and the spots located through that.
+        """
         recording = self._new("scan")
+        more: tuple[object, ...] = ()
+        if flat:
+            evenly_lit = self._new("flat")
+            record_flat(evenly_lit, unit, FLAT_EXPOSURES, self._exposures("flat"))
+            more = ("--flat", evenly_lit)
         stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
         record_scan(recording, unit, stage, exposures, self._exposures("scan"))
         self._progress(f"{self._what}: calibrate")
-        run_altd("calibrate", recording, "-o", self.calibration_file)
+        run_altd("calibrate", recording, "-o", self.calibration_file, *more)
         shutil.rmtree(recording)
         content: dict[str, Any] = json.loads(self.calibration_file.read_text())
         return content

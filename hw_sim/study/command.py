@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 STUDIES = {
     "table-3.1": "table_3_1",
+    "table-3.2": "table_3_2",
     "table-3.3": "table_3_3",
     "table-3.4": "table_3_4",
     "fig-3.5": "fig_3_5",

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from altd.beam import fit_beam
 from altd.records import TargetPoint
-from hw_sim.study.plot import GREY, OURS, THESIS, THIRD, panels
+from hw_sim.study.plot import GREY, OURS, THESIS, THIRD, panels, plain_decades
 from hw_sim.study.result import Column, Progress, Result, Row
 
 TITLE = "Fig. 3.5: angle from displacement"
@@ -90,6 +90,8 @@ def run(progress: Progress) -> Result:
     right.loglog([0.1], [THESIS_DEG], "x", color="black", ms=8, mew=1.6, label="thesis, Fig. 3.5")
     right.axhline(0.002, color=THIRD, lw=1.0, ls="--")
     right.text(0.2, 0.0021, "0.002°: spots to 0.007 mm", color=THIRD, ha="right", va="bottom", fontsize=8)
+    plain_decades(right.xaxis)
+    plain_decades(right.yaxis)
     right.set(xlabel="σ of a spot, mm", ylabel="σ of yaw or pitch, °", title="Any other spot error")
     right.legend(loc="upper left", fontsize=7)
 

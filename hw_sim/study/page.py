@@ -12,6 +12,7 @@ from hw_sim.study.result import Result
 from hw_sim.study.table import table
 
 LINE = 120
+PEERS = "peers.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -70,7 +71,7 @@ def verdict(result: Result) -> str:
     than = "the thesis" if result.beside == "thesis" else result.beside
     if not worse:
         return f"Worse than {than}: nothing."
-    return f"Worse than {than}: " + "; ".join(f"{row}, {column}" for row, column in worse) + "."
+    return f"Worse than {than}: " + "; ".join(f"{column} ({row})" for row, column in worse) + "."
 
 
 def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
@@ -80,6 +81,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
         path = folder / f"{name}.md"
         if path.is_file():
             lines.append(f"| [{title}]({name}.md) | {path.read_text().splitlines()[2]} |")
+    if (folder / PEERS).is_file():
+        lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

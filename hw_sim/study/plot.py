@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from contextlib import AbstractContextManager
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+FloatArray = npt.NDArray[np.float64]
 
 OURS, THESIS, THIRD, FOURTH, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#777777"
 """Of the palette by Okabe and Ito, which colour-blind eyes tell apart too."""
@@ -43,6 +50,34 @@ def panels(
     figure = Figure(figsize=(width or 4.2 * columns, height or 3.3 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     return figure, list(axes.flat)
+
+
+def draw_arrows(
+    axis: Axes, at_mm: FloatArray, vectors: FloatArray, unit: str, *, divisor: float = 1.0
+) -> None:
+    """Vectors (n, 2) at places (n, 2) in mm; the longest is as long as 16 mm, and a key says what that is.
+
+    ``divisor`` takes the vectors' numbers to ``unit``.
+    """
+    longest = float(np.nanmax(np.linalg.norm(vectors, axis=1)))
+    arrows = axis.quiver(
+        *at_mm.T, *vectors.T, color=OURS, angles="xy", scale_units="xy", scale=longest / 16.0, width=0.005
+    )
+    key = round_below(longest)
+    axis.quiverkey(arrows, 0.74, 1.05, key, f"{key / divisor:g} {unit}", labelpos="E")
+
+
+def round_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a positive value."""
+    decade = 10.0 ** math.floor(math.log10(value) + 1e-9)
+    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value * (1.0 + 1e-9))
+
+
+def plain_decades(axis: Axis) -> None:
+    """A logarithmic axis with plain numbers at 1, 2 and 5 of each decade."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def as_svg(figure: Figure, salt: str) -> str:

@@ -11,7 +11,7 @@ from hw_sim.beam import BeamPose, footprint
 from hw_sim.measure import HALF_AREA_MM
 from hw_sim.sensor import FULL_WELL_E
 from hw_sim.study.bench import FloatArray, bench, pooled_std, rms
-from hw_sim.study.plot import GREY, OURS, THESIS, panels
+from hw_sim.study.plot import GREY, OURS, THESIS, panels, plain_decades
 from hw_sim.study.result import Column, Progress, Result, Row
 from hw_sim.targets import DotPattern
 from hw_sim.unit import FRONT, Unit, UnitConfig
@@ -101,10 +101,12 @@ def run(progress: Progress) -> Result:
         bars.text(float(at), value * 1.06, f"{value:.3f}", ha="center", fontsize=7, color=GREY)
     bars.set_yscale("log")
     bars.set_xticks(place, [name.replace(" ", "\n") for name in names])
-    bars.set(ylabel="σ of displacements, mm", title="Displacements of 1 mm", ylim=(0.003, 1.2))
+    bars.set(ylabel="σ of displacements, mm", title="Displacements of 1 mm", ylim=(0.5 * min(ours), 1.2))
+    plain_decades(bars.yaxis)
     bars.grid(visible=False, axis="x")
     bars.legend()
-    edges = np.linspace(-0.03, 0.03, 31)
+    limit = 1.2 * max(float(np.abs(seen.displacements_mm).max()) for seen in (front[2], rear))
+    edges = np.linspace(-limit, limit, 21)
     for seen, name, colour in zip((front[2], rear), names[2:], (OURS, THESIS), strict=True):
         histogram.hist(
             seen.displacements_mm, bins=edges.tolist(), histtype="step", lw=1.5, color=colour, label=name
@@ -142,9 +144,9 @@ dots and share most of their error, so a displacement is easier than a place.
 
 The opaque row is the rear target behind the 0.5/1.0 mm dots. All units are the same but for the print.
 The simulated orthogonal print is perfect; the one in the thesis was a digital print with chipped dots
-(Fig. 3.8), which explains most of its 0.5 mm. All use altd's standard settings, which are made for dots 1
-mm apart. Camera and lens are those of App. A.3; the thesis looked through the longer lens of App. A.2 at
-least in part.
+(Fig. 3.8), which may explain much of its 0.5 mm. All use altd's standard settings, which are made for
+dots 1 mm apart, and no flat field. Cameras and lenses are those of App. A.3; the thesis began with those
+of App. A.2.
 """,
         figure=figure,
         caption=(

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from hw_sim.beam import BeamPose
 from hw_sim.scan import COLUMNS, PITCH_MM, ROWS
 from hw_sim.study.bench import FloatArray, bench
-from hw_sim.study.plot import OURS, THESIS, panels
+from hw_sim.study.plot import OURS, THESIS, draw_arrows, panels
 from hw_sim.study.result import Column, Progress, Result, Row
 from hw_sim.unit import Unit, UnitConfig
 
@@ -112,16 +112,7 @@ def _ours(target: dict[str, Any], errors_mm: FloatArray) -> tuple[float, ...]:
 def _figure(at_mm: FloatArray, errors_mm: dict[str, FloatArray]) -> Figure:
     figure, axes = panels(1, 3, width=12.6, height=3.9)
     for axis, (target, kind, _) in zip(axes, TARGETS, strict=False):
-        arrows = axis.quiver(
-            *at_mm.T,
-            *errors_mm[target].T,
-            color=OURS,
-            angles="xy",
-            scale_units="xy",
-            scale=0.0015,
-            width=0.006,
-        )
-        axis.quiverkey(arrows, 0.74, 1.05, 0.02, "0.02 mm", labelpos="E")
+        draw_arrows(axis, at_mm, errors_mm[target], "mm")
         axis.set(xlabel="x, mm", ylabel="y, mm", xlim=(-70, 70), ylim=(-58, 58), aspect="equal")
         axis.set_title(f"Errors, {kind}", loc="left")
     bars = axes[2]

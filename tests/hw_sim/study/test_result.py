@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +14,7 @@ from hw_sim.__main__ import main
 from hw_sim.study import command
 from hw_sim.study.bench import pooled_std
 from hw_sim.study.page import page, verdict, write_index, write_page
-from hw_sim.study.plot import as_svg, panels
+from hw_sim.study.plot import as_svg, panels, round_below
 from hw_sim.study.result import Column, Progress, Result, Row
 from hw_sim.study.table import table
 
@@ -47,7 +48,7 @@ def test_what_is_worse_is_marked_and_said() -> None:
     bad = result(Row("f = 8", (0.021, 9), (0.020, 3)), Row("f = 12", (0.0204, 3), (0.0200, 3)))
     assert table(bad).count("**worse:** 0.021") == 1
     assert table(bad).count("worse") == 1  # 0.0204 is printed as 0.020; the count is not judged
-    assert verdict(bad) == "Worse than the thesis: f = 8, error, mm."
+    assert verdict(bad) == "Worse than the thesis: error, mm (f = 8)."
 
 
 def test_a_verdict_needs_something_to_compare() -> None:
@@ -89,6 +90,20 @@ def test_a_plot_has_no_date_and_changes_with_what_it_shows() -> None:
         figures.append(as_svg(figure, "salt"))
     assert figures[0] == figures[2] != figures[1]
     assert "dc:date" not in figures[0]
+
+
+def test_a_sweep_names_the_specification() -> None:
+    specified = replace(result(Row("5 mW", (0.3, 3), (0.2, 2))), beside="specified")
+    assert "specified" in table(specified)
+    assert "thesis" not in table(specified)
+    assert verdict(specified) == "Worse than specified: error, mm (5 mW)."
+
+
+@pytest.mark.parametrize(
+    ("value", "below"), [(0.0199, 0.01), (0.02, 0.02), (7.3, 5.0), (1.0, 1.0), (0.0005, 0.0005), (430.0, 200.0)]
+)
+def test_a_key_has_a_round_length(value: float, below: float) -> None:
+    assert round_below(value) == pytest.approx(below)
 
 
 def test_repeats_are_pooled_over_the_places_and_a_gap_does_not_count() -> None:
