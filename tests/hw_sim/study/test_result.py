@@ -100,7 +100,8 @@ def test_a_sweep_names_the_specification() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "below"), [(0.0199, 0.01), (0.02, 0.02), (7.3, 5.0), (1.0, 1.0), (0.0005, 0.0005), (430.0, 200.0)]
+    ("value", "below"),
+    [(0.0199, 0.01), (0.02, 0.02), (7.3, 5.0), (1.0, 1.0), (0.0005, 0.0005), (430.0, 200.0)],
 )
 def test_a_key_has_a_round_length(value: float, below: float) -> None:
     assert round_below(value) == pytest.approx(below)
