@@ -117,9 +117,10 @@ exposures at {unit.config.fps:g} a second are measured with sliding windows of e
 
 *σ* is how much altd's readings scatter, *vibration left* how much the true mean position over the same
 exposures does: where both agree, altd adds nothing of its own. *Error rms* is against the beam at rest
-and holds what print and speckle do at this one place, which no averaging removes; *stated sigma* must
-cover it. Lines average out faster than σ/√N, and a line near a multiple of the frame rate slower: the
-camera sees 24.6 Hz as 4.6 Hz. Blur within an exposure is not simulated.
+and holds what print and speckle do at this one place, which no averaging removes; *stated sigma* should
+cover it, but a single exposure cannot know that the unit shakes. *Invalid* are windows in which altd
+found the beam unsteady. A line near a multiple of the frame rate averages out slowly: the camera sees
+24.6 Hz as 4.6 Hz. Blur within an exposure is not simulated.
 """,
         figure=figure,
         caption="Scatter of the mean against the number of exposures, and how much of it is vibration",

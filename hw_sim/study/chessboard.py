@@ -213,7 +213,7 @@ def _figure(photos: Sequence[_Photo], missed: dict[str, FloatArray], length: dic
         )
         arrows.set_zorder(3)
     board.invert_yaxis()
-    board.set(xlabel="u, px", ylabel="v, px", aspect="equal", title=f"Errors on {photo.name}")
-    board.set_ylim(top=board.get_ylim()[1] - 28.0)
-    board.legend(loc="upper center", ncols=2)
+    board.set(xlabel="u, px", ylabel="v, px", title=f"Errors on {photo.name}")
+    board.set_aspect("equal", adjustable="datalim")
+    board.legend(loc="upper center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure

@@ -64,7 +64,7 @@ def draw_arrows(
         *at_mm.T, *vectors.T, color=OURS, angles="xy", scale_units="xy", scale=longest / 16.0, width=0.005
     )
     key = round_below(longest)
-    axis.quiverkey(arrows, 0.74, 1.05, key, f"{key / divisor:g} {unit}", labelpos="E")
+    axis.quiverkey(arrows, 0.74, 1.05, key, f"{key / divisor:g}{unit}", labelpos="E")
 
 
 def round_below(value: float) -> float:
@@ -85,8 +85,8 @@ def as_svg(figure: Figure, salt: str) -> str:
     stream = io.StringIO()
     with style(), mpl.rc_context({"svg.hashsalt": salt, "svg.fonttype": "path"}):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    slim = re.sub(r'(?<= [dxy]=")[^"]*', _in_hundredths, stream.getvalue())
-    return re.sub(r"[ \t]+$", "", slim, flags=re.MULTILINE)
+    slim = re.sub(r'(?<= [dxy]=")[^"]*|translate[^)]*', _in_hundredths, stream.getvalue())
+    return re.sub(r"^[ \t]+|[ \t]+$", "", slim, flags=re.MULTILINE)
 
 
 def _in_hundredths(path: re.Match[str]) -> str:

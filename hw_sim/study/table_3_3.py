@@ -112,7 +112,7 @@ def _ours(target: dict[str, Any], errors_mm: FloatArray) -> tuple[float, ...]:
 def _figure(at_mm: FloatArray, errors_mm: dict[str, FloatArray]) -> Figure:
     figure, axes = panels(1, 3, width=12.6, height=3.9)
     for axis, (target, kind, _) in zip(axes, TARGETS, strict=False):
-        draw_arrows(axis, at_mm, errors_mm[target], "mm")
+        draw_arrows(axis, at_mm, errors_mm[target], " mm")
         axis.set(xlabel="x, mm", ylabel="y, mm", xlim=(-70, 70), ylim=(-58, 58), aspect="equal")
         axis.set_title(f"Errors, {kind}", loc="left")
     bars = axes[2]

@@ -185,7 +185,7 @@ def _figure(unit: _Seen, spread: FloatArray, turn_deg: float) -> Figure:
 def _against_angles(axis: Axes, truth: FloatArray, error: FloatArray) -> None:
     for of, angle, colour, mark in ((2, "yaw", OURS, "o"), (3, "pitch", THESIS, "^")):
         at = truth[:, of]
-        axis.plot(at, error, mark, ms=3.2, color=colour, alpha=0.7, label=f"over {angle}, with its line")
+        axis.plot(at, error, mark, ms=3.2, color=colour, label=f"over {angle}, with its line")
         slope, offset = np.polyfit(at, error, 1)
         ends = np.array([at.min(), at.max()])
         axis.plot(ends, offset + slope * ends, color=colour, lw=1.3)
