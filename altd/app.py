@@ -14,7 +14,7 @@ from altd.calibration.model import Calibration
 from altd.config import Config, SerialPort
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError, bare
-from altd.ports import Camera, Clock
+from altd.ports import Camera, Clock, Lamps, Stage
 from altd.recording import Recording, UnitHeader, open_recording, refuse_used_folder
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
@@ -25,6 +25,7 @@ from altd.service.inbox import Inbox
 from altd.service.manager import ServiceManager
 from altd.service.pipeline import Pipeline
 from altd.service.record import record
+from altd.service.scan import Scanner, Teller
 from altd.service.supervision import Publisher, keep_running
 
 _FACES_START_S = 1.0
@@ -180,6 +181,32 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float) -
     return await record(
         list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds
     )
+
+
+def stage_of(config: Config, place: Path) -> Stage:
+    """The stage that a config asks for; raises BadInputError that names ``place``."""
+    if config.stage is None:
+        raise BadInputError(place, "stage: no [stage] table")
+    from altd.devices.grbl.driver import GrblStage
+
+    return GrblStage(config.stage)
+
+
+def scanner_of(
+    config: Config,
+    place: Path,
+    folder: Path,
+    teller: Teller,
+    cameras: Mapping[str, Camera] | None = None,
+    lamps: Lamps | None = None,
+) -> Scanner:
+    """The scan into ``folder`` that a config describes; raises BadInputError.
+
+    ``cameras`` and ``lamps`` stand in for those of the config; the config has no lamps yet.
+    """
+    stage = stage_of(config, place)
+    cameras = cameras_of(config, place) if cameras is None else cameras
+    return Scanner(config, folder, list(cameras.values()), stage, lamps, SystemClock(), teller)
 
 
 async def _all_of(tried: Sequence[asyncio.Event]) -> None:

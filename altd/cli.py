@@ -57,6 +57,12 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     record.add_argument("--seconds", type=_seconds, required=True, metavar="S")
 
+    scan = commands.add_parser(
+        "scan", help="make a calibration scan with the stage; goes on where it stopped"
+    )
+    scan.add_argument("--config", type=Path, required=True, metavar="FILE")
+    scan.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+
     locate = commands.add_parser("locate", help="find the spot in images; one JSON object an image")
     locate.add_argument("images", type=Path, nargs="+", metavar="IMAGE")
 

@@ -12,16 +12,20 @@ import signal
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import cv2
 
 from altd.errors import BadInputError
 from altd.records import Frame, PixelArray, Spot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.calibration.result import CalibrationResult
     from altd.recording import Recording
+    from altd.scan_screen import ScanScreen
+    from altd.service.scan import Scanner
+
+Result = TypeVar("Result")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -31,6 +35,7 @@ def run(options: argparse.Namespace) -> int:
         "calibrate": _calibrate,
         "replay": _replay,
         "record": _record,
+        "scan": _scan,
         "locate": _locate,
         "map": _map,
         "check-config": _check_config,
@@ -53,7 +58,7 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-async def until_signal(work: Coroutine[None, None, object]) -> object | None:
+async def until_signal(work: Coroutine[None, None, Result]) -> Result | None:
     """Run until done or until SIGINT or SIGTERM, which cancel it; returns its result, None when cancelled."""
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
@@ -167,6 +172,38 @@ def _record(options: argparse.Namespace) -> int:
     exposures = asyncio.run(until_signal(record_of(config, options.config, options.output, options.seconds)))
     if exposures is not None:
         print(f"{exposures} exposures in {options.output}", file=sys.stderr)
+    return 0
+
+
+def _scan(options: argparse.Namespace) -> int:
+    from altd.app import scanner_of
+    from altd.config import load_config
+    from altd.scan_screen import ScanScreen
+
+    logging.basicConfig(level=logging.ERROR, format="altd: %(message)s", stream=sys.stderr)
+    screen = ScanScreen()
+    scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
+    return run_scan(scanner, options.output, screen)
+
+
+def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
+    """Scan until done, stopped or interrupted, and say how it ended; the exit status."""
+    from altd.service.scan import ScanStoppedError
+
+    again = "the same command goes on from there"
+    try:
+        result = asyncio.run(until_signal(scanner.run()))
+    except ScanStoppedError as error:
+        screen.say(f"stopped: {error}; {again}")
+        return 1
+    finally:
+        screen.clear()
+    if result is None:
+        screen.say(f"interrupted; {again}")
+        return 130
+    for line in result.refused:
+        screen.say(f"without {line}")
+    screen.say(f"{result.exposures} exposures in {output}")
     return 0
 
 

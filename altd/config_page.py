@@ -10,11 +10,13 @@ from pydantic.fields import FieldInfo
 
 from altd.config import (
     Config,
+    GrblStage,
     Http,
     Installation,
     Measuring,
     ModbusTcp,
     RecordingCamera,
+    Scan,
     SerialPort,
     Table,
     Target,
@@ -34,6 +36,8 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         SerialPort,
         "One table a port. What it can speak: `telegram.md`, `console.md`, `modbus.md`.",
     ),
+    ("[stage]", GrblStage, "Needed by `altd scan` alone: `calibration.md`."),
+    ("[scan]", Scan, "All keys have defaults."),
 )
 
 
@@ -56,7 +60,7 @@ def _lines() -> Iterator[str]:
         yield ""
         yield f"## {heading}"
         yield ""
-        yield f"{(model.__doc__ or '').strip()} {note}".replace("``", "`")
+        yield " ".join(f"{model.__doc__ or ''} {note}".replace("``", "`").split())
         yield ""
         yield "| key | value | default | what it is |"
         yield "|---|---|---|---|"

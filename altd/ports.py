@@ -45,6 +45,70 @@ class Camera(Protocol):
         """Let go of the camera; harmless when it is not open."""
 
 
+class StageError(Exception):
+    """A stage that did not do what it was asked to; the sentence says why."""
+
+
+class StageNotFoundError(StageError):
+    """There is no such port, or nothing on it that answers."""
+
+
+class StageLostError(StageError):
+    """The stage went away or started anew: nobody knows any more where it stands."""
+
+
+class StageAlarmError(StageError):
+    """The stage's controller locked itself, for a limit for instance."""
+
+
+class StageTimeoutError(StageError):
+    """The stage is there but does not answer, or does not move."""
+
+
+class StageRefusedError(StageError):
+    """The stage's controller does not take a command, or its settings do not do."""
+
+
+class StageStoppedError(StageError):
+    """``stop`` was called."""
+
+
+class Stage(Protocol):
+    """An xy stage that carries the laser; x and y are those of the unit frame, mm.
+
+    The calls block and are made one after the other; ``stop`` alone comes from another thread.
+    """
+
+    def open(self) -> None:
+        """Get hold of the stage; raises StageError."""
+
+    def home(self) -> None:
+        """Make the position known in the way that is set up for this stage; raises StageError."""
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Move there and return once the stage stands still there; raises StageError."""
+
+    def position(self) -> tuple[float, float]:
+        """Where the stage believes to stand, (x, y) in mm; raises StageError."""
+
+    def stop(self) -> None:
+        """End a movement that is under way; it and every later one raise StageStoppedError."""
+
+    def close(self) -> None:
+        """Let go of the stage; harmless when it is not open."""
+
+
+class LampsError(Exception):
+    """Lamps that cannot be switched."""
+
+
+class Lamps(Protocol):
+    """The frame LEDs. The calls block."""
+
+    def switch(self, on: bool) -> None:
+        """Light or darken all of them; raises LampsError."""
+
+
 class Clock(Protocol):
     """Time, so that a test can run an hour in a second."""
 

@@ -6,6 +6,7 @@ import csv
 import hashlib
 import json
 import math
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -240,10 +241,16 @@ def refuse_used_folder(path: Path) -> None:
 class RecordingWriter:
     """Writes a recording frame by frame; what is on disk is readable after each frame.
 
-    Raises BadInputError when the folder exists and is not empty.
+    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it goes on in a folder
+    that another writer left, behind the first so many bytes of its table; the header there stays, and must
+    have the same cameras and unit.
     """
 
-    def __init__(self, path: Path, header: RecordingHeader) -> None:
+    def __init__(self, path: Path, header: RecordingHeader, resume_at: int | None = None) -> None:
+        self._path = path
+        if resume_at is not None:
+            self._resume(header, resume_at)
+            return
         refuse_used_folder(path)
         try:
             path.mkdir(parents=True, exist_ok=True)
@@ -256,21 +263,44 @@ class RecordingWriter:
             self._file: TextIO = (path / FRAMES_FILE).open("w", newline="", encoding="utf-8")
         except OSError as error:
             raise BadInputError(path, error.strerror or "cannot be written") from error
-        self._path = path
         self._rows = csv.writer(self._file, lineterminator="\n")
         self._rows.writerow(COLUMNS)
 
-    def write(self, frame: Frame, sequence: int, t_s: float) -> None:
-        """Append one frame under the exposure's number and time; raises OSError when the disk refuses."""
+    def _resume(self, header: RecordingHeader, resume_at: int) -> None:
+        there = _read_header(self._path / HEADER_FILE)
+        if (there.cameras, there.unit) != (header.cameras, header.unit):
+            raise BadInputError(self._path / HEADER_FILE, "is of another unit or of cameras of another size")
+        try:
+            self._file = (self._path / FRAMES_FILE).open("r+", newline="", encoding="utf-8")
+            self._file.truncate(resume_at)
+            self._file.seek(0, os.SEEK_END)
+        except OSError as error:
+            raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
+        self._rows = csv.writer(self._file, lineterminator="\n")
+
+    def write(
+        self, frame: Frame, sequence: int, t_s: float, position_mm: tuple[float, float] | None = None
+    ) -> Path:
+        """Append one frame under the exposure's number and time; returns its file.
+
+        Raises OSError when the disk refuses.
+        """
         name = f"{frame.camera}/{sequence:06d}.png"
         done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
         if not done:
             raise OSError(f"{name} cannot be encoded")
         (self._path / name).write_bytes(data.tobytes())
+        at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
         self._rows.writerow(
-            (sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", "", "")
+            (sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at)
         )
         self._file.flush()
+        return self._path / name
+
+    def synced(self) -> int:
+        """Bring the table to the disk; its length so far, bytes."""
+        os.fsync(self._file.fileno())
+        return os.fstat(self._file.fileno()).st_size
 
     def close(self) -> None:
         """Finish; harmless when done twice."""

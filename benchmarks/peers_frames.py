@@ -115,7 +115,7 @@ def _flat(view: View, exposure_ms: float, rng: np.random.Generator) -> FlatField
     noise_e = np.sqrt((mean_e + np.float32(2 * READ_NOISE_E**2)) / np.float32(_FLAT_EXPOSURES))
     seen = mean_e + noise_e * rng.standard_normal(mean_e.shape, dtype=np.float32)
     response = seen / np.float32(seen.mean())
-    flat = Flat(response)
+    flat = Flat.of(response, "recording")
     _ = flat.blocks  # kept by the flat, as by a daemon that runs
     return FlatField(response, flat, np.asarray(cv2.GaussianBlur(response**2, (0, 0), SMOOTHING_PX)))
 

@@ -49,10 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the scan takes on the command line."""
     add_common_arguments(parser)
     parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures a node (default 2)")
+    parser.add_argument(
+        "--stage", action="store_true", help="in real time: `altd scan` drives a simulated Grbl stage"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Record a scan; raises BadInputError."""
+    if arguments.stage:
+        from hw_sim.staged_scan import staged_scan
+
+        return staged_scan(arguments.output, arguments.seed, arguments.exposures)
     unit = Unit(UnitConfig(seed=arguments.seed))
     stage = Stage(np.random.default_rng([arguments.seed, STAGE_STREAM]))
     record_scan(arguments.output, unit, stage, arguments.exposures, terminal_progress("scan"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -87,7 +87,7 @@ class Unit:
         self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
-        self._pose = BeamPose(0.0, 0.0)
+        self._path: Callable[[int], BeamPose] = _resting(BeamPose(0.0, 0.0))
         self._faults = self.config.faults
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
@@ -135,7 +135,11 @@ class Unit:
 
     def place(self, pose: BeamPose) -> None:
         """Point the reference laser; drive and vibration come on top."""
-        self._pose = pose
+        self._path = _resting(pose)
+
+    def follow(self, path: Callable[[int], BeamPose]) -> None:
+        """Let something carry the reference laser: where it points at ``t_ns``."""
+        self._path = path
 
     def set_camera(self, camera: str, *, exposure_ms: float | None = None, gain: float | None = None) -> None:
         """Set exposure or gain of one camera, from its next exposure on."""
@@ -147,7 +151,7 @@ class Unit:
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
-        pose = self._displaced()
+        pose = self._displaced(t_ns)
         if self._drive is not None:
             pose = self._drive.moved(pose, t_ns)
         if vibration and self._vibration is not None:
@@ -190,14 +194,14 @@ class Unit:
         pixels.flags.writeable = False
         return Frame(camera, sequence, t_ns, pixels, self.config.bits, leds_on)
 
-    def _displaced(self) -> BeamPose:
+    def _displaced(self, t_ns: int) -> BeamPose:
         """The beam of the laser, unless a fault takes it elsewhere."""
         if Fault.CUT_BY_EDGE in self._faults:
             x_mm, y_mm = self.eyes[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
             return BeamPose(float(x_mm), float(y_mm))
         if Fault.OUT_OF_AREA in self._faults:
             return BeamPose(*OUT_OF_AREA_MM)
-        return self._pose
+        return self._path(t_ns)
 
     def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
         """The spots on one target."""
@@ -227,3 +231,12 @@ class Unit:
     def _rng(self, camera: str, sequence: int, purpose: int) -> np.random.Generator:
         """Random numbers that belong to one frame of one unit and to nothing else."""
         return np.random.default_rng([self.config.seed, CAMERAS.index(camera), sequence, purpose])
+
+
+def _resting(pose: BeamPose) -> Callable[[int], BeamPose]:
+    """A beam that stays where it is."""
+
+    def path(_t_ns: int) -> BeamPose:
+        return pose
+
+    return path

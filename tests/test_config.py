@@ -61,6 +61,33 @@ def test_one_serial_port_is_given_out_once(tmp_path: Path) -> None:
     assert "serial: two ports have the same device" in complaint(write(tmp_path, GOOD + port + port))
 
 
+STAGE = '[stage]\ndriver = "grbl"\ndevice = "/dev/ttyS0"\n'
+
+
+def test_a_stage_needs_no_more_than_its_port(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, GOOD + STAGE))
+    assert config.stage is not None
+    assert (config.stage.start, config.stage.baud) == ("home", 115200)
+    assert (config.scan.columns, config.scan.rows, config.scan.pitch_mm) == (6, 5, 25.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (STAGE + "speed = 3", "stage.speed: unknown key"),
+        (STAGE + "sign_x = 0", "stage.sign_x: Input should be -1 or 1"),
+        ("[scan]\ncolumns = 3", "scan.columns: Input should be greater than or equal to 4"),
+        ('[scan]\norder = "spiral"', "scan.order: Input should be 'serpentine' or 'rows'"),
+        (
+            '[[serial]]\ndevice = "/dev/ttyS0"\nspeaks = "telegram"\n' + STAGE,
+            "stage: a [[serial]] port has the same device",
+        ),
+    ],
+)
+def test_a_mistake_about_the_stage_is_named(tmp_path: Path, more: str, message: str) -> None:
+    assert message in complaint(write(tmp_path, GOOD + more))
+
+
 def test_a_missing_file_and_a_binary_one_are_named(tmp_path: Path) -> None:
     assert "No such file or directory" in complaint(tmp_path / "none.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.fitting import fit_nodes
+from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.print_model import find_print
 from altd.calibration.result import (
     CalibrationResult,
@@ -19,6 +20,7 @@ from altd.calibration.result import (
     residual_distances_mm,
 )
 from altd.errors import BadInputError
+from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
 from altd.recording import Recording, Row
 from altd.records import FloatArray, Frame, NoSpot
@@ -46,6 +48,11 @@ class _Node:
     def usable(self) -> bool:
         """Whether most of its exposures have a spot."""
         return len(self.spots_px) > len(self.complaints)
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Which node it is."""
+        return _node_key(self.positions_mm[0])
 
     @property
     def position_mm(self) -> tuple[float, float]:
@@ -91,6 +98,16 @@ class _Job:
         return camera.width, camera.height
 
 
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """A target's calibration so far, what it rests on, its nodes' scatter, what was seen of its surface."""
+
+    target: TargetCalibration
+    evidence: TargetEvidence
+    scatter: NodeScatter
+    remark: str = ""
+
+
 def calibrate_scan(
     recording: Recording,
     flats: Mapping[str, Flat] | None = None,
@@ -118,47 +135,51 @@ def calibrate_scan(
         if job.flat is not None and job.flat.levels.shape[::-1] != job.image_size:
             raise BadInputError(recording.path, f"{job.name}: the flat is of another size than the frames")
     made = [_calibrate_target(job, progress) for job in jobs]
+    patterns_px = pattern_noise_px([target.scatter for target in made])
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
         recording_note=header.note,
         recording_sha256=recording.sha256(),
-        targets=tuple(target for target, _, _ in made),
+        targets=tuple(
+            replace(of.target, map=replace(of.target.map, noise_px=pattern_px))
+            for of, pattern_px in zip(made, patterns_px, strict=True)
+        ),
     )
     return CalibrationResult(
         calibration,
         tuple(
-            f"{evidence.name} node x {x:g} y {y:g} mm: {why}"
-            for _, evidence, _ in made
-            for (x, y), why in evidence.left_out
+            f"{of.evidence.name} node x {x:g} y {y:g} mm: {why}"
+            for of in made
+            for (x, y), why in of.evidence.left_out
         ),
-        tuple(evidence for _, evidence, _ in made),
+        tuple(of.evidence for of in made),
         cross_check_doubts(calibration.targets),
-        tuple(remark for _, _, remark in made),
+        tuple(of.remark for of in made),
     )
 
 
-def _calibrate_target(job: _Job, progress: Progress) -> tuple[TargetCalibration, TargetEvidence, str]:
-    """One target; the sentence says what is known of how it responds to light."""
+def _calibrate_target(job: _Job, progress: Progress) -> _Made:
+    """One target: localised through its flat, the model of its print, or as plain."""
     seen = _look(job, progress)
-    target, evidence = _fit_target(job, seen, None)
+    made = _fit_target(job, seen, None)
     if job.flat is not None:
-        return target, evidence, f"{job.name}: localised through its recorded flat"
+        return replace(made, remark=f"{job.name}: localised through its recorded flat")
     usable = [node for node in seen.nodes.values() if node.usable]
     frames = [job.recording.frame(node.located[0]) for node in usable]
     printed = sum(shows_print(frame, job.localiser) for frame in frames)
     if 2 * printed < len(frames):
-        plain = replace(target, localiser=replace(job.localiser, method="profile"))
-        return plain, evidence, f"{job.name}: plain, no print"
+        plain = replace(made.target, localiser=replace(job.localiser, method="profile"))
+        return replace(made, target=plain, remark=f"{job.name}: plain, no print")
     nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in usable])
-    found = find_print(frames, nodes_px, target.map, job.localiser)
+    found = find_print(frames, nodes_px, made.target.map, job.localiser)
     if found is None:
-        bare = replace(target, localiser=replace(job.localiser, method="moment"))
-        return bare, evidence, f"{job.name}: printed, but not regularly: a flat would help"
+        bare = replace(made.target, localiser=replace(job.localiser, method="moment"))
+        return replace(made, target=bare, remark=f"{job.name}: printed, not regularly: a flat would help")
     job = replace(job, flat=found.flat)
-    target, evidence = _fit_target(job, _look(job, lambda done, total: None), found.marks)
+    made = _fit_target(job, _look(job, lambda done, total: None), found.marks)
     pitch_mm = found.lattice.pitches_mm[0]
-    return target, evidence, f"{job.name}: print of {pitch_mm:.3f} mm pitch found and modelled"
+    return replace(made, remark=f"{job.name}: print of {pitch_mm:.3f} mm pitch found and modelled")
 
 
 def _look(job: _Job, progress: Progress) -> _Seen:
@@ -180,10 +201,14 @@ def _look(job: _Job, progress: Progress) -> _Seen:
     return seen
 
 
+def _node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
+    x_mm, y_mm = position_mm
+    return round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)
+
+
 def _take_node(seen: _Seen, frame: Frame, row: Row, job: _Job) -> None:
     assert row.position_mm is not None  # noqa: S101  the caller looked
-    x_mm, y_mm = row.position_mm
-    node = seen.nodes.setdefault((round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)), _Node())
+    node = seen.nodes.setdefault(_node_key(row.position_mm), _Node())
     node.positions_mm.append(row.position_mm)
     spot = locate(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
@@ -194,7 +219,7 @@ def _take_node(seen: _Seen, frame: Frame, row: Row, job: _Job) -> None:
         node.located.append(row)
 
 
-def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> tuple[TargetCalibration, TargetEvidence]:
+def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> _Made:
     recording, name = job.recording, job.name
     nodes = [node for node in seen.nodes.values() if node.usable]
     refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
@@ -244,7 +269,26 @@ def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> tuple[TargetCali
         left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
         candidates=fitted.candidates,
     )
-    return target, evidence
+    return _Made(target, evidence, _scatter(fitted, used))
+
+
+def _scatter(fitted: TargetFit, used: list[_Node]) -> NodeScatter:
+    """How the nodes that were used lie about the map, in mm, to be held against the other targets'."""
+    nodes_mm = np.array([node.position_mm for node in used])
+    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(fitted.fit.map.to_px(nodes_mm))
+    residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
+    exposures_mm = {}
+    for node, to_mm in zip(used, jacobian, strict=True):
+        deviations_px = np.array(node.spots_px) - np.mean(node.spots_px, axis=0)
+        for row, deviation_px in zip(node.located, deviations_px, strict=True):
+            exposures_mm[node.key, row.sequence] = to_mm @ deviation_px
+    return NodeScatter(
+        noise_px=fitted.fit.map.noise_px,
+        parameters=fitted.fit.parameters,
+        mm_per_px=float(np.sqrt(np.median(np.abs(np.linalg.det(jacobian))))),
+        residuals_mm={node.key: residual for node, residual in zip(used, residuals_mm, strict=True)},
+        exposures_mm=exposures_mm,
+    )
 
 
 def _repeatability_px(exposures: list[list[tuple[float, float]]]) -> FloatArray:

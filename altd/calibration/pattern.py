@@ -1,0 +1,87 @@
+"""What of the nodes' scatter about a map is the target's own pattern, and what a measurement will not see.
+
+A node lies off its map for three reasons: print and speckle shift the spot, the beam was not where the stage
+said, and read and shot noise are left in the mean of its exposures. Only the first is there again when the
+unit measures. The stage's error is what the targets' nodes have in common, since one beam lights them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from altd.records import FloatArray
+
+Key = tuple[int, int]
+"""A node of the scan."""
+
+_LEAST_SHARE = 0.4
+"""What is small against the rest is not known well enough to leave less of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeScatter:
+    """One target's nodes.
+
+    ``noise_px`` is their standard deviation about the map, which has ``parameters`` for both coordinates.
+    ``residuals_mm`` (2,) are measured minus mapped, ``exposures_mm`` (2,) an exposure's distance from its
+    node's mean, by node and sequence, and ``mm_per_px`` the scale of both.
+    """
+
+    noise_px: float
+    parameters: int
+    mm_per_px: float
+    residuals_mm: Mapping[Key, FloatArray]
+    exposures_mm: Mapping[tuple[Key, int], FloatArray]
+
+    @property
+    def exposures_per_node(self) -> float:
+        """Their harmonic mean: a node's mean scatters by 1/n."""
+        counts: dict[Key, int] = {}
+        for node, _ in self.exposures_mm:
+            counts[node] = counts.get(node, 0) + 1
+        return 1 / float(np.mean([1 / count for count in counts.values()])) if counts else 1.0
+
+
+def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
+    """The standard deviation of each target's pattern, px per axis."""
+    pairs = list(combinations(targets, 2))
+    stage_mm2 = _mean([_common_mm2(a, b) for a, b in pairs])
+    trembling_mm2 = _mean([_trembling_mm2(a, b) for a, b in pairs])
+    return [_pattern_px(target, stage_mm2, trembling_mm2) for target in targets]
+
+
+def _pattern_px(target: NodeScatter, stage_mm2: float, trembling_mm2: float) -> float:
+    """Without the stage, and without each exposure's own noise; trembling is in both and comes off once."""
+    per_node = target.exposures_per_node
+    own_mm2 = max(_trembling_mm2(target, target) - trembling_mm2, 0.0) / per_node
+    other_px2 = (max(stage_mm2, trembling_mm2 / per_node) + own_mm2) / target.mm_per_px**2
+    return float(np.sqrt(max(target.noise_px**2 - other_px2, (_LEAST_SHARE * target.noise_px) ** 2)))
+
+
+def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
+    """Variance per axis that the nodes of two targets share, less one standard deviation of its estimate."""
+    shared = [key for key in a.residuals_mm if key in b.residuals_mm]
+    if not shared:
+        return 0.0
+    left, right = (np.array([target.residuals_mm[key] for key in shared]) for target in (a, b))
+    freedom = max(left.size - (a.parameters + b.parameters) / 2, 1.0)
+    chance = float(np.sqrt(np.square(left).mean() * np.square(right).mean() / freedom))
+    return max(float((left * right).sum()) / freedom - chance, 0.0)
+
+
+def _trembling_mm2(a: NodeScatter, b: NodeScatter) -> float:
+    """Variance per axis of single exposures that two targets share; of a target with itself, all of it."""
+    shared = [key for key in a.exposures_mm if key in b.exposures_mm]
+    freedom = 2 * (len(shared) - len({node for node, _ in shared}))
+    if freedom <= 0:
+        return 0.0
+    total = sum(float(a.exposures_mm[key] @ b.exposures_mm[key]) for key in shared)
+    return max(total / freedom, 0.0)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else 0.0

@@ -1,0 +1,1 @@
+"""An xy stage behind a Grbl 1.1 controller."""

@@ -1,0 +1,89 @@
+"""The serial line to a Grbl controller: bytes out, replies in; what is no reply is counted and dropped."""
+
+from __future__ import annotations
+
+import errno
+import os
+import termios
+import time
+from collections import deque
+from pathlib import Path
+
+import serial
+
+from altd.devices.grbl.protocol import Reply, parse
+from altd.ports import StageLostError, StageNotFoundError
+
+_LOOK_S = 0.02
+_LONGEST_S = 2.0
+_LONGEST_NOISE = 4096
+"""Bytes without the end of a line: nothing of them will become a reply."""
+
+
+class Line:
+    """One open port, used from one thread at a time."""
+
+    def __init__(self, device: Path, baud: int) -> None:
+        """Open the port; raises StageNotFoundError that says why it cannot be used."""
+        self._device = device
+        self._rest = b""
+        self._replies: deque[Reply] = deque()
+        self.noise = 0
+        """Lines that were not understood."""
+        try:
+            self._port = serial.Serial(
+                str(device), baud, timeout=_LOOK_S, write_timeout=_LONGEST_S, exclusive=True
+            )
+        except serial.SerialException as error:
+            raise StageNotFoundError(f"{device}: {_why(error)}") from error
+        except termios.error as error:
+            raise StageNotFoundError(f"{device}: refuses its settings: {error.args[1]}") from error
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._port.close()
+
+    def send(self, data: bytes) -> None:
+        """Write all of ``data``; raises StageLostError."""
+        try:
+            self._port.write(data)
+        except (OSError, termios.error) as error:  # pyserial's errors are OSErrors
+            raise self._lost() from error
+
+    def receive(self, within_s: float) -> Reply | None:
+        """The next reply, or None when none came in time; raises StageLostError."""
+        deadline = time.monotonic() + within_s
+        while not self._replies:
+            try:
+                waiting = self._port.in_waiting
+                data = self._port.read(max(1, waiting)) if waiting or within_s > 0 else b""
+            except (OSError, termios.error, TypeError) as error:  # TypeError: closed under its hands
+                raise self._lost() from error
+            self._take(data)
+            if not data and time.monotonic() >= deadline:
+                break
+        return self._replies.popleft() if self._replies else None
+
+    def _take(self, data: bytes) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        if len(self._rest) > _LONGEST_NOISE:
+            self._rest = b""
+            self.noise += 1
+        for raw in lines:
+            text = raw.strip(b"\r \0").decode("ascii", errors="replace")
+            reply = parse(text)
+            if reply is not None:
+                self._replies.append(reply)
+            elif text:
+                self.noise += 1
+
+    def _lost(self) -> StageLostError:
+        return StageLostError(f"{self._device}: the port is gone")
+
+
+def _why(error: serial.SerialException) -> str:
+    if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
+        return "another program uses the port"
+    if error.errno is None:
+        return "is no serial port or refuses its settings"
+    return os.strerror(error.errno)

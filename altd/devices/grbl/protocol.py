@@ -1,0 +1,188 @@
+"""What a Grbl 1.1 controller says on its line, as records; no input or output.
+
+Source: ``doc/markdown/interface.md`` and ``doc/csv`` of Grbl 1.1h.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+RESET = b"\x18"
+STATUS = b"?"
+HOLD = b"!"
+"""Real-time commands: single bytes that need no line and give no ``ok``."""
+
+LOCKED = 9
+HOMING_OFF = 5
+
+ERRORS: Mapping[int, str] = MappingProxyType(
+    {
+        1: "a letter was expected",
+        2: "a number is not readable",
+        3: "no such $ command",
+        4: "a value may not be negative",
+        5: "homing is switched off in the controller ($22=0)",
+        6: "the step pulse is too short",
+        7: "its settings memory cannot be read, defaults are in force",
+        8: "not while it moves",
+        9: "it is locked (alarm or jog)",
+        10: "soft limits need homing",
+        11: "the line is too long",
+        12: "the step rate is too high",
+        13: "the safety door is open",
+        14: "the start line is too long",
+        15: "the jog leaves the travel",
+        16: "no such jog",
+        17: "laser mode needs a PWM output",
+        20: "a command that it does not know",
+        21: "two commands of one group",
+        22: "no feed rate",
+        23: "a whole number was expected",
+        24: "two commands want the axes",
+        25: "a word stands twice",
+        26: "the axes are missing",
+        27: "the line number is wrong",
+        28: "a value is missing",
+        29: "no such work coordinates",
+        30: "G53 goes with G0 and G1 only",
+        31: "axes that nothing uses",
+        32: "an arc without its axes",
+        33: "the target is not possible",
+        34: "the arc's radius is wrong",
+        35: "an arc without its offsets",
+        36: "values that nothing uses",
+        37: "a tool offset for a wrong axis",
+        38: "no such tool",
+    }
+)
+"""``error:N``: the command was not executed."""
+
+ALARMS: Mapping[int, str] = MappingProxyType(
+    {
+        1: "a limit switch was hit; where it stands is not certain any more",
+        2: "the target is outside of the stage's travel (soft limit)",
+        3: "it was reset while it moved; where it stands is not certain any more",
+        4: "the probe is not in its initial state",
+        5: "the probe touched nothing",
+        6: "homing was interrupted",
+        7: "the safety door was opened while it was homing",
+        8: "homing did not get off a limit switch",
+        9: "homing found no limit switch",
+        10: "homing found only one of two limit switches",
+    }
+)
+"""``ALARM:N``: the controller is locked until it is reset, then homed or unlocked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ok:
+    """The last line was taken; a movement in it may still be under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """``error:N``."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"error:{self.code}, {ERRORS.get(self.code, 'unknown to this program')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """``ALARM:N``."""
+
+    code: int
+
+    def __str__(self) -> str:
+        return f"ALARM:{self.code}, {ALARMS.get(self.code, 'unknown to this program')}"
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The controller (re)started; ``version`` such as (1, 1)."""
+
+    version: tuple[int, int]
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One line of the answer to ``$$``."""
+
+    number: int
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """``[…]`` or the echo of a start line: for people."""
+
+    text: str
+
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """``<State|…>``; positions x, y in mm, those that the report holds.
+
+    A report has the machine's or the work position, and now and then the offset between the two:
+    work = machine − offset.
+    """
+
+    state: str
+    machine_mm: Point | None = None
+    work_mm: Point | None = None
+    offset_mm: Point | None = None
+
+
+Reply = Ok | Refusal | Alarm | Banner | Setting | Message | Status
+
+_CODE = re.compile(r"(error|ALARM):(\d{1,3})")
+_BANNER = re.compile(r"Grbl(?:HAL)? (\d+)\.(\d+)\w* .*\[?.*help\]")
+_SETTING = re.compile(r"\$(\d{1,3})=(-?\d+(?:\.\d+)?)")
+_STATUS = re.compile(
+    r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?((?:\|[A-Za-z]+:[-+\w.,:]*)*)>"
+)
+_AXES = re.compile(r"(-?\d+\.\d+),(-?\d+\.\d+)(?:,-?\d+\.\d+)*")
+
+
+def parse(line: str) -> Reply | None:
+    """One line without its end; None for what Grbl does not say: noise, or a line that noise has hit."""
+    if line == "ok":
+        return Ok()
+    if coded := _CODE.fullmatch(line):
+        code = int(coded[2])
+        return Refusal(code) if coded[1] == "error" else Alarm(code)
+    if line.startswith("<"):
+        return _status(line)
+    if banner := _BANNER.fullmatch(line):
+        return Banner((int(banner[1]), int(banner[2])), line)
+    if setting := _SETTING.fullmatch(line):
+        return Setting(int(setting[1]), float(setting[2]))
+    if (line.startswith("[") and line.endswith("]")) or line.startswith(">"):
+        return Message(line)
+    return None
+
+
+def _status(line: str) -> Status | None:
+    report = _STATUS.fullmatch(line)
+    if report is None:
+        return None
+    points: dict[str, Point] = {}
+    for field in report[2].split("|")[1:]:
+        name, _, value = field.partition(":")
+        if name in ("MPos", "WPos", "WCO"):
+            axes = _AXES.fullmatch(value)
+            if axes is None:
+                return None
+            points[name] = float(axes[1]), float(axes[2])
+    if ("MPos" in points) == ("WPos" in points):  # there is always one of them, never both
+        return None
+    return Status(report[1], points.get("MPos"), points.get("WPos"), points.get("WCO"))

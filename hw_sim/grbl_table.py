@@ -1,0 +1,181 @@
+"""An xy table with a Grbl controller on a pseudo-terminal; it carries the laser of a simulated unit.
+
+Its controller believes to know where the table is. Where it really is differs by the positioning error of
+``hw_sim.stage`` and, after a loss of power or of steps, by whatever was lost, until it is homed.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import threading
+import time
+import tty
+from bisect import bisect_right
+from collections import deque
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from hw_sim.beam import BeamPose
+from hw_sim.grbl import Controller
+from hw_sim.stage import Stage
+from hw_sim.unit import Unit
+
+TICK_S = 0.002
+MEMORY = 4000
+"""Places that are kept, one a tick: a frame is drawn after its exposure."""
+
+MIDDLE_MM = (-100.0, -100.0)
+"""The middle of the targets as seen from the switches, which sit at the upper ends of a travel of 200 mm. The
+table stands there when the simulation begins, and the work zero is set there."""
+
+FAST = {110: "30000", 111: "30000", 120: "3000", 121: "3000", 25: "20000"}
+"""Settings of a quick table, so that a person or a test need not wait: 0.5 m/s, 3 m/s²."""
+SWITCHES = {20: "1", 21: "1", 22: "1"}
+"""Settings of a table with limit switches."""
+
+LOST_STEPS_MM = 0.4
+"""What is lost when the table is stopped dead."""
+
+
+class GrblTable:
+    """``with GrblTable(unit) as table``: the controller answers on ``table.device``.
+
+    ``noise`` is the share of bytes, each way, that the line changes. Without ``switches`` the table cannot be
+    homed; it was powered on in the middle.
+    """
+
+    def __init__(
+        self, unit: Unit | None = None, rng: np.random.Generator | None = None, *, switches: bool = True
+    ) -> None:
+        self.controller = Controller(work_zero_mm=MIDDLE_MM if switches else (0.0, 0.0))
+        self.controller.settings |= FAST | (SWITCHES if switches else {})
+        self.controller.power_on()
+        self.noise = 0.0
+        self.changed_bytes = 0
+        self._rng = rng or np.random.default_rng(0)
+        self._stage = Stage(self._rng)
+        self._slip_mm = MIDDLE_MM
+        self._power = self._answers = True
+        self._lock = threading.RLock()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="grbl-table", daemon=True)
+        self._terminal, self._line = os.openpty()
+        tty.setraw(self._line)
+        self.device = Path(os.ttyname(self._line))
+        self._times_ns: deque[int] = deque(maxlen=MEMORY)
+        self._poses: deque[BeamPose] = deque(maxlen=MEMORY)
+        self._target_mm = self.controller.planner.target_mm
+        self._error = self._stage.place(0.0, 0.0)
+        self._remember(time.monotonic_ns())
+        if unit is not None:
+            unit.follow(self.beam)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+        self.unplug()
+
+    def beam(self, t_ns: int) -> BeamPose:
+        """The beam at an instant of the last seconds."""
+        with self._lock:
+            index = bisect_right(self._times_ns, t_ns) - 1
+            return self._poses[max(index, 0)]
+
+    def unplug(self) -> None:
+        """Pull the cable: the port is gone."""
+        with self._lock:
+            if self._terminal >= 0:
+                os.close(self._terminal)
+                os.close(self._line)
+                self._terminal = self._line = -1
+
+    def hang(self) -> None:
+        """Let the controller's firmware stop answering; a move that is under way is finished."""
+        with self._lock:
+            self._answers = False
+
+    def lose_power(self) -> None:
+        """Stop dead and be silent; the table stands where it is."""
+        with self._lock:
+            self.controller.cut_power(_now_s())
+            self._power = False
+
+    def power_on(self) -> None:
+        """Power again: the controller believes to be at its zero, wherever the table is."""
+        with self._lock:
+            self.shove(*self.controller.planner.place_mm)
+            said = self.controller.power_on()
+            self._power = self._answers = True
+            self._say(said)
+
+    def hit_limit(self) -> None:
+        """Let somebody lean on a limit switch."""
+        with self._lock:
+            self._say(self.controller.hit_limit(_now_s()))
+
+    def shove(self, x_mm: float, y_mm: float) -> None:
+        """Push the table, its motors without noticing."""
+        with self._lock:
+            self._slip_mm = self._slip_mm[0] + x_mm, self._slip_mm[1] + y_mm
+
+    def _serve(self) -> None:
+        while not self._ending.is_set():
+            with self._lock:
+                if self._terminal < 0:
+                    return
+                self._turn()
+            self._ending.wait(TICK_S)
+
+    def _turn(self) -> None:
+        now_ns = time.monotonic_ns()
+        data = b""
+        if select.select([self._terminal], [], [], 0)[0]:
+            data = self._through_noise(os.read(self._terminal, 4096))
+        if self._power:
+            if self._answers:
+                homing = self.controller.state == "Home"
+                self._say(self.controller.receive(data, now_ns * 1e-9))
+                if homing and self.controller.state == "Idle":
+                    self._slip_mm = 0.0, 0.0
+            else:
+                self.controller.tick(now_ns * 1e-9)
+        self._remember(now_ns)
+
+    def _say(self, text: str) -> None:
+        if "ALARM:1" in text or "ALARM:3" in text:
+            self.shove(LOST_STEPS_MM, -LOST_STEPS_MM)
+        if text and self._terminal >= 0:
+            os.write(self._terminal, self._through_noise(text.encode("ascii")))
+
+    def _through_noise(self, data: bytes) -> bytes:
+        if self.noise == 0 or not data:
+            return data
+        changed = np.frombuffer(data, np.uint8).copy()
+        hit = self._rng.random(len(changed)) < self.noise
+        self.changed_bytes += int(hit.sum())
+        changed[hit] = self._rng.integers(1, 256, int(hit.sum()))
+        return changed.tobytes()
+
+    def _remember(self, t_ns: int) -> None:
+        if self.controller.planner.target_mm != self._target_mm:
+            self._target_mm = self.controller.planner.target_mm
+            self._error = self._stage.place(0.0, 0.0)
+        x_mm, y_mm = self.controller.planner.at(t_ns * 1e-9)
+        self._times_ns.append(t_ns)
+        self._poses.append(
+            BeamPose(
+                x_mm + self._slip_mm[0] + self._error.x_mm - MIDDLE_MM[0],
+                y_mm + self._slip_mm[1] + self._error.y_mm - MIDDLE_MM[1],
+            )
+        )
+
+
+def _now_s() -> float:
+    return time.monotonic_ns() * 1e-9

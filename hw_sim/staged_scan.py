@@ -1,0 +1,58 @@
+"""``python -m hw_sim scan --stage``: altd's own scan of a simulated unit, its table on a pseudo-terminal.
+
+All of it is as with a real unit: ``altd scan`` speaks Grbl to the table, which carries the laser, and takes
+the frames that the cameras deliver meanwhile. Interrupted, it is resumed like a real one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from altd.app import scanner_of
+from altd.commands import run_scan
+from altd.config import Config, GrblStage, Scan, Target
+from altd.config import Unit as UnitTable
+from altd.scan_screen import ScanScreen
+from hw_sim.camera import make_cameras
+from hw_sim.grbl_table import GrblTable
+from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
+
+STAGE_STREAM = 6
+"""Keeps the stage's random numbers apart from those of the frames."""
+
+
+class SimulatedLamps:
+    """The frame LEDs of a simulated unit; see ``altd.ports.Lamps``."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+
+    def switch(self, on: bool) -> None:
+        """Light or darken them, from the next exposure on."""
+        self._unit.leds_on = on
+
+
+def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
+    """The settings of an ordinary unit whose stage is at ``device``."""
+    return Config(
+        unit=UnitTable(serial=unit.config.serial, calibration=Path("calibration.json")),
+        targets=(
+            Target(name=FRONT, z_mm=0.0, camera=FRONT),
+            Target(name=REAR, z_mm=unit.config.target_distance_mm, camera=REAR),
+        ),
+        stage=GrblStage(driver="grbl", device=device, feed_mm_per_min=6000.0),
+        scan=scan,
+    )
+
+
+def staged_scan(folder: Path, seed: int, exposures: int) -> int:
+    """Scan the unit of ``seed`` with its table into ``folder``; the exit status. Raises BadInputError."""
+    unit = Unit(UnitConfig(seed=seed))
+    with GrblTable(unit, np.random.default_rng([seed, STAGE_STREAM])) as table:
+        config = scan_config(unit, table.device, Scan(exposures=exposures, settle_s=0.2))
+        cameras = {camera.name: camera for camera in make_cameras(unit)}
+        screen = ScanScreen("hw_sim")
+        scanner = scanner_of(config, folder, folder, screen, cameras, SimulatedLamps(unit))
+        return run_scan(scanner, folder, screen)

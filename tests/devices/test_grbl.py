@@ -1,0 +1,373 @@
+"""The Grbl driver on the simulated table, over a pseudo-terminal; what the table answers is Grbl's own
+(``tests/hw_sim/test_grbl.py``). Grbl itself is asked where its simulator is installed."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import subprocess
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from support.grbl_conversation import CONVERSATION
+
+from altd.config import GrblStage as Settings
+from altd.devices.grbl import driver, protocol
+from altd.devices.grbl.driver import GrblStage
+from altd.ports import (
+    StageAlarmError,
+    StageError,
+    StageLostError,
+    StageNotFoundError,
+    StageRefusedError,
+    StageStoppedError,
+    StageTimeoutError,
+)
+from hw_sim.grbl_table import FAST, LOST_STEPS_MM, MIDDLE_MM, GrblTable
+
+SLOW = {110: "1500", 111: "1500"}
+"""25 mm/s: there is time to disturb a move."""
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver's patience for a real table, shortened to that of a simulated one."""
+    waits = {"POLL_S": 0.02, "_REPORT_WITHIN_S": 0.1, "_SILENCE_S": 0.05, "_WAKE_S": 0.3, "_HALT_S": 0.5}
+    for name, seconds in waits.items():
+        monkeypatch.setattr(driver, name, seconds)
+
+
+@pytest.fixture
+def table(quick: None) -> Iterator[GrblTable]:
+    with GrblTable() as table:
+        yield table
+
+
+def settings(device: Path, **more: object) -> Settings:
+    return Settings.model_validate(
+        {
+            "driver": "grbl",
+            "device": device,
+            "feed_mm_per_min": 30_000.0,
+            "answer_within_s": 0.15,
+            "home_within_s": 3.0,
+            **more,
+        }
+    )
+
+
+@pytest.fixture
+def stage(table: GrblTable) -> Iterator[GrblStage]:
+    """A stage that is open and homed."""
+    stage = GrblStage(settings(table.device))
+    stage.open()
+    stage.home()
+    yield stage
+    stage.close()
+
+
+def beam(table: GrblTable) -> tuple[float, float]:
+    """Where the laser really is."""
+    pose = table.beam(time.monotonic_ns())
+    return pose.x_mm, pose.y_mm
+
+
+def soon(act: Callable[[], None], after_s: float = 0.15) -> threading.Timer:
+    timer = threading.Timer(after_s, act)
+    timer.start()
+    return timer
+
+
+@pytest.mark.parametrize(
+    ("line", "reply"),
+    [
+        ("ok", protocol.Ok()),
+        ("error:9", protocol.Refusal(9)),
+        ("ALARM:2", protocol.Alarm(2)),
+        ("Grbl 1.1h ['$' for help]", protocol.Banner((1, 1), "Grbl 1.1h ['$' for help]")),
+        ("$13=0", protocol.Setting(13, 0.0)),
+        ("[MSG:Caution: Unlocked]", protocol.Message("[MSG:Caution: Unlocked]")),
+        (">G54G20:ok", protocol.Message(">G54G20:ok")),
+        (
+            "<Idle|MPos:0.000,-10.000,5.000|FS:0.0,0|Pn:XYZ|WCO:0.000,1.551,5.664>",
+            protocol.Status("Idle", (0.0, -10.0), None, (0.0, 1.551)),
+        ),
+        (
+            "<Hold:1|WPos:-2.500,0.000,11.000|Bf:15,128|Ov:100,100,100|A:SFM>",
+            protocol.Status("Hold", None, (-2.5, 0.0)),
+        ),
+        ("<Idle|MPos:0.000,-10.000,5.000|FS:0.0,0", None),
+        ("<Idle|MPos:0.0x0,-10.000,5.000|FS:0.0,0>", None),
+        ("<Idle|FS:0.0,0>", None),
+        ("<Idel|MPos:0.000,-10.000,5.000>", None),
+        ("oj", None),
+        ("error:", None),
+        ("", None),
+    ],
+)  # fmt: skip
+def test_what_grbl_says_is_understood_and_noise_is_not(line: str, reply: protocol.Reply | None) -> None:
+    assert protocol.parse(line) == reply
+
+
+def test_every_line_that_grbl_has_said_is_understood() -> None:
+    lines = {line.replace("*", "1.500,-2.000,0.000") for _, _, lines in CONVERSATION for line in lines}
+    assert len(lines) > 20
+    assert [line for line in lines if protocol.parse(line) is None] == []
+
+
+def test_the_stage_goes_where_it_is_sent(table: GrblTable, stage: GrblStage) -> None:
+    for place in [(62.5, -50.0), (-62.5, 50.0), (0.0, 0.0), (0.004, 12.5)]:
+        stage.move_to(*place)
+        assert stage.position() == pytest.approx(place, abs=0.002 + 1e-6)  # half a step
+        assert beam(table) == pytest.approx(place, abs=0.015)
+
+
+@pytest.mark.parametrize("coordinates", ["work", "machine"])
+def test_signs_and_offsets_put_the_stage_into_the_unit_frame(table: GrblTable, coordinates: str) -> None:
+    offsets = (
+        {"offset_x_mm": -100.0, "offset_y_mm": -100.0} if coordinates == "machine" else {"offset_x_mm": 3.0}
+    )
+    stage = GrblStage(settings(table.device, coordinates=coordinates, sign_y=-1, **offsets))
+    stage.open()
+    stage.home()
+    stage.move_to(10.0, 20.0)
+    stage.close()
+    expected = (10.0, -20.0) if coordinates == "machine" else (13.0, -20.0)
+    assert beam(table) == pytest.approx(expected, abs=0.015)
+
+
+def test_a_report_in_work_coordinates_does_as_well(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings[10] = "0"
+    stage.move_to(25.0, -25.0)
+    assert stage.position() == (25.0, -25.0)
+
+
+def test_a_stage_without_switches_is_told_how(table: GrblTable) -> None:
+    table.controller.settings |= {20: "0", 22: "0"}
+    stage = GrblStage(settings(table.device))
+    stage.open()
+    with pytest.raises(
+        StageRefusedError, match=r'switched off in the controller \(\$22=0\).*start = "unlock"'
+    ):
+        stage.home()
+    stage.close()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_stage_without_switches_is_taken_as_it_stands() -> None:
+    with GrblTable(switches=False) as table:
+        stage = GrblStage(settings(table.device, start="unlock"))
+        stage.open()
+        stage.home()
+        stage.move_to(25.0, -25.0)
+        assert beam(table) == pytest.approx((25.0, -25.0), abs=0.015)
+        stage.close()
+
+
+def test_a_locked_controller_is_unlocked_on_request_only(table: GrblTable) -> None:
+    table.controller.settings[20] = "0"
+    stage = GrblStage(settings(table.device))
+    stage.open()
+    with pytest.raises(StageAlarmError, match="locked: it must be homed"):
+        stage.move_to(0.0, 0.0)
+    stage.close()
+    stage = GrblStage(settings(table.device, start="unlock"))
+    stage.open()
+    stage.home()
+    assert table.controller.state == "Idle"
+    stage.close()
+
+
+def test_a_place_beyond_the_travel_is_an_alarm_in_words_and_homing_gets_out_of_it(
+    table: GrblTable, stage: GrblStage
+) -> None:
+    with pytest.raises(StageAlarmError, match=r"ALARM:2, the target is outside of the stage's travel"):
+        stage.move_to(300.0, 0.0)
+    stage.close()
+    stage.open()
+    stage.home()
+    stage.move_to(5.0, 5.0)
+    assert beam(table) == pytest.approx((5.0, 5.0), abs=0.015)
+
+
+def test_a_limit_switch_ends_a_move(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+    timer = soon(table.hit_limit)
+    with pytest.raises(StageAlarmError, match="ALARM:1, a limit switch was hit"):
+        stage.move_to(25.0, 0.0)
+    timer.join()
+
+
+def test_a_controller_that_hangs_is_given_up(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+    timer = soon(table.hang)
+    with pytest.raises(StageTimeoutError, match="does not report its position"):
+        stage.move_to(25.0, 0.0)
+    timer.join()
+
+
+def test_after_a_loss_of_power_nobody_knows_where_the_stage_is(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+
+    def blink() -> None:
+        table.lose_power()
+        time.sleep(0.1)
+        table.power_on()
+
+    timer = soon(blink)
+    with pytest.raises(StageLostError, match="started anew"):
+        stage.move_to(25.0, 0.0)
+    timer.join()
+    x_mm, _ = beam(table)
+    assert 26.0 < x_mm < 98.0  # half way, and the controller believes to be at 0
+    stage.close()
+    table.controller.settings |= FAST
+    stage.open()
+    stage.home()
+    stage.move_to(25.0, 0.0)
+    assert beam(table) == pytest.approx((25.0, 0.0), abs=0.015)
+
+
+def test_a_pulled_cable_is_said(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+    timer = soon(table.unplug)
+    with pytest.raises(StageLostError, match=f"{table.device}: the port is gone"):
+        stage.move_to(25.0, 0.0)
+    timer.join()
+
+
+def test_noise_on_the_line_delays_but_never_misplaces(table: GrblTable, stage: GrblStage) -> None:
+    table.noise = 0.003  # a fifth of the exchanges is hit
+    arrived = 0
+    for place in itertools.islice(itertools.cycle([(20.0, 10.0), (-20.0, 5.0), (0.0, -30.0)]), 10):
+        try:
+            stage.move_to(*place)
+        except StageError:
+            table.noise = 0.0
+            stage.close()
+            stage.open()
+            stage.home()
+            table.noise = 0.003
+        else:
+            arrived += 1
+            assert beam(table) == pytest.approx(place, abs=0.035)
+    assert arrived >= 5
+    assert table.changed_bytes >= 3
+
+
+def test_stopping_brakes_and_loses_no_step(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+    timer = soon(stage.stop)
+    with pytest.raises(StageStoppedError):
+        stage.move_to(50.0, 0.0)
+    timer.join()
+    assert table.controller.state == "Idle"
+    stands = beam(table)
+    assert 51.0 < stands[0] < 98.0
+    reported = tuple(at - zero for at, zero in zip(table.controller.planner.place_mm, MIDDLE_MM, strict=True))
+    assert stands == pytest.approx(reported, abs=0.015)  # the table's slip would be LOST_STEPS_MM
+    assert LOST_STEPS_MM > 0.1
+    with pytest.raises(StageStoppedError):
+        stage.move_to(0.0, 0.0)
+
+
+def test_homing_is_stopped_at_once(table: GrblTable, stage: GrblStage) -> None:
+    stage.move_to(0.0, 0.0)
+    table.controller.settings[25] = "500"  # it would take 12 s
+    timer = soon(stage.stop)
+    with pytest.raises(StageStoppedError):
+        stage.home()
+    timer.join()
+    assert table.controller.state == "Alarm"
+
+
+def test_a_move_that_a_killed_program_left_behind_is_let_finish(table: GrblTable, stage: GrblStage) -> None:
+    table.controller.settings |= SLOW
+    stage._send(b"G90 G1 X90 Y90 F1500\n")
+    time.sleep(0.1)
+    stage.close()
+    late = GrblStage(settings(table.device, start="unlock"))
+    late.open()
+    late.home()
+    assert late.position() == (90.0, 90.0)
+    assert beam(table) == pytest.approx((90.0, 90.0), abs=0.015)
+    late.close()
+
+
+def test_inches_are_refused(table: GrblTable) -> None:
+    table.controller.settings[13] = "1"
+    with pytest.raises(StageRefusedError, match=r"inches: set \$13=0"):
+        GrblStage(settings(table.device)).open()
+
+
+def test_what_is_no_stage_is_named(
+    table: GrblTable, stage: GrblStage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def complaint(device: Path) -> str:
+        with pytest.raises(StageNotFoundError) as caught:
+            GrblStage(settings(device)).open()
+        return str(caught.value)
+
+    assert complaint(tmp_path / "none") == f"{tmp_path / 'none'}: No such file or directory"
+    (tmp_path / "file").touch()
+    assert complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is no serial port or refuses its settings"
+    assert complaint(table.device) == f"{table.device}: another program uses the port"
+    monkeypatch.setattr(driver, "_WAKE_S", 0.02)
+    terminal, line = os.openpty()
+    tty.setraw(line)
+    silent = Path(os.ttyname(line))
+    assert complaint(silent) == f"{silent}: no Grbl controller answers at 115200 baud"
+    os.close(terminal)
+    os.close(line)
+
+
+@pytest.fixture
+def grbl_itself(tmp_path: Path) -> Iterator[Path]:
+    """Grbl 1.1 compiled for Linux (grbl-sim), on a pseudo-terminal."""
+    program = shutil.which("grbl_sim.exe")
+    if program is None:
+        pytest.skip("grbl_sim.exe (Grbl with grbl-sim, made by hand) is not on the path")
+    terminal, line = os.openpty()
+    tty.setraw(line)
+    command = ["stdbuf", "-i0", "-o0", program, "-n", "-s", "/dev/null", "-b", "/dev/null"]
+    process = subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=subprocess.DEVNULL, cwd=tmp_path
+    )
+    time.sleep(1.5)
+    yield Path(os.ttyname(line))
+    process.kill()
+    process.wait()
+    os.close(terminal)
+    os.close(line)
+
+
+def test_grbl_itself_is_driven(grbl_itself: Path) -> None:
+    stage = GrblStage(settings(grbl_itself, start="unlock", offset_x_mm=3.0, sign_y=-1, answer_within_s=2.0))
+    stage.open()
+    stage.home()
+    assert stage.position() == (-3.0, 0.0)
+    for place in [(1.0, 1.0), (2.5, -1.25)]:
+        stage.move_to(*place)
+        assert stage.position() == pytest.approx(place, abs=0.002 + 1e-6)
+    stage._command("$22=1")
+    stage._command("$20=1")
+    with pytest.raises(StageAlarmError, match="ALARM:2"):
+        stage.move_to(5000.0, 0.0)
+    stage.close()
+    stage.open()
+    stage.home()
+    assert stage.position() == pytest.approx((2.5, -1.25), abs=0.003)
+    timer = soon(stage.stop, 0.5)
+    with pytest.raises(StageStoppedError):
+        stage.move_to(-90.0, 1.25)
+    timer.join()
+    stage.close()
+    stage = GrblStage(settings(grbl_itself, start="home", answer_within_s=2.0))
+    stage.open()
+    assert stage._status().state == "Idle"
+    stage.close()

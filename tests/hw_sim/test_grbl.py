@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from support.grbl_conversation import CONVERSATION
+
+from hw_sim.grbl import Controller
+from hw_sim.grbl_motion import Move, braking
+
+
+def said(text: str) -> list[str]:
+    """The lines without the speeds."""
+    return [re.sub(r"\|FS:[\d.,]+", "", line) for line in text.splitlines()]
+
+
+def listen(controller: Controller, from_s: float, seconds: float) -> str:
+    heard, steps = "", 100
+    for step in range(1, steps + 1):
+        heard += controller.tick(from_s + seconds * step / steps)
+    return heard
+
+
+def test_it_answers_as_grbl_itself_has_answered() -> None:
+    controller = Controller()
+    controller.power_on()
+    t_s = 0.0
+    for number, (sent, seconds, expected) in enumerate(CONVERSATION):
+        answer = controller.receive(sent, t_s) + listen(controller, t_s, seconds)
+        t_s += seconds
+        pattern = "\n".join(re.escape(line).replace(r"Pos:\*", r"Pos:[-\d.,]+") for line in expected)
+        assert re.fullmatch(pattern, "\n".join(said(answer))), (number, sent, answer, expected)
+
+
+@pytest.mark.parametrize("way", [0.4, 30.0], ids=["short", "long"])
+def test_a_move_speeds_up_runs_and_brakes(way: float) -> None:
+    speed, acceleration = 20.0, 50.0
+    move = Move((1.0, 2.0), (1.0 + 0.6 * way, 2.0 + 0.8 * way), speed, acceleration)
+    move.begin(3.0)
+    # s = v²/a to speed up and brake, the rest at v; too short a way is two halves of a t²/2
+    whole = way > speed**2 / acceleration
+    takes = way / speed + speed / acceleration if whole else 2 * math.sqrt(way / acceleration)
+    assert move.end_s == pytest.approx(3.0 + takes)
+    h = 1e-4
+    for t in (3.0 + takes * k / 21 for k in range(1, 21)):
+        numeric = (move.gone_mm(t + h) - move.gone_mm(t - h)) / (2 * h)
+        assert move.speed_at(t) == pytest.approx(numeric, abs=2e-3)
+        assert numeric <= speed + 1e-6
+    assert move.at(2.0) == (1.0, 2.0)
+    assert move.at(99.0) == pytest.approx((1.0 + 0.6 * way, 2.0 + 0.8 * way))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+def test_a_hold_brakes_from_the_speed_that_it_has(share: float) -> None:
+    move = Move((0.0, 0.0), (30.0, 0.0), 20.0, 50.0)
+    move.begin(0.0)
+    at = share * move.end_s
+    held = braking(move, at)
+    assert held.at(at) == pytest.approx(move.at(at))
+    assert held.speed_at(at + 1e-6) == pytest.approx(move.speed_at(at), abs=1e-3)
+    assert held.end_s == pytest.approx(at + move.speed_at(at) / 50.0)
+    assert held.end_mm[0] == pytest.approx(move.at(at)[0] + move.speed_at(at) ** 2 / 100.0)
+
+
+def test_a_hold_goes_on_where_it_stopped_and_ends_at_the_target() -> None:
+    controller = Controller()
+    controller.receive(b"G1 X5 F500\n", 0.0)
+    controller.receive(b"!", 0.5)
+    listen(controller, 0.5, 2.0)
+    assert 0 < controller.planner.at(2.5)[0] < 5
+    controller.receive(b"~", 2.5)
+    listen(controller, 2.5, 3.0)
+    assert controller.planner.at(5.5) == (5.0, 0.0)
+    assert controller.state == "Idle"
+
+
+def test_homing_takes_time_without_answers_and_ends_at_the_pull_off() -> None:
+    controller = Controller()
+    controller.settings[22] = "1"
+    assert "to unlock" in controller.power_on()
+    controller.planner.place_mm = (-50.0, 0.0)
+    assert controller.receive(b"G1 X1 F100\n", 0.0) == "error:9\r\n"
+    assert controller.receive(b"$H\n", 0.0) == ""
+    assert controller.receive(b"?", 0.1) == ""
+    assert controller.tick(50 / (500 / 60)) == ""
+    assert listen(controller, 6.0, 0.2) == "ok\r\n"
+    assert controller.planner.at(6.2) == (-1.0, -1.0)
+
+
+def test_a_wall_stops_the_table_and_only_a_reset_helps() -> None:
+    controller = Controller(walls_mm=(-10.0, 10.0, -10.0, 10.0))
+    controller.settings[21] = "1"
+    controller.receive(b"G1 X20 F500\n", 0.0)
+    assert listen(controller, 0.0, 3.0).splitlines() == ["ALARM:1", "[MSG:Reset to continue]"]
+    assert controller.planner.at(3.0)[0] == pytest.approx(10.0, abs=0.3)
+    assert controller.receive(b"?$X\n", 3.0) == ""
+    assert "to unlock" in controller.receive(b"\x18", 3.1)
+    assert "Caution" in controller.receive(b"$X\n", 3.2)

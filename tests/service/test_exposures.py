@@ -1,0 +1,94 @@
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from support.frames import Blob, frame, light
+
+from altd.config import Measuring
+from altd.ports import CameraEndedError, CameraError
+from altd.records import Frame, Origin
+from altd.service import exposures
+from altd.service.clock import SystemClock
+from altd.service.exposures import Exposures
+from altd.service.health import Health
+
+PIXELS = frame(light(Blob(300, 200))).pixels
+PERIOD_NS = 20_000_000
+
+
+class Camera:
+    """Exposures of a whole period, back to back: number k lasts from k - 1/2 to k + 1/2 periods."""
+
+    origin = Origin.CAMERA
+    waits = True
+
+    start_ns = 0
+
+    def __init__(self, name: str, lost: tuple[int, ...] = (), last: int = 1000) -> None:
+        self.name = name
+        self.lost = lost
+        self.last = last
+        self.number = -1
+
+    def open(self) -> None: ...
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        self.number += 1
+        while self.number in self.lost:
+            self.number += 1
+        if self.number > self.last:
+            raise CameraEndedError("the recording is at its end")
+        t_ns = self.start_ns + self.number * PERIOD_NS
+        time.sleep(max(t_ns + PERIOD_NS // 2 - time.monotonic_ns(), 0) * 1e-9)  # it is read out at its end
+        return Frame(self.name, self.number, t_ns, PIXELS)
+
+    def close(self) -> None: ...
+
+
+def of(*cameras: Camera) -> Exposures:
+    start_ns = time.monotonic_ns()
+    for camera in cameras:
+        camera.start_ns = start_ns
+    return Exposures(cameras, Measuring(), Health(SystemClock()))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.7, 0.999])
+async def test_no_exposure_that_was_under_way_is_taken(share: float) -> None:
+    front, rear = Camera("front"), Camera("rear")
+    async with of(front, rear) as cameras:
+        settled_ns = front.start_ns + round((7 + share) * PERIOD_NS)
+        taken = await cameras.after(settled_ns, 3)
+    begins_ns = [pair.t_ns - PERIOD_NS // 2 for pair in taken]
+    assert begins_ns[0] >= settled_ns
+    assert begins_ns[0] - settled_ns < 2 * PERIOD_NS
+    assert [pair.sequence for pair in taken] == [taken[0].sequence + k for k in range(3)]
+
+
+async def test_an_exposure_that_one_camera_lost_is_left_out() -> None:
+    front, rear = Camera("front", lost=(5,)), Camera("rear", lost=(7,))
+    async with of(front, rear) as cameras:
+        taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
+    assert [pair.sequence for pair in taken] == [6, 8, 9]
+    assert all(set(pair.items) == {"front", "rear"} for pair in taken)
+
+
+async def test_a_camera_at_its_end_is_named() -> None:
+    async with of(Camera("front"), Camera("rear", last=3)) as cameras:
+        with pytest.raises(CameraError, match="camera rear: the recording is at its end"):
+            await cameras.after(0, 100)
+
+
+async def test_a_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposures, "PATIENCE_S", 0.3)
+    silence = threading.Event()
+
+    class Silent(Camera):
+        def next_frame(self, timeout_s: float) -> Frame:
+            silence.wait(0.05)
+            raise CameraError("no link")
+
+    async with of(Camera("front"), Silent("rear")) as cameras:
+        with pytest.raises(CameraError, match=r"^camera rear: no link"):
+            await cameras.after(0, 1)

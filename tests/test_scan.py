@@ -1,0 +1,377 @@
+"""The whole scan: altd drives a simulated Grbl table over a pseudo-terminal, simulated cameras look on."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli import altd, refusal, write_config
+from support.recordings import write_beams
+
+from altd.app import scanner_of
+from altd.calibration.scan import calibrate_scan
+from altd.config import Config, Scan
+from altd.devices.grbl import driver
+from altd.errors import BadInputError
+from altd.mapping.inverse import InverseMap
+from altd.recording import (
+    CameraHeader,
+    Recording,
+    RecordingHeader,
+    RecordingWriter,
+    UnitHeader,
+    open_recording,
+)
+from altd.service import exposures
+from altd.service.scan import ScanResult, ScanStoppedError
+from hw_sim.camera import make_cameras
+from hw_sim.faults import Fault
+from hw_sim.grbl_table import GrblTable
+from hw_sim.stage import Stage
+from hw_sim.staged_scan import SimulatedLamps, scan_config
+from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
+
+SMALL = Scan(columns=4, rows=4, exposures=1, settle_s=0.02, led_pairs=0)
+QUICK_TABLE = {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
+
+
+@pytest.fixture(scope="module")
+def made() -> Unit:
+    return Unit(UnitConfig(seed=11, fps=50.0))
+
+
+@pytest.fixture
+def unit(made: Unit, monkeypatch: pytest.MonkeyPatch) -> Iterator[Unit]:
+    for name, seconds in {
+        "POLL_S": 0.01,
+        "_SILENCE_S": 0.05,
+        "_WAKE_S": 0.5,
+        "_REPORT_WITHIN_S": 0.2,
+    }.items():
+        monkeypatch.setattr(driver, name, seconds)
+    yield made
+    made.clear()
+    made.leds_on = False
+
+
+@pytest.fixture
+def table(unit: Unit) -> Iterator[GrblTable]:
+    with GrblTable(unit) as table:
+        table.controller.settings |= QUICK_TABLE
+        yield table
+
+
+class Listener:
+    """Keeps what the scan tells, and acts when it comes to a node."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.visited: list[str] = []
+        self.at: dict[str, Callable[[], None]] = {}
+        self.elsewhere: Callable[[], None] = lambda: None
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    def progress(self, done: int, total: int, doing: str) -> None:
+        self.visited.append(doing)
+        self.at.get(doing, self.elsewhere)()
+
+
+async def scanned(
+    unit: Unit, table: GrblTable, folder: Path, listener: Listener, scan: Scan = SMALL, **stage: object
+) -> ScanResult:
+    config = scan_config(unit, table.device, scan)
+    assert config.stage is not None
+    fast = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0, "answer_within_s": 0.3, **stage})
+    config = Config.model_validate(config.model_dump() | {"stage": fast.model_dump()})
+    cameras = {camera.name: camera for camera in make_cameras(unit)}
+    return await scanner_of(config, folder, folder, listener, cameras, SimulatedLamps(unit)).run()
+
+
+def nodes(recording: Recording) -> list[tuple[float, float]]:
+    """The nodes in the order of their frames, rounded to whole µm."""
+    places = [row.position_mm for row in recording.rows if row.position_mm is not None]
+    return list(dict.fromkeys((round(x, 2), round(y, 2)) for x, y in places))
+
+
+def mapped_mm(scan: Path, unit: Unit) -> np.ndarray:
+    """Where the calibration of a scan puts places inside of the grid, as the simulator's lenses show them."""
+    x_mm, y_mm = (a.ravel() for a in np.meshgrid(np.linspace(-44, 44, 25), np.linspace(-44, 44, 25)))
+    mapped = []
+    for target in calibrate_scan(open_recording(scan)).calibration.targets:
+        px = np.column_stack(unit.eyes[target.name].view.lens.project(x_mm, y_mm))
+        mapped.append(InverseMap.of(target.map).to_mm(px)[0] - np.column_stack([x_mm, y_mm]))
+    return np.vstack(mapped)
+
+
+def scan_directly(folder: Path, unit: Unit, scan: Scan) -> None:
+    """The same grid without altd's scan: the beam is put there, and the frames are taken."""
+    size = CameraHeader(width=752, height=480, bits=8)
+    header = RecordingHeader(
+        format="altd-recording/1",
+        kind="scan",
+        fps=20.0,
+        cameras={FRONT: size, REAR: size},
+        unit=UnitHeader(serial="SIM-11", target_distance_mm=280.0),
+    )
+    writer = RecordingWriter(folder, header)
+    stage = Stage(np.random.default_rng(1))
+    for number, (column, row, _) in enumerate(
+        itertools.product(range(scan.columns), range(scan.rows), range(2))
+    ):
+        place = (column - 1.5) * scan.pitch_mm, (row - 1.5) * scan.pitch_mm
+        if number % 2 == 0:
+            unit.place(stage.place(*place))
+        for camera in (FRONT, REAR):
+            writer.write(unit.expose(camera, 5000 + number, 0), number, number / 20, place)
+    writer.close()
+
+
+async def test_the_scan_calibrates_as_well_as_one_without_a_stage(
+    unit: Unit, table: GrblTable, tmp_path: Path
+) -> None:
+    listener = Listener()
+    scan = Scan(columns=4, rows=4, pitch_mm=30.0, settle_s=0.02, led_pairs=2)
+    result = await scanned(unit, table, tmp_path / "staged", listener, scan)
+    assert result.refused == ()
+    assert listener.said == []
+    assert not unit.leds_on
+    recording = open_recording(tmp_path / "staged")
+    assert len(nodes(recording)) == 16
+    pattern = [row.leds_on for row in recording.rows if row.position_mm is None and row.camera == REAR]
+    assert pattern == [False, True] * 4
+    assert [row.position_mm is None for row in recording.rows] == [True] * 8 + [False] * 64 + [True] * 8
+    assert recording.header.note == "altd scan, simulated"
+
+    scan_directly(tmp_path / "direct", unit, scan)
+    staged, direct = (mapped_mm(tmp_path / name, unit) for name in ("staged", "direct"))
+    rms_staged, rms_direct, rms_between = (np.sqrt(np.mean(e**2)) for e in (staged, direct, staged - direct))
+    assert rms_staged == pytest.approx(rms_direct, rel=0.1)
+    assert rms_between < 0.003, "two stages of 0.002 mm and the noise of the frames"
+
+
+async def test_an_alarm_stops_the_scan_and_homing_lets_it_go_on(
+    unit: Unit, table: GrblTable, tmp_path: Path
+) -> None:
+    listener = Listener()
+    listener.at["node x 37.5 y -12.5 mm"] = table.hit_limit  # the fifth
+    with pytest.raises(ScanStoppedError, match=r"^node x 37.5 y -12.5 mm: .*ALARM:1, a limit switch was hit"):
+        await scanned(unit, table, tmp_path / "scan", listener)
+    assert not (tmp_path / "scan").exists()
+    half = open_recording(tmp_path / "scan.unfinished")
+    assert len(nodes(half)) == 4
+
+    other = SMALL.model_copy(update={"pitch_mm": 20.0})
+    with pytest.raises(BadInputError, match=r"was begun with scan.pitch_mm = 25.0, now it is 20.0"):
+        await scanned(unit, table, tmp_path / "scan", Listener(), other)
+
+    listener = Listener()
+    result = await scanned(unit, table, tmp_path / "scan", listener)
+    assert listener.said == [f"going on with {tmp_path / 'scan'}.unfinished: 4 of 16 nodes are done"]
+    assert "looking at node x 37.5 y -37.5 mm again" in listener.visited
+    assert result.exposures == 16
+    whole = open_recording(tmp_path / "scan")
+    assert nodes(whole)[:4] == nodes(half)
+    assert len(nodes(whole)) == len(whole.rows) / 2 == 16
+    assert not (tmp_path / "scan.unfinished").exists()
+
+
+async def test_cancellation_brings_the_stage_to_a_stand(unit: Unit, table: GrblTable, tmp_path: Path) -> None:
+    listener = Listener()
+    task = asyncio.create_task(scanned(unit, table, tmp_path / "scan", listener))
+
+    def cancel_on_the_way() -> None:
+        table.controller.settings |= {110: "1500", 111: "1500"}
+        asyncio.get_running_loop().call_later(0.3, task.cancel)
+
+    listener.at["node x -12.5 y -37.5 mm"] = cancel_on_the_way
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert table.controller.state == "Idle"
+    x_mm = table.controller.planner.place_mm[0] + 100.0
+    assert -37.5 < x_mm < -12.5
+    assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 1
+
+
+async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp_path: Path) -> None:
+    with GrblTable(unit, switches=False) as table:
+        table.controller.settings |= QUICK_TABLE
+        listener = Listener()
+
+        def blink() -> None:
+            table.lose_power()
+            table.power_on()
+
+        listener.at["node x 12.5 y -12.5 mm"] = blink
+        with pytest.raises(ScanStoppedError, match=r"node x 12.5 y -12.5 mm: .* started anew \(power\?\)"):
+            await scanned(unit, table, tmp_path / "scan", listener, start="unlock")
+        # the table now takes the place where it lost its power for its zero
+        with pytest.raises(ScanStoppedError) as caught:
+            await scanned(unit, table, tmp_path / "scan", Listener(), start="unlock")
+        assert "node x 37.5 y -12.5 mm" in str(caught.value)
+        assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 5
+
+        table.controller.planner.place_mm = (0.0, 0.0)
+        table._slip_mm = (-100.3, -100.0)  # somebody set the zero by hand, 0.3 mm off
+        with pytest.raises(
+            ScanStoppedError, match=r"spot lies \d\.\d px from where it was before the interr"
+        ):
+            await scanned(unit, table, tmp_path / "scan", Listener(), start="unlock")
+
+
+async def test_a_bad_node_is_refused_named_and_survived(unit: Unit, table: GrblTable, tmp_path: Path) -> None:
+    listener = Listener()
+    loop = asyncio.get_running_loop()
+
+    def shade() -> None:
+        unit.inject(Fault.NO_LASER)
+        loop.call_later(0.15, unit.clear)
+
+    listener.elsewhere = unit.clear
+    listener.at["node x 37.5 y 12.5 mm"] = lambda: unit.inject(Fault.REAR_SPOT_MISSING)
+    listener.at["node x -37.5 y 12.5 mm"] = shade  # for a moment only: it is tried again
+    scan = SMALL.model_copy(update={"retries": 20})
+    result = await scanned(unit, table, tmp_path / "scan", listener, scan)
+    why = "node x 37.5 y 12.5 mm: rear spot_missing (nothing stands out of the background)"
+    assert result.refused == (why,)
+    assert listener.said == [why.replace(" mm:", " mm refused:")]
+    recording = open_recording(tmp_path / "scan")
+    assert len(nodes(recording)) == 15
+    assert (37.5, 12.5) not in nodes(recording)
+    assert len(calibrate_scan(recording).calibration.targets) == 2
+    refused = json.loads((tmp_path / "scan" / "scan.json").read_text())["refused"]
+    assert list(refused.values()) == ["rear spot_missing (nothing stands out of the background)"]
+
+
+async def test_without_light_the_scan_stops_and_goes_on_with_light(
+    unit: Unit, table: GrblTable, tmp_path: Path
+) -> None:
+    listener = Listener()
+    listener.at["node x -12.5 y 12.5 mm"] = lambda: unit.inject(Fault.NO_LASER)
+    scan = SMALL.model_copy(update={"retries": 0})
+    with pytest.raises(ScanStoppedError) as caught:
+        await scanned(unit, table, tmp_path / "scan", listener, scan)
+    assert "4 of 16 nodes are refused, at most 3 may be" in str(caught.value)
+    assert "front spot_missing" in str(caught.value)
+    assert len(listener.said) == 4
+    unit.clear()
+    listener = Listener()
+    listener.elsewhere = unit.clear
+    listener.at["node x -12.5 y 12.5 mm"] = lambda: unit.inject(Fault.NO_LASER)  # the others are good now
+    result = await scanned(unit, table, tmp_path / "scan", listener, scan)
+    assert [line.split(":")[0] for line in result.refused] == ["node x -12.5 y 12.5 mm"]
+    assert len(nodes(open_recording(tmp_path / "scan"))) == 15
+
+
+async def test_a_silent_camera_stops_the_scan(
+    unit: Unit, table: GrblTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exposures, "PATIENCE_S", 0.6)
+    listener = Listener()
+    listener.at["node x -12.5 y -37.5 mm"] = lambda: unit.inject(Fault.FRONT_SILENT)
+    with pytest.raises(ScanStoppedError, match=r"^node x -12.5 y -37.5 mm: camera front: no frame for"):
+        await scanned(unit, table, tmp_path / "scan", listener)
+    assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 1
+
+
+class TestCommand:
+    """`altd scan` as a person calls it; its cameras play a recording, so the spots stay where they are."""
+
+    @pytest.fixture
+    def config(self, table: GrblTable, tmp_path: Path) -> Path:
+        write_beams(tmp_path / "rec", [(10.0, 5.0, 0.0, 0.0)])
+        more = f"""
+[stage]
+driver = "grbl"
+device = "{table.device}"
+feed_mm_per_min = 100000
+
+[scan]
+columns = 4
+rows = 4
+settle_s = 0.02
+exposures = 1
+"""
+        return write_config(tmp_path / "altd.toml", tmp_path / "none.json", tmp_path / "rec", more)
+
+    def started(self, config: Path, output: Path) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "altd.cli", "scan", "--config", config, "-o", output]
+        return subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, text=True)
+
+    def on_a_terminal(self, config: Path, output: Path) -> str:
+        terminal, device = os.openpty()
+        command = [sys.executable, "-m", "altd.cli", "scan", "--config", str(config), "-o", str(output)]
+        shown = b""
+        with subprocess.Popen(command, stderr=device) as scan:
+            os.close(device)
+            with contextlib.suppress(OSError):  # the last one has closed it
+                while data := os.read(terminal, 4096):
+                    shown += data
+        os.close(terminal)
+        assert scan.returncode == 0
+        return shown.decode().replace("\r\n", "\n")
+
+    def until_done(self, output: Path, count: int) -> None:
+        state, deadline = Path(f"{output}.unfinished") / "scan.json", time.monotonic() + 20
+        while not state.exists() or len(json.loads(state.read_text())["nodes"]) < count:
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+    def test_interrupted_killed_and_finished(self, config: Path, tmp_path: Path) -> None:
+        output = tmp_path / "scan"
+        no_lamps = "altd scan: no lamps are configured: the scan has no LED reference pairs"
+        with self.started(config, output) as scan:
+            self.until_done(output, 1)
+            scan.send_signal(signal.SIGINT)
+            errors = scan.communicate(timeout=10)[1].splitlines()
+        assert scan.returncode == 130
+        assert errors == [no_lamps, "altd scan: interrupted; the same command goes on from there"]
+
+        with self.started(config, output) as scan:
+            self.until_done(output, 3)
+            scan.kill()
+        assert not output.exists()
+
+        shown = self.on_a_terminal(config, output)
+        said = [line.split("\r")[-1].removeprefix("\033[K") for line in shown.removesuffix("\n").split("\n")]
+        assert said[0] == no_lamps
+        assert said[1].startswith(f"altd scan: going on with {output}.unfinished: ")
+        assert said[2:] == [f"altd scan: 16 exposures in {output}"]
+        bars = [part for part in shown.split("\r") if part.startswith("[")]
+        assert any(bar.startswith("[############............] 8/16 nodes, 0:0") for bar in bars)
+        assert bars[-1].endswith("node x -37.5 y 37.5 mm\033[K")
+        recording = open_recording(output)
+        assert len(nodes(recording)) == len(recording.rows) / 2 == 16
+        assert recording.header.note == "altd scan, playback"
+        assert "not an empty folder" in refusal(altd("scan", "--config", config, "-o", output))
+
+    def test_a_stage_that_is_not_there_is_one_line(
+        self, config: Path, table: GrblTable, tmp_path: Path
+    ) -> None:
+        table.unplug()
+        line = refusal(altd("scan", "--config", config, "-o", tmp_path / "scan"))
+        assert line == f"altd scan: [stage] device: {table.device}: No such file or directory"
+        assert not Path(f"{tmp_path / 'scan'}.unfinished").exists()
+
+    def test_the_simulators_own_scan_refuses_a_used_folder(self, tmp_path: Path) -> None:
+        (tmp_path / "something").touch()
+        line = refusal(altd("scan", "--stage", "-o", tmp_path, module="hw_sim"))
+        assert line == f"hw_sim: {tmp_path}: exists and is not an empty folder"
+
+    def test_a_config_without_a_stage_is_one_line(self, tmp_path: Path) -> None:
+        write_beams(tmp_path / "rec", [(10.0, 5.0, 0.0, 0.0)])
+        config = write_config(tmp_path / "altd.toml", tmp_path / "none.json", tmp_path / "rec")
+        line = refusal(altd("scan", "--config", config, "-o", tmp_path / "scan"))
+        assert line == f"altd scan: {config}: stage: no [stage] table"
