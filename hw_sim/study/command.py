@@ -44,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         importlib.import_module("matplotlib")
     except ImportError as error:
         raise BadInputError("study", "needs matplotlib: pip install 'altd[report]'") from error
+    if arguments.output is not None and arguments.output.exists() and not arguments.output.is_dir():
+        raise BadInputError(arguments.output, "is not a folder")
     from hw_sim.study.page import verdict, write_index, write_page
     from hw_sim.study.plot import style
     from hw_sim.study.table import table

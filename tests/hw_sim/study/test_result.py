@@ -139,6 +139,15 @@ def test_an_unknown_study_is_one_line_and_status_2(capsys: pytest.CaptureFixture
     assert printed.err.count("\n") == 1
 
 
+def test_an_output_that_is_a_file_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine").write_text("precious")
+    assert main(["study", "fig-3.5", "-o", str(tmp_path / "mine")]) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("", f"hw_sim: {tmp_path / 'mine'}: is not a folder\n")
+
+
 def test_without_matplotlib_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(BadInputError, match=r"altd\[report\]"):
