@@ -53,9 +53,9 @@ def run(progress: Progress) -> Result:
 One unit, calibrated once at {usual_mw:g} mW, measures the same {POSES} beams with each laser, {EXPOSURES}
 exposures each, at {base.lux:g} lx. First the exposure stays at {EXPOSURES_MS[FRONT]:g} ms, which brings 3
 mW to about three quarters of full scale: at 1 mW the spot is dim and noisy, from about 4 mW its middle is
-clipped, and altd refuses a spot of which more than a quarter is. Then the exposure goes with the inverse
-of the power, as one would set it; a weak laser then brings more stray light with it. Errors are those of
-the beams that were measured.
+clipped. Then the exposure goes with the inverse of the power, as one would set it; a weak laser then
+brings more stray light with it. Errors are those of the beams that were measured; *invalid* counts the
+others.
 """,
         figure=plot({", 3 mW's exposure": kept, ", exposed for it": suited}, "laser power, mW"),
         caption="Errors and scatter against laser power",
