@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.vision.centre import Centre, Noise
-from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
+from altd.vision.flat import BLOCK_PX, BlockSums, Flat, Image, block_sum, block_sums
 from altd.vision.patch import Patch
 
 _ITERATIONS = 16
@@ -35,9 +35,7 @@ _PEAK, _U, _V, _A, _B, _C, _REST, _ORDER = range(8)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off. ``pattern_px`` is
-    what the grain does to the centre, rms of both axes; ``grain`` is the relative scatter of single pixels
-    that the fit has seen.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off.
     """
 
     centre: Centre
@@ -45,8 +43,6 @@ class Profile:
     form: tuple[float, float, float]
     order: float
     rest: float
-    grain: float
-    pattern_px: float
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
@@ -59,7 +55,10 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Blocks as vectors: Σ F·I, the sums of F, and where they measure in units of the seed's sigma."""
+    """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I.
+
+    ``x`` and ``y`` are px as they come, then from the seed in units of its sigma.
+    """
 
     light: FloatArray
     x: FloatArray
@@ -90,31 +89,20 @@ def fit_profile(
     """
     from_u, from_v, sigma_px = _seed(patch, diameter_px)
     data = _data(patch, flat, clipped, noise, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
-    data = _Data(
-        data.light,
-        (data.x - from_u) / sigma_px,
-        (data.y - from_v) / sigma_px,
-        data.f1,
-        data.f2,
-        data.read_variance,
-        data.shot_variance,
-        data.grain_variance,
-    )
+    data = replace(data, x=(data.x - from_u) / sigma_px, y=(data.y - from_v) / sigma_px)
     solution = _solve(data, patch.peak)
     if solution is None:
         return None
-    state, grain2, covariance_noise, covariance_grain = solution
+    state, centre_variance = solution
     peak, u, v, a, b, c, rest, order = state.tolist()
     if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
         return None
     return Profile(
-        Centre(from_u + u * sigma_px, from_v + v * sigma_px, sigma_px * math.sqrt(covariance_noise)),
+        Centre(from_u + u * sigma_px, from_v + v * sigma_px, sigma_px * math.sqrt(centre_variance)),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         rest,
-        math.sqrt(grain2),
-        sigma_px * math.sqrt(covariance_grain),
     )
 
 
@@ -130,23 +118,7 @@ def _seed(patch: Patch, diameter_px: float) -> tuple[float, float, float]:
 def _data(
     patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, noise: Noise, size: int
 ) -> _Data:
-    height, width = patch.excess.shape
-    rows, columns = height // size, width // size
-    sums: BlockSums
-    if flat is None and clipped is None:
-        light = block_sum(patch.excess, size)
-        sums = block_sums(np.ones((height, width), np.float32), patch.left, patch.top, size)
-    else:
-        window = slice(patch.top, patch.top + height), slice(patch.left, patch.left + width)
-        response = np.ones((height, width), np.float32) if flat is None else flat.response[window]
-        if clipped is not None:
-            response = np.where(clipped, np.float32(0), response)
-        light = block_sum(patch.excess * response, size)
-        if flat is None or clipped is not None or size != BLOCK_PX:
-            sums = block_sums(response, patch.left, patch.top, size)
-        else:
-            top, left = patch.top // size, patch.left // size
-            sums = flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
+    light, sums = _sums(patch, flat, clipped, size)
     f1, f2, f3, f4, u, v = (
         np.ravel(array).astype(np.float64)
         for array in (sums.f1, sums.f2, sums.f3, sums.f4, sums.u_px, sums.v_px)
@@ -163,8 +135,27 @@ def _data(
     )
 
 
-def _solve(data: _Data, peak: float) -> tuple[FloatArray, float, float, float] | None:
-    """Gauss-Newton; the state, the grain squared, and what noise and grain do to the centre, mean squares."""
+def _sums(
+    patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, size: int
+) -> tuple[Image, BlockSums]:
+    """Σ F·I over the patch's blocks and the sums of F; from those that the flat keeps where they serve."""
+    height, width = patch.excess.shape
+    if flat is None:
+        response = np.ones((height, width), np.float32)
+    else:
+        response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
+    if clipped is not None:
+        response = np.where(clipped, np.float32(0), response)
+    light = block_sum(patch.excess * response, size)
+    if flat is None or clipped is not None or size != BLOCK_PX:
+        return light, block_sums(response, patch.left, patch.top, size)
+    top, left = patch.top // size, patch.left // size
+    rows, columns = height // size, width // size
+    return light, flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
+
+
+def _solve(data: _Data, peak: float) -> tuple[FloatArray, float] | None:
+    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes."""
     state = np.array([peak, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0])
     grain2 = _GRAIN_AT_FIRST**2
     jacobian = np.empty((8, len(data.light)))
@@ -177,6 +168,8 @@ def _solve(data: _Data, peak: float) -> tuple[FloatArray, float, float, float] |
             bright = spot > _GRAIN_SEEN_FROM * state[_PEAK]
             unexplained = float((residual * residual - noise_variance)[bright].sum())
             per_grain2 = float(grain_variance[bright].sum())
+            if per_grain2 <= 0:
+                return None  # no pixel that counts lies where the spot is
             grain2 = min(max(unexplained / per_grain2, _GRAINS[0] ** 2), _GRAINS[1] ** 2)
         weighted = jacobian[:free] / (noise_variance + grain2 * grain_variance)
         normal = weighted @ jacobian[:free].T
@@ -198,8 +191,7 @@ def _solve(data: _Data, peak: float) -> tuple[FloatArray, float, float, float] |
             and max(abs(step[_A]), abs(step[_C]), abs(step[_ORDER])) < _CONVERGED_SHAPE
         ):
             levers = np.linalg.inv(normal)[[_U, _V]] @ weighted
-            squares = np.square(levers).mean(axis=0)
-            return state, grain2, float(squares @ noise_variance), grain2 * float(squares @ grain_variance)
+            return state, float(np.square(levers).mean(axis=0) @ noise_variance)
     return None
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.records import Frame, Spot
+from altd.records import Frame, Reason, Spot
 from altd.vision.bound import cramer_rao
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
@@ -104,3 +104,29 @@ def test_a_clipped_spot_is_still_found_where_it_is() -> None:
     spot = locate(photographed(response * light(Blob(84.3, 80.7, peak=262), width=SIZE, height=SIZE), rng))
     assert isinstance(spot, Spot)
     assert (spot.u_px, spot.v_px) == pytest.approx((84.3, 80.7), abs=0.03)
+
+
+@pytest.mark.parametrize("radius_px", [8.0, 25.0, 200.0])
+def test_a_flat_that_is_black_where_the_spot_lies_gives_a_reason_or_the_spot(radius_px: float) -> None:
+    v, u = np.mgrid[:SIZE, :SIZE]
+    response = np.where(np.hypot(u - 84, v - 80) < radius_px, 0.0, 1.0)
+    shot = photographed(light(Blob(84.3, 80.7), width=SIZE, height=SIZE), np.random.default_rng(5))
+    spot = locate(shot, flat=Flat.of(response, "recording"))
+    if isinstance(spot, Spot):
+        assert radius_px < 10  # the rim tells enough
+        assert (spot.u_px, spot.v_px) == pytest.approx((84.3, 80.7), abs=0.15)
+    else:
+        assert spot.reason is Reason.WRONG_SHAPE
+
+
+@pytest.mark.parametrize(("width", "height", "bits"), [(166, 165, 10), (163, 167, 12), (165, 166, 16)])
+def test_deep_pictures_of_any_size_are_fitted_through_their_flat(width: int, height: int, bits: int) -> None:
+    response = dots()[:height, :width]
+    scale = (1 << bits) / 256
+    rng = np.random.default_rng(bits)
+    for u, v in ((84.0, 80.0), (width - 36.0, height - 36.0), (37.5, 35.5)):
+        counts = response * light(Blob(u, v, peak=45.0), width=width, height=height) * scale
+        shot = frame(counts, rng, READ_COUNTS * scale, background=8 * scale, bits=bits)
+        spot = locate(shot, flat=Flat.of(response, "recording"))
+        assert isinstance(spot, Spot)
+        assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.06)
