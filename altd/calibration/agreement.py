@@ -17,7 +17,7 @@ _LEAST_NODES = 6
 _BOUND_SIGMAS = 3.0
 _BOUND_PATTERNS = 4.0
 """Speckle moves the ellipse farther than the profile: on the grainy plates of five simulated units and of
-unit-a the two scatter 1.6 to 3.0 times the profile's pattern about each other."""
+unit-a the two scatter 1.6 to 2.5 times the profile's pattern about each other."""
 
 
 @dataclass(frozen=True, slots=True)
