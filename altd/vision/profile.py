@@ -16,12 +16,14 @@ from altd.vision.patch import Patch
 _ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
 _CONVERGED_SHAPE = 0.02
+_LATE = 11
+_CONVERGED_LATE_SIGMAS = 3e-3
 _LONGEST_STEP = 0.5
 _FINE_BELOW_PX = 24.0
 """Spots below this 1/e² diameter are fitted pixel by pixel: a block would be too coarse."""
 
 _ORDER_FREE_FROM = 2
-_ORDERS = 0.6, 6.0
+_ORDERS = 0.6, 8.0
 _ORDER_PRIOR_SIGMA = 0.5
 _GRAIN_AT_FIRST = 0.2
 _GRAINS = 0.003, 1.0
@@ -212,15 +214,23 @@ def _solve(data: _Data, peak: float, rise: float) -> tuple[FloatArray, float] | 
         moved = _moved(state, step)
         if moved is None:
             return None
-        state = moved
-        if (
-            free > _ORDER
-            and math.hypot(step[_U], step[_V]) < _CONVERGED_SIGMAS
-            and max(abs(step[_A]), abs(step[_C]), abs(step[_ORDER])) < _CONVERGED_SHAPE
-        ):
+        change, state = np.abs(moved - state), moved
+        if free > _ORDER and _is_settled(change, iteration >= _LATE):
             levers = np.linalg.inv(normal)[[_U, _V]] @ weighted
             return state, float(np.square(levers).mean(axis=0) @ noise_variance)
     return None
+
+
+def _is_settled(change: FloatArray, late: bool) -> bool:
+    """Whether the last step moved centre and shape by next to nothing; an order at its limit is at rest.
+
+    A small spot with a hard edge may swing between shapes for ever: late on, a centre at rest is enough.
+    """
+    if late:
+        return bool(max(change[_U], change[_V]) < _CONVERGED_LATE_SIGMAS)
+    if max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
+        return False
+    return bool(max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE)
 
 
 def _linearise(data: _Data, state: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -288,7 +298,9 @@ def _bent(
 
 def _moved(state: FloatArray, step: FloatArray) -> FloatArray | None:
     """A step, shortened until the form stays an ellipse and nothing leaps; None when it cannot be."""
-    longest = float(np.abs(step[[_U, _V, _A, _C]] / np.array([1.0, 1.0, state[_A], state[_C]])).max())
+    longest = max(abs(step[_U]), abs(step[_V]), abs(step[_A] / state[_A]), abs(step[_C] / state[_C]))
+    if len(step) > _ORDER:
+        longest = max(longest, abs(step[_ORDER] / state[_ORDER]))
     if not math.isfinite(longest):
         return None
     scale = min(1.0, _LONGEST_STEP / max(longest, 1e-12))

@@ -10,6 +10,7 @@ from altd.records import Frame, Reason, Spot
 from altd.vision.bound import cramer_rao
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
 
 SIZE = 168
 READ_COUNTS, ELECTRONS_PER_COUNT = 0.7, 15_000 / 255
@@ -130,3 +131,18 @@ def test_deep_pictures_of_any_size_are_fitted_through_their_flat(width: int, hei
         spot = locate(shot, flat=Flat.of(response, "recording"))
         assert isinstance(spot, Spot)
         assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.06)
+
+
+@pytest.mark.parametrize("order", [0.7, 1.5, 3.0, 10.0])
+@pytest.mark.parametrize("diameter_px", [16.0, 44.0, 90.0])
+def test_spots_from_peaked_to_flat_topped_are_fitted(order: float, diameter_px: float) -> None:
+    rng = np.random.default_rng(5)
+    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
+    for ratio in (0.45, 1.0):
+        u_px, v_px, angle = *rng.uniform(80, 88, 2), rng.uniform(0, np.pi)
+        along = (u - u_px) * np.cos(angle) + (v - v_px) * np.sin(angle)
+        across = (v - v_px) * np.cos(angle) - (u - u_px) * np.sin(angle)
+        rho2 = (2 * along / diameter_px) ** 2 + (2 * across / (ratio * diameter_px)) ** 2
+        spot = locate(photographed(180 * np.exp(-2 * rho2**order), rng), SpotSettings(max_diameter_px=120.0))
+        assert isinstance(spot, Spot), spot
+        assert (spot.u_px, spot.v_px) == pytest.approx((u_px, v_px), abs=0.1)
