@@ -12,7 +12,7 @@ from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
-from altd.calibration.printed.find import find_print
+from altd.calibration.printed.find import Print, find_print
 from altd.calibration.result import (
     CalibrationResult,
     Progress,
@@ -91,29 +91,31 @@ def calibrate_scan(
 
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
-    """One target: through its recorded flat, as plain, or through the model of its print."""
+    """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
         made = _fit_target(job, look(job, progress), None)
         return replace(made, remark=f"{job.name}: localised through its recorded flat")
     printed, nodes = printed_nodes(job)
-    if 2 * printed <= nodes:
-        remark = f"plain, though {printed} of {nodes} nodes look printed" if printed else "plain, no print"
-        return replace(_fit_target(job, look(job, progress), None), remark=f"{job.name}: {remark}")
-    return _calibrate_printed(replace(job, localiser=_MOMENT), progress)
-
-
-def _calibrate_printed(job: Job, progress: Progress) -> _Made:
-    """A printed target without a flat: first by moments, then, where the print is regular, through its model."""
+    if 2 * printed > nodes:
+        job = replace(job, localiser=_MOMENT)
     seen = look(job, progress)
     made = _fit_target(job, seen, None)
     frames = [job.recording.frame(node.located[0]) for node in seen.usable]
     nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in seen.usable])
     found = find_print(frames, nodes_px, made.target.map, job.localiser)
-    if found is None:
-        return replace(made, remark=f"{job.name}: printed, not regularly: a flat would help")
-    through = replace(job, localiser=_PROFILE, flat=found.flat)
-    seen = look(through, progress)
-    alone, guided = (_fit_target(through, seen, marks) for marks in (None, found.marks))
+    if found is not None:
+        return _calibrate_printed(job, found, progress)
+    remark = "plain, no print"
+    if printed:
+        remark = f"print at {printed} of {nodes} nodes, but no regular one: a flat would help"
+    return replace(made, remark=f"{job.name}: {remark}")
+
+
+def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
+    """A target through the model of its print; the print also guides the map unless it is bent itself."""
+    job = replace(job, localiser=_PROFILE, flat=found.flat)
+    seen = look(job, progress)
+    alone, guided = (_fit_target(job, seen, marks) for marks in (None, found.marks))
     remark = f"{job.name}: print of {found.lattice.pitch_mm:.3f} mm pitch found and modelled"
     if guided.target.left_out_px > _MARKS_COST * alone.target.left_out_px:
         return replace(alone, remark=f"{remark}; it is bent, so it does not guide the map")

@@ -80,7 +80,8 @@ class Lattice:
 def find_lattice(samples: Sequence[Sample], centres_mm: FloatArray) -> Lattice | None:
     """The two strongest reciprocal vectors, if all nodes, at centres (n, 2), agree on them; else None.
 
-    First in the inner nodes' spectra, then coherently from the middle outwards.
+    First in the inner nodes' spectra, then coherently from the middle outwards. Waves that move with the spot
+    belong to the beam (fringes, the shape of its profile) and are no print.
     """
     outwards = np.argsort(np.hypot(*(centres_mm - centres_mm.mean(axis=0)).T))
     samples, centres_mm = [samples[index] for index in outwards], centres_mm[outwards]
@@ -132,7 +133,10 @@ def _cohere(vector: FloatArray, samples: Sequence[Sample], centres_mm: FloatArra
     for _ in range(_REFINEMENTS):
         phasors = np.array([_phasor(sample, vector) for sample in samples])
         vector = vector + np.linalg.lstsq(design, np.angle(phasors / phasors.mean()), rcond=None)[0][1:]
-    return vector if abs(phasors.mean()) > _LEAST_COHERENCE else None
+    with_the_spot = phasors * np.exp(1j * (centres_mm @ vector))
+    if abs(phasors.mean()) < _LEAST_COHERENCE or abs(with_the_spot.mean()) > _LEAST_COHERENCE:
+        return None
+    return vector
 
 
 def _phasor(sample: Sample, vector: FloatArray) -> complex:

@@ -51,6 +51,12 @@ class Series:
             fits.append((cost, cls(lattice, float(solution[0]), amplitudes, blur_px)))
         return min(fits, key=lambda fit: fit[0])[1]
 
+    @property
+    def contrast(self) -> float:
+        """The weaker of the two fundamental waves, over the mean."""
+        fundamental = np.abs(self.lattice.harmonics).sum(axis=1) == 1
+        return float(np.abs(self.amplitudes[fundamental]).min() / self.mean)
+
     def at(self, mm: FloatArray, metrics: FloatArray) -> FloatArray:
         """F at points (n, 2) mm with their metrics (n, 2, 2) mm²/px²."""
         waves = self.lattice.waves(mm)
