@@ -169,7 +169,8 @@ def _record(options: argparse.Namespace) -> int:
 
     logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     config = load_config(options.config)
-    exposures = asyncio.run(until_signal(record_of(config, options.config, options.output, options.seconds)))
+    work = record_of(config, options.config, options.output, options.seconds, options.kind)
+    exposures = asyncio.run(until_signal(work))
     if exposures is not None:
         print(f"{exposures} exposures in {options.output}", file=sys.stderr)
     return 0

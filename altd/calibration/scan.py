@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -101,8 +101,7 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     seen = look(job, progress)
     made = _fit_target(job, seen, None)
     frames = [job.recording.frame(node.located[0]) for node in seen.usable]
-    nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in seen.usable])
-    found = find_print(frames, nodes_px, made.target.map, job.localiser)
+    found = find_print(frames, _spots_px(seen.usable), made.target.map, job.localiser)
     if found is not None:
         return _calibrate_printed(job, found, progress)
     remark = "plain, no print"
@@ -123,62 +122,74 @@ def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
 
 
 def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
-    recording, name = job.recording, job.name
-    nodes = seen.usable
+    """The maps through the nodes that can be used; raises BadInputError where they are too few."""
+    place, nodes = job.recording.path, seen.usable
     refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
     if len(refused) > most or not nodes:
         why = refused[0].complaints[0] if refused else "no row has a position"
         raise BadInputError(
-            recording.path, f"{name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
+            place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
         )
-    all_mm = np.array([node.position_mm for node in nodes])
-    all_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
     try:
-        fitted = fit_nodes(all_mm, all_px, job.image_size, None, most - len(refused), marks)
+        fitted = fit_nodes(
+            _positions_mm(nodes), _spots_px(nodes), job.image_size, None, most - len(refused), marks
+        )
     except ValueError as error:
-        raise BadInputError(recording.path, f"{name}: {error}") from error
-    fit = fitted.fit
-    used = [node for row, node in enumerate(nodes) if row not in fitted.dropped]
-    exposures = [node.spots_px for node in used]
-    for row in fitted.dropped:
-        off_px = float(np.linalg.norm(all_px[row] - fit.map.to_px(all_mm[row : row + 1])[0]))
-        nodes[row].refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
-    nodes_mm = np.delete(all_mm, fitted.dropped, axis=0)
-    distance_mm = residual_distances_mm(fit, nodes_mm)
-    target = TargetCalibration(
-        name=name,
+        raise BadInputError(place, f"{job.name}: {error}") from error
+    for node in (nodes[row] for row in fitted.dropped):
+        mapped_px = fitted.fit.map.to_px(_positions_mm([node]))
+        off_px = float(np.linalg.norm(_spots_px([node]) - mapped_px))
+        node.refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
+    return _Made(_target(job, seen, fitted), _evidence(job, seen, fitted), _scatter(seen.usable, fitted))
+
+
+def _positions_mm(nodes: Sequence[Node]) -> FloatArray:
+    return np.array([node.position_mm for node in nodes])
+
+
+def _spots_px(nodes: Sequence[Node]) -> FloatArray:
+    return np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+
+
+def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
+    distance_mm = residual_distances_mm(fitted.fit, _positions_mm(seen.usable))
+    width, height = job.image_size
+    return TargetCalibration(
+        name=job.name,
         z_mm=job.z_mm,
-        width=job.image_size[0],
-        height=job.image_size[1],
+        width=width,
+        height=height,
         localiser=job.localiser,
         flat=job.flat,
-        map=fit.map,
+        map=fitted.fit.map,
         cross_check=fitted.cross_check,
-        left_out_px=fit.left_out_px,
+        left_out_px=fitted.fit.left_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px(exposures),
+        repeatability_px=_repeatability_px([node.spots_px for node in seen.usable]),
         leds_px=seen.leds_px,
     )
-    evidence = TargetEvidence(
-        name=name,
-        nodes_mm=nodes_mm,
-        nodes_px=np.delete(all_px, fitted.dropped, axis=0),
-        residuals_px=fit.residuals_px,
-        missed_px=fit.missed_px,
-        scatter_px=np.array([_scatter_px(spots) for spots in exposures]),
-        exposures=tuple(len(spots) for spots in exposures),
+
+
+def _evidence(job: Job, seen: Seen, fitted: TargetFit) -> TargetEvidence:
+    return TargetEvidence(
+        name=job.name,
+        nodes_mm=_positions_mm(seen.usable),
+        nodes_px=_spots_px(seen.usable),
+        residuals_px=fitted.fit.residuals_px,
+        missed_px=fitted.fit.missed_px,
+        scatter_px=np.array([_scatter_px(node.spots_px) for node in seen.usable]),
+        exposures=tuple(len(node.spots_px) for node in seen.usable),
         left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
         candidates=fitted.candidates,
     )
-    return _Made(target, evidence, _scatter(fitted, used))
 
 
-def _scatter(fitted: TargetFit, used: list[Node]) -> NodeScatter:
+def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     """How the nodes that were used lie about the map, in mm, to be held against the other targets'."""
-    nodes_mm = np.array([node.position_mm for node in used])
-    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(fitted.fit.map.to_px(nodes_mm))
+    nodes_px = fitted.fit.map.to_px(_positions_mm(used))
+    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(nodes_px)
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):

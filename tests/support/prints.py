@@ -1,4 +1,4 @@
-"""Printed targets of any lattice, seen by the simulator's camera; their truth is the lattice they are made of."""
+"""Printed targets of any lattice before the simulator's camera; their truth is what they are made of."""
 
 from __future__ import annotations
 
