@@ -30,7 +30,7 @@ from altd.vision.settings import SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _LARGEST_MISSING_SHARE = 0.2
-_MARKS_COST = 1.1
+_MARKS_COST = 1.2
 """Marks of the print guide the map unless it then misses a left-out node by this much more."""
 
 
