@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -12,9 +12,12 @@ import numpy.typing as npt
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
 from altd.recording import CameraHeader, Recording, RecordingHeader, Row
-from altd.records import FloatArray
+from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.flat import Flat
 from altd.vision.localise import SATURATED_FROM
+from altd.vision.patch import patch_around
+from altd.vision.search import search
+from altd.vision.settings import SpotSettings
 
 _LEAST_LEVEL = 0.05
 """A black level and stray light make less."""
@@ -22,6 +25,7 @@ _LARGEST_CLIPPED_SHARE = 0.01
 _HOT_ABOVE = 0.1
 _DARK_BELOW = 0.5
 _STEADY_SHARE = 0.1
+_LEAST_CONTRAST = 0.02
 _PIECES = 16, 10
 _LEAST_EVENNESS = 0.2
 """The dimmer half of the picture gets at least this share of what its brightest part gets: the fall-off of
@@ -144,3 +148,31 @@ def _evenness(light: FloatArray) -> float:
     """The median over the brightest of the picture's pieces, in which dots are averaged away."""
     pieces = np.asarray(cv2.resize(light, _PIECES, interpolation=cv2.INTER_AREA))
     return float(np.median(pieces) / pieces.max())
+
+
+def flat_likeness(frames: Iterable[Frame], flat: Flat) -> float:
+    """Correlation of what the spots of frames show of their ground with what the flat says; 1 at best.
+
+    Near 0 the flat is not of these pixels: camera, lens or target moved since, or it is of other ones. NaN
+    where the flat is too even to tell.
+    """
+    settings = SpotSettings()
+    seen, expected = [np.empty(0)], [np.empty(0)]
+    for frame in frames:
+        found = search(frame.pixels)
+        patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
+        if patch is None or isinstance(patch, NoSpot):
+            continue
+        height, width = patch.excess.shape
+        response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
+        even = cv2.GaussianBlur(response, (0, 0), settings.smoothing_px)
+        core = (patch.smooth > 0.5 * patch.peak) & (even > 0)
+        for ratio, kept in (
+            (patch.excess[core] / patch.smooth[core], seen),
+            (response[core] / even[core], expected),
+        ):
+            kept.append(ratio - ratio.mean())
+    a, b = np.concatenate(seen), np.concatenate(expected)
+    if not len(b) or float(b.std()) < _LEAST_CONTRAST:
+        return float("nan")
+    return float(a @ b / np.sqrt((a @ a) * (b @ b)))

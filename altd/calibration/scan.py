@@ -10,6 +10,7 @@ import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
+from altd.calibration.flat import flat_likeness
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
@@ -19,7 +20,7 @@ from altd.calibration.result import (
     cross_check_doubts,
     residual_distances_mm,
 )
-from altd.calibration.scan_nodes import Job, Node, Seen, look, printed_nodes
+from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, look, printed_nodes
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
@@ -30,6 +31,8 @@ from altd.vision.settings import SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _LARGEST_MISSING_SHARE = 0.2
+_LEAST_LIKENESS = 0.5
+"""0.8 to 1 for the right flat; moved by a pixel it is below 0.5, moved by more about 0."""
 _MARKS_COST = 1.2
 """Marks of the print guide the map unless it then misses a left-out node by this much more."""
 
@@ -42,6 +45,7 @@ class _Made:
     evidence: TargetEvidence
     scatter: NodeScatter
     remark: str = ""
+    doubt: str = ""
 
 
 def calibrate_scan(
@@ -85,7 +89,7 @@ def calibrate_scan(
             for (x, y), why in of.evidence.left_out
         ),
         tuple(of.evidence for of in made),
-        cross_check_doubts(calibration.targets),
+        (*cross_check_doubts(calibration.targets), *(of.doubt for of in made if of.doubt)),
         tuple(of.remark for of in made),
     )
 
@@ -94,7 +98,8 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
         made = _fit_target(job, look(job, progress), None)
-        return replace(made, remark=f"{job.name}: localised through its recorded flat")
+        doubt = _doubt_of_flat(flat_likeness(first_frames(job), job.flat), job.name)
+        return replace(made, remark=f"{job.name}: localised through its recorded flat", doubt=doubt)
     printed, nodes = printed_nodes(job)
     if 2 * printed > nodes:
         job = replace(job, localiser=_MOMENT)
@@ -108,6 +113,15 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     if printed:
         remark = f"print at {printed} of {nodes} nodes, but no regular one: a flat would help"
     return replace(made, remark=f"{job.name}: {remark}")
+
+
+def _doubt_of_flat(likeness: float, name: str) -> str:
+    if not likeness < _LEAST_LIKENESS:  # a flat that is too even to tell is no worse than none
+        return ""
+    return (
+        f"{name}: the flat is not what the spots show (likeness {likeness:.2f} of 1): "
+        "was it recorded before camera, lens or window were moved?"
+    )
 
 
 def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:

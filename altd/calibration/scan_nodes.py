@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -118,13 +119,19 @@ def look(job: Job, progress: Progress) -> Seen:
     return seen
 
 
-def printed_nodes(job: Job) -> tuple[int, int]:
-    """At how many of how many nodes the first exposure shows a spot on print."""
+def first_frames(job: Job) -> Iterator[Frame]:
+    """The first exposure of each node."""
     first: dict[tuple[int, int], Row] = {}
     for row in job.rows:
         if row.position_mm is not None and not row.leds_on:
             first.setdefault(node_key(row.position_mm), row)
-    return sum(shows_print(job.recording.frame(row), job.localiser) for row in first.values()), len(first)
+    return (job.recording.frame(row) for row in first.values())
+
+
+def printed_nodes(job: Job) -> tuple[int, int]:
+    """At how many of how many nodes the first exposure shows a spot on print."""
+    shown = [shows_print(frame, job.localiser) for frame in first_frames(job)]
+    return sum(shown), len(shown)
 
 
 def node_key(position_mm: tuple[float, float]) -> tuple[int, int]:

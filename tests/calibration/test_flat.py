@@ -12,7 +12,7 @@ import pytest
 from support.cli import refusal_of
 from support.recordings import header, write_scan
 
-from altd.calibration.flat import flats_of
+from altd.calibration.flat import flat_likeness, flats_of
 from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
@@ -124,9 +124,23 @@ def test_with_a_flat_a_unit_measures_several_times_as_well(
         "front: localised through its recorded flat",
         "rear: localised through its recorded flat",
     )
+    assert result.doubts == ()
     off_mm, off_deg = errors_of(result.calibration, unit)
     assert off_mm < 0.004
     assert off_deg < 0.0010
+
+
+@pytest.mark.parametrize("camera", ["front", "rear"])
+def test_a_flat_of_other_pixels_is_told_from_the_right_one(
+    folder: Path, flats: dict[str, Flat], camera: str
+) -> None:
+    scan = open_recording(folder / "scan")
+    frames = [scan.frame(row) for row in scan.rows if row.camera == camera and row.position_mm][::6]
+    assert flat_likeness(frames, flats[camera]) > 0.75
+    for moved_px in ((0, 1), (1, 0), (0, -2), (30, 40)):
+        moved = Flat(np.roll(flats[camera].levels, moved_px, (0, 1)), "recording")
+        assert flat_likeness(frames, moved) < 0.55, moved_px
+    assert np.isnan(flat_likeness(frames, Flat(np.full((480, 752), 200, np.uint8), "recording")))
 
 
 def test_without_a_flat_the_print_is_found_and_the_plain_plate_is_seen_to_be_plain(
