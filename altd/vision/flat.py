@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from altd.records import FloatArray
+
 Image = npt.NDArray[np.float32]
 Source = Literal["recording", "print"]
 
@@ -54,22 +56,18 @@ class Flat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockSums:
-    """Sums of powers of F over square blocks, each (rows, columns) of blocks.
+    """Sums of powers of F over square blocks, and where the blocks measure: ``planes`` (6, rows, columns).
 
-    ``f1`` … ``f4`` are ΣF … ΣF⁴. ``u_px`` and ``v_px`` are where a block measures: its centroid weighted
-    with F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block.
+    ΣF, ΣF², ΣF³, ΣF⁴, then u and v in px: a block's centroid weighted with F², so that ΣF·(E·F) is E there
+    times ΣF² for an irradiance that is linear over the block. One array, since a spot's part is cut out of
+    it for every frame.
     """
 
-    f1: Image
-    f2: Image
-    f3: Image
-    f4: Image
-    u_px: Image
-    v_px: Image
+    planes: FloatArray
 
     def cut(self, rows: slice, columns: slice) -> BlockSums:
         """Some of the blocks."""
-        return BlockSums(*(getattr(self, name)[rows, columns] for name in self.__slots__))
+        return BlockSums(self.planes[:, rows, columns])
 
 
 def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
@@ -85,14 +83,15 @@ def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
     lit = np.maximum(f2, np.float32(1e-12))
     middle_u = left + size * np.arange(columns, dtype=np.float32) + np.float32((size - 1) / 2)
     middle_v = top + size * np.arange(rows, dtype=np.float32) + np.float32((size - 1) / 2)
-    return BlockSums(
-        f1=block_sum(whole, size),
-        f2=f2,
-        f3=block_sum(square * whole, size),
-        f4=block_sum(square * square, size),
-        u_px=np.asarray(middle_u + block_sum(square * by_column, size) / lit, dtype=np.float32),
-        v_px=np.asarray(middle_v[:, None] + block_sum(square * by_row, size) / lit, dtype=np.float32),
+    planes = (
+        block_sum(whole, size),
+        f2,
+        block_sum(square * whole, size),
+        block_sum(square * square, size),
+        middle_u + block_sum(square * by_column, size) / lit,
+        middle_v[:, None] + block_sum(square * by_row, size) / lit,
     )
+    return BlockSums(np.array(planes, dtype=np.float64))
 
 
 def block_sum(image: Image, size: int) -> Image:
