@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-peers docs lock clean venv programs
+.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -45,6 +45,9 @@ bench: venv ## time per stage, highest rate, latency
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec .venv-peers/bin/python -m benchmarks.peers_measure --page docs/studies/peers.md
+
+studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
+	@exec $(python) -m hw_sim study -o docs/studies
 
 docs: venv ## write the generated pages of docs/
 	@for page in $(pages); do

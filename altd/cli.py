@@ -63,7 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     scan.add_argument("--config", type=Path, required=True, metavar="FILE")
     scan.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
 
-    locate = commands.add_parser("locate", help="find the spot in images; one JSON object an image")
+    locate = commands.add_parser(
+        "locate", help="find the spot in images by two localisers; one JSON object an image"
+    )
     locate.add_argument("images", type=Path, nargs="+", metavar="IMAGE")
 
     mapping = commands.add_parser("map", help="px to mm: reads 'u v' lines")

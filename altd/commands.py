@@ -208,11 +208,12 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
 
 
 def _locate(options: argparse.Namespace) -> int:
-    from altd.vision.localise import locate
+    from altd.vision.localise import locate, locate_ellipse
 
     frames = [(path, _image(path)) for path in options.images]
     for path, frame in frames:
         spot = locate(frame)
+        second = locate_ellipse(frame) if isinstance(spot, Spot) else None
         answer: dict[str, object] = {"image": str(path)}
         if isinstance(spot, Spot):
             answer |= {
@@ -225,6 +226,11 @@ def _locate(options: argparse.Namespace) -> int:
         else:
             answer |= dict.fromkeys(("u_px", "v_px", "sigma_px", "diameter_px", "peak"))
             answer |= {"reason": str(spot.reason), "detail": spot.detail}
+        answer |= {
+            "ellipse_u_px": None if second is None else round(second.u_px, 4),
+            "ellipse_v_px": None if second is None else round(second.v_px, 4),
+            "ellipse_sigma_px": None if second is None else round(second.sigma_px, 4),
+        }
         print(json.dumps(answer))
     return 0
 

@@ -89,7 +89,7 @@ def make_samples(units: int, poses: int) -> Iterator[Sample]:
     """``units`` units as they are and the same without print, speckle and hot pixels, ``poses`` each."""
     for seed in range(FIRST_SEED, FIRST_SEED + units):
         yield from _of_unit(UnitConfig(seed=seed), {FRONT: WINDOW, REAR: PLATE}, poses)
-        clean = UnitConfig(seed=seed, speckle_contrast=0.0, hot_pixels=0, dots=False)
+        clean = UnitConfig(seed=seed, speckle_contrast=0.0, hot_pixels=0, dots=None)
         yield from _of_unit(clean, {FRONT: CLEAN, REAR: CLEAN}, poses)
 
 

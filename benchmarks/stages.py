@@ -226,7 +226,7 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
 
 def _spot(material: Material, frame: Frame) -> Spot:
     target = material.calibration.target(frame.camera)
-    spot = locate(frame, target.localiser, target.flat) if target else None
+    spot = locate(frame, target.localiser, target.flat) if target else locate(frame)
     if not isinstance(spot, Spot):
         raise TypeError(f"the material has a frame without a spot: {spot}")
     return spot

@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from altd.errors import BadInputError
 from hw_sim import demo, flat, measure, plate, scan
+from hw_sim.study import command as study
 
 COMMANDS = {
     "scan": (scan, "record a calibration scan"),
@@ -16,6 +17,7 @@ COMMANDS = {
     "plate": (plate, "record a calibration plate of LEDs"),
     "demo": (demo, "run the whole unit, simulated, and watch it"),
     "measure": (measure, "record poses of the beam, with their truth"),
+    "study": (study, "repeat the thesis' experiments; its figures beside ours"),
 }
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
-from hw_sim.targets import DOT_PITCH_MM, DotPrint
+from hw_sim.targets import DotPattern, DotPrint
 
 FRAME_HALF_MM = (74.0, 59.0)
 """The 140 × 110 mm of the target with the frame and its LEDs around: what the picture must hold."""
@@ -20,10 +20,10 @@ REAR_FOCAL_MM = (5.6, 6.0)
 """The micro lenses of App. A.3, f = 8 and 5.7 mm, with their spread."""
 
 
-def make_dots(rng: np.random.Generator) -> DotPrint:
+def make_dots(pattern: DotPattern, rng: np.random.Generator) -> DotPrint:
     """A print that lies anyhow on the window and is turned by up to 2°."""
-    phase_x, phase_y = rng.uniform(0.0, DOT_PITCH_MM, size=2)
-    return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)))
+    phase_x, phase_y = rng.uniform(0.0, pattern.pitch_mm, size=2)
+    return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)), pattern)
 
 
 def make_lens(focal_range_mm: tuple[float, float], mirrored: bool, rng: np.random.Generator) -> Lens:

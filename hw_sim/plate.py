@@ -13,7 +13,7 @@ import numpy as np
 
 from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
-from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, filling_the_picture
+from hw_sim.assembly import filling_the_picture
 from hw_sim.beam import BeamPose
 from hw_sim.eye import Eye
 from hw_sim.faults import Fault
@@ -81,7 +81,8 @@ def with_plate(unit: Unit, plate: Plate) -> Unit:
         eye = unit.eyes[camera]
         view = eye.view
         if plate.tilt_deg is not None or plate.fisheye:
-            lens = _plate_lens(view.lens, plate, FRONT_FOCAL_MM if camera == FRONT else REAR_FOCAL_MM, rng)
+            focal_mm = unit.config.front_focal_mm if camera == FRONT else unit.config.rear_focal_mm
+            lens = _plate_lens(view.lens, plate, focal_mm, rng)
             view = make_view(lens, None, unit.config.speckle_contrast, unit.config.hot_pixels, rng)
         eyes[camera] = Eye(
             replace(view, lamps=_lamps(view, plate.lit_mm(), rng)), eye.sensor, eye.settings, unit.config.lux

@@ -14,9 +14,6 @@ DOT_DIAMETER_MM = 0.5
 DOT_PITCH_MM = 1.0
 """The screen print of Table 3.1's last row."""
 
-DOT_COVERAGE = math.pi * DOT_DIAMETER_MM**2 / (2.0 * math.sqrt(3.0) * DOT_PITCH_MM**2)
-"""Share of the window that the dots cover, 0.2267; the rest of the beam goes on to the rear target."""
-
 WINDOW_TRANSMISSION = 0.92
 """Clear glass with two uncoated faces."""
 
@@ -26,26 +23,47 @@ LED_POSITIONS_MM = ((-70.0, 48.0), (0.0, 55.0), (70.0, 48.0), (-70.0, -48.0), (0
 
 
 @dataclass(frozen=True, slots=True)
+class DotPattern:
+    """What is printed on a window: round dots on a hexagonal or an orthogonal (square) lattice."""
+
+    diameter_mm: float = DOT_DIAMETER_MM
+    pitch_mm: float = DOT_PITCH_MM
+    hexagonal: bool = True
+
+    @property
+    def coverage(self) -> float:
+        """Share of the window that the dots cover; the rest of the beam goes on to the rear target."""
+        if self.hexagonal:
+            return math.pi * self.diameter_mm**2 / (2.0 * math.sqrt(3.0) * self.pitch_mm**2)
+        return math.pi * self.diameter_mm**2 / (4.0 * self.pitch_mm**2)
+
+
+@dataclass(frozen=True, slots=True)
 class DotPrint:
-    """A hexagonal lattice of dots: where one dot sits (mm), and the turn of the rows from x towards y."""
+    """A printed pattern: where one dot sits (mm), and the turn of the rows from x towards y."""
 
     phase_mm: tuple[float, float]
     rotation_rad: float
+    pattern: DotPattern = DotPattern()
 
     def cover(self, x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
         """Share of ink, 0 to 1, in a small cell of about ``softness_mm`` at points of the window."""
         cos, sin = np.float32(math.cos(self.rotation_rad)), np.float32(math.sin(self.rotation_rad))
         x, y = x_mm - np.float32(self.phase_mm[0]), y_mm - np.float32(self.phase_mm[1])
         across, up = cos * x + sin * y, cos * y - sin * x
-        row = np.float32(DOT_PITCH_MM * math.sqrt(3.0))
-        pitch = np.float32(DOT_PITCH_MM)
+        pattern = self.pattern
+        pitch = np.float32(pattern.pitch_mm)
+        offsets: tuple[float, ...] = (0.0,)
+        row = pitch
+        if pattern.hexagonal:  # two rectangular lattices, one in the middle of the other
+            row, offsets = np.float32(pattern.pitch_mm * math.sqrt(3.0)), (0.0, 0.5)
         squared = [
             (across - offset * pitch - pitch * np.rint(across / pitch - offset)) ** 2
             + (up - offset * row - row * np.rint(up / row - offset)) ** 2
-            for offset in (np.float32(0.0), np.float32(0.5))
+            for offset in map(np.float32, offsets)
         ]
-        distance = np.sqrt(np.minimum(*squared))
-        return soft_disc(distance, DOT_DIAMETER_MM / 2.0, softness_mm)
+        distance = np.sqrt(np.minimum.reduce(squared))
+        return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
 
 
 def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:

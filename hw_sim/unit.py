@@ -23,7 +23,7 @@ from hw_sim.faults import (
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, driving, vibrating
 from hw_sim.sensor import NoisePool, Sensor
-from hw_sim.targets import DOT_COVERAGE, WINDOW_TRANSMISSION
+from hw_sim.targets import WINDOW_TRANSMISSION, DotPattern
 from hw_sim.view import make_view
 
 FRONT, REAR = "front", "rear"
@@ -46,7 +46,9 @@ class UnitConfig:
     """A unit and its surroundings. The seed alone decides lenses, tilts, print, speckle and hot pixels.
 
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
-    ``dots`` the front target is a plain plate like the rear one.
+    ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
+    given. ``expansion`` is by how much of its length the frame between the targets has grown since it was
+    adjusted: the rear target stands at (1 + expansion) times its distance.
     """
 
     seed: int = 1
@@ -54,10 +56,13 @@ class UnitConfig:
     lux: float = 200.0
     speckle_contrast: float = 0.16
     hot_pixels: int = 20
-    dots: bool = True
     bits: int = 8
     fps: float = 20.0
     target_distance_mm: float = 280.0
+    expansion: float = 0.0
+    dots: DotPattern | None = field(default_factory=DotPattern)
+    front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
+    rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
@@ -79,6 +84,7 @@ class Unit:
     def __init__(self, config: UnitConfig | None = None) -> None:
         self.config = config or UnitConfig()
         self.leds_on = False
+        self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
         self._path: Callable[[int], BeamPose] = _resting(BeamPose(0.0, 0.0))
@@ -86,10 +92,10 @@ class Unit:
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
         rngs = (np.random.default_rng(stream) for stream in streams)
-        dots = make_dots(next(rngs))
+        dots = make_dots(self._pattern, next(rngs))
         lenses = {
-            FRONT: make_lens(FRONT_FOCAL_MM, mirrored=True, rng=next(rngs)),
-            REAR: make_lens(REAR_FOCAL_MM, mirrored=False, rng=next(rngs)),
+            FRONT: make_lens(self.config.front_focal_mm, mirrored=True, rng=next(rngs)),
+            REAR: make_lens(self.config.rear_focal_mm, mirrored=False, rng=next(rngs)),
         }
         self.eyes: Mapping[str, Eye] = {
             name: Eye(
@@ -204,8 +210,8 @@ class Unit:
         share = OVERLOAD if Fault.SATURATED in faults else 1.0
         z_mm = 0.0
         if camera == REAR:
-            share *= (1.0 - DOT_COVERAGE) * WINDOW_TRANSMISSION
-            z_mm = self.config.target_distance_mm
+            share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
+            z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
         spot = footprint(self.config.laser, pose, z_mm, share)
         if _SECOND[camera] not in faults:
             return [spot]

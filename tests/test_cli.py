@@ -34,6 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert outcome.err == ""
     assert "\nfront   " in outcome.out
     assert "\nrear: plain, no print" in outcome.out
+    assert "\nrear: profile and ellipse lie 0.0" in outcome.out
     write_config(path / "altd.toml", path / "cal.json", path / "beams")
     return path
 
@@ -83,8 +84,11 @@ def test_locate_gives_an_object_an_image(folder: Path, tmp_path: Path) -> None:
     spot, dark = outcome.objects
     assert (spot["u_px"], spot["v_px"]) == pytest.approx((300.5, 200.25), abs=0.01)
     assert spot["sigma_px"] > 0
+    assert (spot["ellipse_u_px"], spot["ellipse_v_px"]) == pytest.approx((300.5, 200.25), abs=0.01)
+    assert spot["ellipse_sigma_px"] > 0
     assert dark["reason"] == "spot_missing"
     assert dark["u_px"] is dark["v_px"] is dark["sigma_px"] is None
+    assert dark["ellipse_u_px"] is dark["ellipse_v_px"] is dark["ellipse_sigma_px"] is None
 
 
 def test_map_turns_px_into_mm_or_says_why_not(folder: Path) -> None:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from altd.calibration.agreement import Agreement, Verdict, agreement, verdict
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
@@ -105,7 +106,20 @@ class _Made:
     target: TargetCalibration
     evidence: TargetEvidence
     scatter: NodeScatter
+    agreement: Agreement | None = None
     remark: str = ""
+    must_agree: bool = False
+    """Whether no print excuses the two localisers."""
+
+    def verdict(self, pattern_px: float) -> Verdict:
+        """On the two localisers; a recorded flat leaves no pattern to excuse them either."""
+        allowed_px = 0.0 if self.target.flat is not None else pattern_px
+        return verdict(
+            self.evidence.name,
+            self.target.localiser.method,
+            self.agreement,
+            allowed_px if self.must_agree else None,
+        )
 
 
 def calibrate_scan(
@@ -136,6 +150,7 @@ def calibrate_scan(
             raise BadInputError(recording.path, f"{job.name}: the flat is of another size than the frames")
     made = [_calibrate_target(job, progress) for job in jobs]
     patterns_px = pattern_noise_px([target.scatter for target in made])
+    verdicts = [of.verdict(pattern_px) for of, pattern_px in zip(made, patterns_px, strict=True)]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
@@ -154,8 +169,8 @@ def calibrate_scan(
             for (x, y), why in of.evidence.left_out
         ),
         tuple(of.evidence for of in made),
-        cross_check_doubts(calibration.targets),
-        tuple(of.remark for of in made),
+        (*cross_check_doubts(calibration.targets), *(of.doubt for of in verdicts if of.doubt is not None)),
+        (*(of.remark for of in made), *(of.remark for of in verdicts)),
     )
 
 
@@ -164,13 +179,13 @@ def _calibrate_target(job: _Job, progress: Progress) -> _Made:
     seen = _look(job, progress)
     made = _fit_target(job, seen, None)
     if job.flat is not None:
-        return replace(made, remark=f"{job.name}: localised through its recorded flat")
+        return replace(made, remark=f"{job.name}: localised through its recorded flat", must_agree=True)
     usable = [node for node in seen.nodes.values() if node.usable]
     frames = [job.recording.frame(node.located[0]) for node in usable]
     printed = sum(shows_print(frame, job.localiser) for frame in frames)
     if 2 * printed < len(frames):
         plain = replace(made.target, localiser=replace(job.localiser, method="profile"))
-        return replace(made, target=plain, remark=f"{job.name}: plain, no print")
+        return replace(made, target=plain, remark=f"{job.name}: plain, no print", must_agree=True)
     nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in usable])
     found = find_print(frames, nodes_px, made.target.map, job.localiser)
     if found is None:
@@ -269,7 +284,8 @@ def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> _Made:
         left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
         candidates=fitted.candidates,
     )
-    return _Made(target, evidence, _scatter(fitted, used))
+    frames = (recording.frame(node.located[0]) for node in used)
+    return _Made(target, evidence, _scatter(fitted, used), agreement(frames, job.localiser, job.flat))
 
 
 def _scatter(fitted: TargetFit, used: list[_Node]) -> NodeScatter:

@@ -56,11 +56,11 @@ class Flat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockSums:
-    """Sums of powers of F over square blocks, and where the blocks measure: ``planes`` (6, rows, columns).
+    """Sums of powers of F over square blocks, and where the blocks measure: ``planes`` (9, rows, columns).
 
     ΣF, ΣF², ΣF³, ΣF⁴, then u and v in px: a block's centroid weighted with F², so that ΣF·(E·F) is E there
-    times ΣF² for an irradiance that is linear over the block. One array, since a spot's part is cut out of
-    it for every frame.
+    times ΣF² for an irradiance that is linear over the block; then uu, uv and vv in px², the moments about
+    it, for one that is bent. One array, since a spot's part is cut out of it for every frame.
     """
 
     planes: FloatArray
@@ -69,27 +69,37 @@ class BlockSums:
         """Some of the blocks."""
         return BlockSums(self.planes[:, rows, columns])
 
+    def moved(self, left: int, top: int) -> BlockSums:
+        """The same blocks at another place."""
+        planes = self.planes.copy()
+        planes[4] += left
+        planes[5] += top
+        return BlockSums(planes)
+
 
 def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
     """The sums of a part of a flat whose first pixel is (left, top); incomplete blocks are left out."""
     rows, columns = response.shape[0] // size, response.shape[1] // size
     # from the blocks' middles: small numbers keep their digits in float32
     offset = np.arange(size, dtype=np.float32) - np.float32((size - 1) / 2)
-    by_column = np.tile(offset, columns)
-    by_row = np.tile(offset, rows)[:, None]
+    by_column, by_row = np.tile(offset, columns), np.tile(offset, rows)[:, None]
     whole = response[: rows * size, : columns * size]
     square = whole * whole
     f2 = block_sum(square, size)
-    lit = np.maximum(f2, np.float32(1e-12))
-    middle_u = left + size * np.arange(columns, dtype=np.float32) + np.float32((size - 1) / 2)
-    middle_v = top + size * np.arange(rows, dtype=np.float32) + np.float32((size - 1) / 2)
+    share = square / np.repeat(np.repeat(np.maximum(f2, np.float32(1e-12)), size, axis=0), size, axis=1)
+    from_u, from_v = block_sum(share * by_column, size), block_sum(share * by_row, size)
+    middle_u = np.arange(left, left + size * columns, size, dtype=np.float32) + np.float32((size - 1) / 2)
+    middle_v = np.arange(top, top + size * rows, size, dtype=np.float32) + np.float32((size - 1) / 2)
     planes = (
         block_sum(whole, size),
         f2,
         block_sum(square * whole, size),
         block_sum(square * square, size),
-        middle_u + block_sum(square * by_column, size) / lit,
-        middle_v[:, None] + block_sum(square * by_row, size) / lit,
+        middle_u + from_u,
+        middle_v[:, None] + from_v,
+        block_sum(share * by_column**2, size) - from_u**2,
+        block_sum(share * by_column * by_row, size) - from_u * from_v,
+        block_sum(share * by_row**2, size) - from_v**2,
     )
     return BlockSums(np.array(planes, dtype=np.float64))
 

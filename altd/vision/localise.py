@@ -11,6 +11,7 @@ import numpy.typing as npt
 from altd.records import Frame, NoSpot, Reason, Spot
 from altd.vision.background import pixel_noise
 from altd.vision.centre import Centre, Noise
+from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.moment import moment
 from altd.vision.patch import Outline, Patch, patch_around
@@ -76,11 +77,26 @@ def spot_in(
 
 def shows_print(frame: Frame, settings: SpotSettings) -> bool:
     """Whether the spot of a frame lies on print; a frame without a spot shows none."""
+    cut_out = _cut_out(frame, settings)
+    return cut_out is not None and is_printed(*cut_out)
+
+
+def locate_ellipse(
+    frame: Frame, settings: SpotSettings | None = None, flat: Flat | None = None
+) -> Centre | None:
+    """Where the second localiser sees the spot that ``locate`` has found in a frame; None if it sees none."""
+    settings = settings or SpotSettings()
+    cut_out = _cut_out(frame, settings)
+    return None if cut_out is None else ellipse(*cut_out, settings, flat)
+
+
+def _cut_out(frame: Frame, settings: SpotSettings) -> tuple[Patch, Noise] | None:
+    """The brightest region's surroundings and the frame's noise."""
     found = search(frame.pixels)
     patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
     if patch is None or isinstance(patch, NoSpot):
-        return False
-    return is_printed(patch, _noise(frame, found, settings))
+        return None
+    return patch, _noise(frame, found, settings)
 
 
 def _noise(frame: Frame, found: Search, settings: SpotSettings) -> Noise:

@@ -49,6 +49,8 @@ class Patch:
     pixels: PixelArray
     excess: Image
     smooth: Image
+    background_counts: float
+    """What was taken off in the middle."""
     peak: float
     """Of the smoothed excess."""
     mask: Mask
@@ -64,7 +66,8 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
         pixels = frame.pixels[top:bottom, left:right]
         excess = without_hot_pixels(pixels)
-        excess -= found.background.at((left, top), excess.shape)
+        background = found.background.at((left, top), excess.shape)
+        excess -= background
         smooth = _smoothed(excess, settings.smoothing_px)
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
         if peak <= 0:
@@ -75,7 +78,8 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         if at_image_edge:
             return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
         if not at_patch_edge:
-            return Patch(left, top, pixels, excess, smooth, peak, mask, outline_of(mask))
+            middle = float(background[len(background) // 2, background.shape[1] // 2])
+            return Patch(left, top, pixels, excess, smooth, middle, peak, mask, outline_of(mask))
         margin *= 2
 
 

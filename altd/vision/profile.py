@@ -12,19 +12,21 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.vision.centre import Centre, Noise
-from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
+from altd.vision.flat import BLOCK_PX, BlockSums, Flat, Image, block_sum, block_sums
 from altd.vision.patch import Patch
 
 _ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
 _CONVERGED_SHAPE = 0.02
 _CONVERGED_GRAIN2 = 1.0
+_LATE = 11
+_CONVERGED_LATE_SIGMAS = 3e-3
 _LONGEST_STEP = 0.5
 _FINE_BELOW_PX = 24.0
 """Spots below this 1/e² diameter are fitted pixel by pixel: a block would be too coarse."""
 
 _ORDER_FREE_FROM = 1
-_ORDERS = 0.6, 6.0
+_ORDERS = 0.6, 8.0
 _ORDER_PRIOR_SIGMA = 0.5
 _ORDER_HELD_SIGMA = 1e-6
 _GRAIN_AT_FIRST = 0.02
@@ -32,18 +34,21 @@ _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
 
-_PEAK, _U, _V, _A, _B, _C, _REST, _ORDER, _RESIDUAL = range(9)
-_State = tuple[float, float, float, float, float, float, float, float]
-"""The first eight of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
+_SLOPE_SHARE_PER_PX = 1.5e-4
+"""By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it:
+fall-off and stray light are no parabola."""
+_LEAST_SLOPE_COUNTS_PER_PX = 1e-4
+
+_PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER, _RESIDUAL = range(11)
+_State = Sequence[float]
+"""The first ten of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off. ``pattern_px`` is
-    what the grain does to the centre, rms of both axes; ``grain`` is the relative scatter of single pixels
-    that the fit has seen.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off.
     """
 
     centre: Centre
@@ -51,8 +56,6 @@ class Profile:
     form: tuple[float, float, float]
     order: float
     rest: float
-    grain: float
-    pattern_px: float
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
@@ -65,11 +68,14 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Blocks as vectors: Σ F·I, the sums of F, and where they measure in units of the seed's sigma."""
+    """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I."""
 
     light: FloatArray
     monomials: FloatArray
-    """1, x, y, x², xy, y² as rows."""
+    """1, x, y, x², xy, y² as rows; places are from the seed in units of its sigma."""
+    bends: FloatArray | None
+    """½ xx, xy, ½ yy as rows, the moments about the places; None where they are alike in all blocks and only
+    widen the spot."""
     f1: FloatArray
     f2: FloatArray
     read_variance: FloatArray
@@ -89,37 +95,36 @@ def fit_profile(
     """Fit the spot of a patch; None when no profile fits it.
 
     ``diameter_px`` is about the spot's; pixels that are ``clipped``, as a mask of the patch, do not count.
-    Weighted least squares over blocks of ΣF·I for peak, centre, form, a rest of background, and order. The
-    variance of a block is read noise, shot noise and grain: the relative scatter of the light (speckle, rest
-    of the print), which the fit estimates from its own residuals, so that a clean spot as well as a coarse
-    one gets the weights that it deserves. On blocks of one dot pitch the centre is as good as on pixels.
+    Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and what is left of the
+    background: a constant, and a slope that is small against it. The variance of a block is read noise, shot
+    noise and grain: the relative scatter of the light (speckle, rest of the print), which the fit estimates
+    from its own residuals, so that a clean spot as well as a coarse one gets the weights that it deserves. On
+    blocks of one dot pitch the centre is as good as on pixels.
     """
     seed = patch.outline
     sigma_px = diameter_px / 4
-    size = BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1
-    data = _data(patch, flat, clipped, noise, size, sigma_px)
+    data = _data(patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
+    rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _LEAST_SLOPE_COUNTS_PER_PX) * sigma_px
     # an even ellipse's second moments: those of the spot but for a factor
     scale = 1 / math.sqrt(max(seed.uu * seed.vv - seed.uv**2, 1e-12))
     form = scale * seed.vv, -scale * seed.uv, scale * seed.uu
-    solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 1.0))
+    solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
     if solution is None:
         return None
-    state, grain2, covariance_noise, covariance_grain = solution
-    peak, u, v, a, b, c, rest, order = state
+    state, centre_variance = solution
+    peak, u, v, a, b, c, rest, _, _, order = state
     if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
         return None
     return Profile(
         Centre(
             patch.left + seed.u + u * sigma_px,
             patch.top + seed.v + v * sigma_px,
-            sigma_px * math.sqrt(covariance_noise),
+            sigma_px * math.sqrt(centre_variance),
         ),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         rest,
-        math.sqrt(grain2),
-        sigma_px * math.sqrt(covariance_grain),
     )
 
 
@@ -128,40 +133,26 @@ def _data(
     flat: Flat | None,
     clipped: npt.NDArray[np.bool_] | None,
     noise: Noise,
-    size: int,
     sigma_px: float,
+    size: int,
 ) -> _Data:
-    height, width = patch.excess.shape
-    light, left, top = patch.excess, 0, 0
-    if flat is None and clipped is None:
-        sums = _plain_sums(height, width, size)
-    else:
-        window = slice(patch.top, patch.top + height), slice(patch.left, patch.left + width)
-        response = np.ones((height, width), np.float32) if flat is None else flat.response[window]
-        if clipped is not None:
-            response = np.where(clipped, np.float32(0), response)
-        light = light * response
-        if flat is None or clipped is not None or size != BLOCK_PX:
-            sums = block_sums(response, 0, 0, size)
-        else:
-            left, top = patch.left, patch.top
-            rows, columns = (
-                slice(top // size, (top + height) // size),
-                slice(left // size, (left + width) // size),
-            )
-            sums = flat.blocks.cut(rows, columns)
-    f1, f2, f3, f4, u, v = sums.planes.reshape(6, -1)
+    light, sums = _sums(patch, flat, clipped, size)
+    f1, f2, f3, f4, u, v = sums.planes[:6].reshape(6, -1)
+    bends = None
+    if flat is not None or clipped is not None:
+        bends = sums.planes[6:].reshape(3, -1) * (np.array([[0.5], [1.0], [0.5]]) / sigma_px**2)
     monomials = np.empty((6, f1.size))
     monomials[0] = 1
     _, x, y, xx, xy, yy = monomials
-    np.multiply(u - (left + patch.outline.u), 1 / sigma_px, out=x)
-    np.multiply(v - (top + patch.outline.v), 1 / sigma_px, out=y)
+    np.multiply(u - (patch.left + patch.outline.u), 1 / sigma_px, out=x)
+    np.multiply(v - (patch.top + patch.outline.v), 1 / sigma_px, out=y)
     np.multiply(x, x, out=xx)
     np.multiply(x, y, out=xy)
     np.multiply(y, y, out=yy)
     return _Data(
-        light=np.ravel(block_sum(light, size)),
+        light=np.ravel(light),
         monomials=monomials,
+        bends=bends,
         f1=f1,
         f2=f2,
         read_variance=noise.read_counts**2 * np.maximum(f2, 1e-9),
@@ -170,64 +161,97 @@ def _data(
     )
 
 
+def _sums(
+    patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, size: int
+) -> tuple[Image, BlockSums]:
+    """Σ F·I over the patch's blocks and the sums of F; from those that are kept where they serve."""
+    height, width = patch.excess.shape
+    if flat is None and clipped is None:
+        return block_sum(patch.excess, size), _plain_sums(height, width, size).moved(patch.left, patch.top)
+    if flat is None:
+        response = np.ones((height, width), np.float32)
+    else:
+        response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
+    if clipped is not None:
+        response = np.where(clipped, np.float32(0), response)
+    light = block_sum(patch.excess * response, size)
+    if flat is None or clipped is not None or size != BLOCK_PX:
+        return light, block_sums(response, patch.left, patch.top, size)
+    top, left = patch.top // size, patch.left // size
+    rows, columns = height // size, width // size
+    return light, flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
+
+
 @lru_cache(maxsize=64)
 def _plain_sums(height: int, width: int, size: int) -> BlockSums:
     """Those of a plain target, which depend on a patch's size alone."""
     return block_sums(np.ones((height, width), np.float32), 0, 0, size)
 
 
-def _solve(data: _Data, state: _State) -> tuple[_State, float, float, float] | None:
-    """Gauss-Newton; the state, the grain squared, and what noise and grain do to the centre, mean squares.
+def _solve(data: _Data, state: _State, rise: float) -> tuple[_State, float] | None:
+    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes.
 
-    Some three hundred blocks are so few that numpy's calls cost more than its sums: what belongs together
-    is one array, and one product gives the normal equations with their right-hand side.
+    ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed. Some three
+    hundred blocks are so few that numpy's calls cost more than its sums: what belongs together is one array,
+    and one product gives the normal equations with their right-hand side.
     """
     grain2 = grain2_before = _GRAIN_AT_FIRST**2
-    rows = np.empty((9, data.light.size))
-    rows[_REST] = data.f1
+    rows = np.empty((_RESIDUAL + 1, data.light.size))
+    rows[_REST : _RISE_Y + 1] = data.f1 * data.monomials[:3]
     bright = np.empty(data.light.size)
     for iteration in range(_ITERATIONS):
         spot = _linearise(data, state, rows)
-        settled = iteration >= _ORDER_FREE_FROM
+        free = iteration >= _ORDER_FREE_FROM
         noise_variance = data.read_variance + spot * data.shot_variance
         grain_variance = spot * spot
         grain_variance *= data.grain_variance
-        if settled:
+        if free:
             residual = rows[_RESIDUAL]
             np.greater(spot, _GRAIN_SEEN_FROM * state[_PEAK], out=bright)  # 0 or 1
             unexplained = float((residual * bright) @ residual - noise_variance @ bright)
             per_grain2 = float(grain_variance @ bright)
+            if per_grain2 <= 0:
+                return None  # no pixel that counts lies where the spot is
             grain2_before = grain2
             grain2 = min(max(unexplained / per_grain2, _GRAINS[0] ** 2), _GRAINS[1] ** 2)
         weighted = rows[:_RESIDUAL] / (noise_variance + grain2 * grain_variance)
         equations = weighted @ rows.T
-        prior = (_ORDER_PRIOR_SIGMA if settled else _ORDER_HELD_SIGMA) ** -2
-        equations[_ORDER, _ORDER] += prior
-        equations[_ORDER, _RESIDUAL] += prior * (1.0 - state[_ORDER])
+        order_sigma = _ORDER_PRIOR_SIGMA if free else _ORDER_HELD_SIGMA
+        for index, known, sigma in ((_RISE_X, 0.0, rise), (_RISE_Y, 0.0, rise), (_ORDER, 1.0, order_sigma)):
+            equations[index, index] += sigma**-2
+            equations[index, _RESIDUAL] += (known - state[index]) * sigma**-2
         try:
             covariance = np.linalg.inv(equations[:, :_RESIDUAL])
         except np.linalg.LinAlgError:
             return None
-        step = (covariance @ equations[:, _RESIDUAL]).tolist()
-        moved = _moved(state, step)
+        moved = _moved(state, (covariance @ equations[:, _RESIDUAL]).tolist())
         if moved is None:
             return None
+        change = [abs(after - before) for after, before in zip(moved, state, strict=True)]
         state = moved
-        if (
-            settled
-            and abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
-            and math.hypot(step[_U], step[_V]) < _CONVERGED_SIGMAS
-            and max(abs(step[_A]), abs(step[_C]), abs(step[_ORDER])) < _CONVERGED_SHAPE
-        ):
+        even = abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
+        if free and _is_settled(change, even, iteration >= _LATE):
             levers = covariance[_U : _V + 1] @ weighted
-            squares = np.square(levers).sum(axis=0) / 2
-            return state, grain2, float(squares @ noise_variance), grain2 * float(squares @ grain_variance)
+            return state, float((np.square(levers) @ noise_variance).sum()) / 2
     return None
+
+
+def _is_settled(change: Sequence[float], even: bool, late: bool) -> bool:
+    """Whether the last step moved centre and shape by next to nothing; an order at its limit is at rest.
+
+    ``even``: so is the grain, which decides on the weights. A small spot with a hard edge may swing between
+    shapes for ever: late on, a centre at rest is enough.
+    """
+    if late:
+        return max(change[_U], change[_V]) < _CONVERGED_LATE_SIGMAS
+    if not even or max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
+        return False
+    return max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE
 
 
 def _linearise(data: _Data, state: _State, rows: FloatArray) -> FloatArray:
     """Irradiance at the blocks; fills in the derivatives of the blocks' light and what is left over of it."""
-    peak, u, v, a, b, c, rest, order = state
+    peak, u, v, a, b, c, rest, rise_x, rise_y, order = state
     pull_u, pull_v = a * u + b * v, b * u + c * v
     quadratics = np.array(
         (
@@ -237,37 +261,66 @@ def _linearise(data: _Data, state: _State, rows: FloatArray) -> FloatArray:
             (-u * u / 2, u, 0.0, -0.5, 0.0, 0.0),  # −∂q/∂a
             (-u * v, v, u, 0.0, -1.0, 0.0),  # −∂q/∂b
             (-v * v / 2, 0.0, v, 0.0, 0.0, -0.5),  # −∂q/∂c
+            (rest, rise_x, rise_y, 0.0, 0.0, 0.0),
         )
     )
     polynomials = quadratics @ data.monomials
-    q = polynomials[0]
+    q, background = polynomials[0], polynomials[-1]
     np.maximum(q, 1e-9, out=q)
     logarithm = np.log(q)
     raised = np.exp(order * logarithm)
     shape: FloatArray = np.exp(-raised)
-    np.multiply(shape, data.f2, out=rows[_PEAK])
-    fall = rows[_PEAK] * raised
-    fall *= peak
-    np.multiply(fall, logarithm, out=rows[_ORDER])
+    steep = raised / q
+    steep *= order
+    f2 = data.f2 if data.bends is None else data.f2 * _bent(data.bends, steep, polynomials[1:3], (a, b, c))
+    np.multiply(shape, f2, out=rows[_PEAK])
+    fall = rows[_PEAK] * peak
+    np.subtract(data.light, fall, out=rows[_RESIDUAL])
+    background *= data.f1
+    rows[_RESIDUAL] -= background
+    raised *= logarithm
+    np.multiply(fall, raised, out=rows[_ORDER])
     np.negative(rows[_ORDER], out=rows[_ORDER])
-    fall /= q
-    fall *= order
-    np.multiply(polynomials[1:], fall, out=rows[_U : _C + 1])
-    np.subtract(data.light, peak * rows[_PEAK], out=rows[_RESIDUAL])
-    rows[_RESIDUAL] -= rest * data.f1
+    fall *= steep
+    np.multiply(polynomials[1:-1], fall, out=rows[_U : _C + 1])
     shape *= peak
     return shape
 
 
+def _bent(
+    bends: FloatArray, steep: FloatArray, along: FloatArray, form: tuple[float, float, float]
+) -> FloatArray:
+    """Mean of the spot over each block against its value where the block measures.
+
+    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives that a Gaussian as steep as the spot
+    is there has; ``along`` (2, n) is the gradient of q. Where the rows of dots run along those of pixels, the
+    moments beat, and without this so does the centre: by 0.02 px.
+    """
+    xx, xy, yy = bends
+    by_x, by_y = along * steep
+    bent: FloatArray = np.asarray(form) @ bends
+    bent *= steep
+    np.subtract(1.0, bent, out=bent)
+    bent += (xx * by_x + xy * by_y) * by_x
+    by_y *= by_y
+    by_y *= yy
+    bent += by_y
+    return bent
+
+
 def _moved(state: _State, step: Sequence[float]) -> _State | None:
     """A step, shortened until the form stays an ellipse and nothing leaps; None when it cannot be."""
-    longest = max(abs(step[_U]), abs(step[_V]), abs(step[_A] / state[_A]), abs(step[_C] / state[_C]))
+    longest = max(
+        abs(step[_U]), abs(step[_V]), *(abs(step[index] / state[index]) for index in (_A, _C, _ORDER))
+    )
     if not math.isfinite(longest):
         return None
     scale = min(1.0, _LONGEST_STEP / max(longest, 1e-12))
     while scale > 1e-3:
-        peak, u, v, a, b, c, rest, order = (s + scale * d for s, d in zip(state, step, strict=True))
-        if peak > 0 and a > 0 and c > 0 and a * c > b * b:
-            return peak, u, v, a, b, c, rest, min(max(order, _ORDERS[0]), _ORDERS[1])
+        moved = [s + scale * d for s, d in zip(state, step, strict=True)]
+        a, b, c = moved[_A : _C + 1]
+        if moved[_PEAK] > 0 and a > 0 and c > 0 and a * c > b * b:
+            moved[_ORDER] = min(max(moved[_ORDER], _ORDERS[0]), _ORDERS[1])
+            return moved
         scale /= 2
     return None

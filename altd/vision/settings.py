@@ -36,9 +36,9 @@ class SpotSettings:
     """Area over the area of the ellipse with the same second moments; rings and crescents have less."""
     like_size: float = 0.3
     """A second spot with this fraction of the first one's light makes the frame ``ambiguous``."""
-    max_saturated: float = 0.25
+    max_saturated: float = 0.5
     """Saturated fraction of the spot's bright pixels above which it is ``saturated``: a Gaussian reaches it
-    when it is over-exposed by a quarter. Clipping below that is symmetric and moves nothing."""
+    when it is over-exposed twofold. Below that the fit leaves clipped pixels out and loses little."""
     max_sigma_px: float = 0.5
     """A spot whose noise moves it by more than this is too dim to be one."""
     full_well_electrons: float = 15_000.0

@@ -138,8 +138,6 @@ def test_an_led_that_is_off_its_place_and_a_false_light_are_reported(tmp_path: P
 def test_a_calibration_from_a_plate_is_saved_like_any_other(
     result: CalibrationResult, tmp_path: Path
 ) -> None:
-    result: CalibrationResult, tmp_path: Path
-) -> None:
     save_calibration(result.calibration, tmp_path / "cal.json")
     loaded = load_calibration(tmp_path / "cal.json", "TEST-1")
     assert [(target.name, target.z_mm) for target in loaded.targets] == [("front", 0.0), ("rear", 280.0)]

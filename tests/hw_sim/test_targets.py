@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hw_sim.targets import LED_POSITIONS_MM, DotPrint, led_cover, speckle
+from hw_sim.targets import LED_POSITIONS_MM, DotPattern, DotPrint, led_cover, speckle
 
 PRINT = DotPrint(phase_mm=(0.3, 0.7), rotation_rad=0.02)
 
@@ -31,6 +31,21 @@ def test_a_dot_has_six_neighbours_a_pitch_away_and_clear_glass_between() -> None
 def test_a_dot_ends_at_its_radius() -> None:
     x0, y0 = PRINT.phase_mm
     assert cover_at([(x0, y0), (x0, y0 + 0.24), (x0, y0 + 0.26)]) == [1.0, 1.0, 0.0]
+
+
+def test_the_dots_of_an_orthogonal_print_cover_a_quarter_circle_of_each_square() -> None:
+    dots = DotPrint((0.3, 0.7), 0.02, DotPattern(diameter_mm=1.0, pitch_mm=2.0, hexagonal=False))
+    axis = np.arange(-30.0, 30.0, 0.03, dtype=np.float32)
+    covered = float(dots.cover(*np.meshgrid(axis, axis), 0.03).mean(dtype=np.float64))
+    assert covered == pytest.approx(math.pi * 0.25 / 4.0, rel=2e-3)
+    assert dots.pattern.coverage == pytest.approx(math.pi * 0.25 / 4.0)
+
+
+def test_a_dot_of_an_orthogonal_print_has_four_neighbours() -> None:
+    dots = DotPrint((0.3, 0.7), 0.0, DotPattern(diameter_mm=1.0, pitch_mm=2.0, hexagonal=False))
+    at = [(2.3, 0.7), (0.3, -1.3), (-1.7, 0.7), (0.3, 2.7), (1.3, 1.7), (1.3, 0.7)]
+    x, y = np.array(at, dtype=np.float32).T
+    assert dots.cover(x, y, 0.001).tolist() == [1.0] * 4 + [0.0] * 2
 
 
 def test_the_frame_leds_lie_outside_of_the_scanned_area() -> None:

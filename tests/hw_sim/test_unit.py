@@ -8,6 +8,7 @@ import pytest
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
 from hw_sim.motion import Drive, Vibration
+from hw_sim.targets import DotPattern
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 
 
@@ -114,6 +115,31 @@ def test_a_beam_at_rest_shows_a_spot_on_each_target_where_the_truth_says(unit: U
     for camera, z_mm in ((FRONT, 0.0), (REAR, 280.0)):
         (u, v) = unit.eyes[camera].view.lens.project(*unit.truth(0).at(z_mm))
         assert spots(unit, camera) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
+
+
+def test_a_frame_that_has_grown_takes_the_rear_target_further_along_the_beam() -> None:
+    near, far = (Unit(UnitConfig(seed=2, expansion=expansion)) for expansion in (0.0, 0.1))
+    for unit in (near, far):
+        unit.place(BeamPose(0.0, 0.0, 0.1, 0.12))
+    assert np.array_equal(near.expose(FRONT, 0, 0).pixels, far.expose(FRONT, 0, 0).pixels)
+    lens = far.eyes[REAR].view.lens
+    for unit, along_mm in ((near, 280.0), (far, 308.0)):
+        u, v = lens.project(0.1 * along_mm, 0.12 * along_mm)
+        assert spots(unit, REAR) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
+
+
+def test_coarser_dots_leave_the_lenses_and_the_plate_as_they_are() -> None:
+    coarse = Unit(UnitConfig(seed=2, dots=DotPattern(0.8, 1.6)))
+    fine = Unit(UnitConfig(seed=2))
+    for camera in CAMERAS:
+        assert coarse.eyes[camera].view.lens.focal_mm == fine.eyes[camera].view.lens.focal_mm
+    assert not np.array_equal(coarse.eyes[FRONT].view.response, fine.eyes[FRONT].view.response)
+    assert np.array_equal(coarse.eyes[REAR].view.response, fine.eyes[REAR].view.response)
+
+
+def test_the_focal_lengths_can_be_chosen() -> None:
+    unit = Unit(UnitConfig(seed=2, front_focal_mm=(12.0, 12.0), rear_focal_mm=(3.6, 3.6)))
+    assert [unit.eyes[camera].view.lens.focal_mm for camera in CAMERAS] == [12.0, 3.6]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from altd.records import Frame, Spot
-from altd.vision.localise import locate
+from altd.vision.localise import locate, locate_ellipse
 
 
 def iso_centroid_and_diameter(image: np.ndarray, spot: Spot) -> tuple[float, float, float]:
@@ -32,7 +32,11 @@ def iso_centroid_and_diameter(image: np.ndarray, spot: Spot) -> tuple[float, flo
 @pytest.mark.parametrize("name", ["TEM00_200mm.pgm", "k-500mm.png", "t-348mm.pgm", "t-hene.pgm"])
 def test_a_real_beam_is_found_within_3_percent_of_its_diameter(name: str, shared_data: Path) -> None:
     image = cv2.imread(str(shared_data / "beams" / name), cv2.IMREAD_UNCHANGED)
-    spot = locate(Frame("photograph", 0, 0, image, 8 * image.dtype.itemsize))
+    frame = Frame("photograph", 0, 0, image, 8 * image.dtype.itemsize)
+    spot = locate(frame)
     assert isinstance(spot, Spot), spot
     x, y, diameter = iso_centroid_and_diameter(image, spot)
     assert np.hypot(spot.u_px - x, spot.v_px - y) < 0.03 * diameter
+    second = locate_ellipse(frame)
+    assert second is not None
+    assert np.hypot(second.u_px - x, second.v_px - y) < 0.04 * diameter

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.records import Frame, Spot
+from altd.records import Frame, Reason, Spot
 from altd.vision.bound import cramer_rao
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
 
 SIZE = 168
 READ_COUNTS, ELECTRONS_PER_COUNT = 0.7, 15_000 / 255
@@ -104,3 +105,44 @@ def test_a_clipped_spot_is_still_found_where_it_is() -> None:
     spot = locate(photographed(response * light(Blob(84.3, 80.7, peak=262), width=SIZE, height=SIZE), rng))
     assert isinstance(spot, Spot)
     assert (spot.u_px, spot.v_px) == pytest.approx((84.3, 80.7), abs=0.03)
+
+
+@pytest.mark.parametrize("radius_px", [8.0, 25.0, 200.0])
+def test_a_flat_that_is_black_where_the_spot_lies_gives_a_reason_or_the_spot(radius_px: float) -> None:
+    v, u = np.mgrid[:SIZE, :SIZE]
+    response = np.where(np.hypot(u - 84, v - 80) < radius_px, 0.0, 1.0)
+    shot = photographed(light(Blob(84.3, 80.7), width=SIZE, height=SIZE), np.random.default_rng(5))
+    spot = locate(shot, flat=Flat.of(response, "recording"))
+    if isinstance(spot, Spot):
+        assert radius_px < 10  # the rim tells enough
+        assert (spot.u_px, spot.v_px) == pytest.approx((84.3, 80.7), abs=0.15)
+    else:
+        assert spot.reason is Reason.WRONG_SHAPE
+
+
+@pytest.mark.parametrize(("width", "height", "bits"), [(166, 165, 10), (163, 167, 12), (165, 166, 16)])
+def test_deep_pictures_of_any_size_are_fitted_through_their_flat(width: int, height: int, bits: int) -> None:
+    response = dots()[:height, :width]
+    scale = (1 << bits) / 256
+    rng = np.random.default_rng(bits)
+    for u, v in ((84.0, 80.0), (width - 36.0, height - 36.0), (37.5, 35.5)):
+        counts = response * light(Blob(u, v, peak=45.0), width=width, height=height) * scale
+        shot = frame(counts, rng, READ_COUNTS * scale, background=8 * scale, bits=bits)
+        spot = locate(shot, flat=Flat.of(response, "recording"))
+        assert isinstance(spot, Spot)
+        assert (spot.u_px, spot.v_px) == pytest.approx((u, v), abs=0.06)
+
+
+@pytest.mark.parametrize("order", [0.7, 1.5, 3.0, 10.0])
+@pytest.mark.parametrize("diameter_px", [16.0, 44.0, 60.0])
+def test_spots_from_peaked_to_flat_topped_are_fitted(order: float, diameter_px: float) -> None:
+    rng = np.random.default_rng(5)
+    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
+    for ratio in (0.45, 1.0):
+        u_px, v_px, angle = *rng.uniform(80, 88, 2), rng.uniform(0, np.pi)
+        along = (u - u_px) * np.cos(angle) + (v - v_px) * np.sin(angle)
+        across = (v - v_px) * np.cos(angle) - (u - u_px) * np.sin(angle)
+        rho2 = (2 * along / diameter_px) ** 2 + (2 * across / (ratio * diameter_px)) ** 2
+        spot = locate(photographed(180 * np.exp(-2 * rho2**order), rng), SpotSettings(max_diameter_px=120.0))
+        assert isinstance(spot, Spot), spot
+        assert (spot.u_px, spot.v_px) == pytest.approx((u_px, v_px), abs=0.1)

@@ -1,0 +1,156 @@
+"""The second localiser: an ellipse through the contour of the smoothed spot (thesis 2.1.2, Eq. 2.2-2.6).
+
+It shares the patch with the profile and nothing else: it looks at the place of one contour instead of the
+heights of all pixels. Where a spot is not what the profile takes it for (a comet, a reflection beside it, a
+finger print on the window) the two move apart. It serves as a witness; it is not part of the measuring chain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from altd.records import FloatArray
+from altd.vision.background import Image
+from altd.vision.centre import Centre, Noise
+from altd.vision.conic import fit_conic
+from altd.vision.flat import Flat
+from altd.vision.patch import Mask, Patch
+from altd.vision.settings import SpotSettings
+
+LEVEL = 0.5
+"""Of the smoothed spot's peak. The contour of a Gaussian tells most of its centre at 47 % of the peak
+(r² = 1.5 sigma²) where read noise disturbs it, and at 22 % where shot noise does. Half the peak is near the
+one, costs a sixth of sigma for the other, and is far from clipped pixels as well as from what the background
+leaves."""
+
+_LEAST_POINTS = 16
+_LEAST_LIT = 0.01
+"""Where the smoothed F² is below this, nothing is known of the light; F has the mean 1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contour:
+    """Where the level lies between two neighbouring pixels of a picture of irradiance, n places.
+
+    ``inside`` and ``outside`` are the flat indices of the two, ``share`` (0 … 1) how far from the one inside
+    to the one outside the level lies; ``x`` and ``y`` px from the picture's first pixel.
+    """
+
+    inside: np.ndarray[tuple[int], np.dtype[np.intp]]
+    outside: np.ndarray[tuple[int], np.dtype[np.intp]]
+    share: FloatArray
+    x: FloatArray
+    y: FloatArray
+
+    def at(self, picture: Image) -> FloatArray:
+        """A picture (rows, columns) at the places, (n,), interpolated as the contour was."""
+        values = picture.ravel()
+        between: FloatArray = (1 - self.share) * values[self.inside] + self.share * values[self.outside]
+        return between
+
+    def onto(self, values: FloatArray, shape: tuple[int, int]) -> Image:
+        """The transpose of ``at``: values (n,) laid down on the pixels that they were read from."""
+        laid = np.bincount(self.inside, values * (1 - self.share), shape[0] * shape[1])
+        laid += np.bincount(self.outside, values * self.share, shape[0] * shape[1])
+        return laid.reshape(shape).astype(np.float32)
+
+
+def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | None = None) -> Centre | None:
+    """The centre of the ellipse through the contour at LEVEL; None when there is no such contour.
+
+    With a ``flat`` F the contour is that of the normalised picture G ⊛ (F·I) / G ⊛ F², G the smoothing.
+    What read and shot noise do to the centre goes through smoothing, contour and fit to first order; that the
+    level hangs on the noisy peak moves the contour outwards, not sideways.
+    """
+    response, lit, irradiance = _irradiance(patch, settings, flat)
+    peak = float(irradiance[patch.mask > 0].max())
+    contour = _contour(irradiance, LEVEL * peak, patch.mask) if peak > 0 else None
+    if contour is None:
+        return None
+    # G ⊛ F²·u over G ⊛ F² is where the normalised picture measures: where F is brighter, off the middle of G
+    off_y, off_x = (settings.smoothing_px**2 * slope for slope in _slopes(np.log(lit)))
+    x, y = contour.x + contour.at(off_x), contour.y + contour.at(off_y)
+    middle_x, middle_y = float(x.mean()), float(y.mean())
+    scale = math.sqrt(float(np.mean((x - middle_x) ** 2 + (y - middle_y) ** 2)))
+    fitted = fit_conic((x - middle_x) / scale, (y - middle_y) / scale)
+    if fitted is None:
+        return None
+    by_y, by_x = _slopes(irradiance)
+    # a rise of the irradiance displaces the contour outwards by one over the slope
+    levers = fitted.levers / np.maximum(np.hypot(contour.at(by_x), contour.at(by_y)), 1e-6 * peak)
+    variance = noise.read_counts**2 + np.maximum(irradiance, 0) * response / noise.electrons_per_count
+    squares = 0.0
+    for lever in levers:
+        by_pixel = response * _blurred(contour.onto(lever, irradiance.shape) / lit, settings.smoothing_px)
+        squares += float((np.square(by_pixel, dtype=np.float64) * variance).sum())
+    return Centre(
+        patch.left + middle_x + scale * fitted.x,
+        patch.top + middle_y + scale * fitted.y,
+        math.sqrt(squares / 2),
+    )
+
+
+def _irradiance(patch: Patch, settings: SpotSettings, flat: Flat | None) -> tuple[Image, Image, Image]:
+    """F, the smoothed F² and the smoothed irradiance in a patch, which is 0 where F is too dark."""
+    if flat is None:
+        even = np.ones_like(patch.smooth)
+        return even, even, patch.smooth
+    height, width = patch.smooth.shape
+    response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
+    lit = _blurred(response * response, settings.smoothing_px)
+    dark = lit < _LEAST_LIT
+    lit[dark] = _LEAST_LIT
+    irradiance = _blurred(patch.excess * response, settings.smoothing_px) / lit
+    irradiance[dark] = 0
+    return response, lit, irradiance
+
+
+def _slopes(picture: Image) -> tuple[Image, Image]:
+    """Derivatives along v and u, per px."""
+    by_v, by_u = np.gradient(picture)
+    return np.asarray(by_v, dtype=np.float32), np.asarray(by_u, dtype=np.float32)
+
+
+def _blurred(image: Image, sigma_px: float) -> Image:
+    if sigma_px <= 0:
+        return image
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
+
+
+def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:
+    """Outer contour of the largest piece above a level, by linear interpolation along rows and columns."""
+    above = ((irradiance > level) & (mask > 0)).astype(np.uint8)
+    outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = max(outlines, key=cv2.contourArea)
+    piece = cv2.drawContours(np.zeros_like(above), [largest], -1, 1, cv2.FILLED) > 0
+    if piece[0].any() or piece[-1].any() or piece[:, 0].any() or piece[:, -1].any():
+        return None
+    pixel = np.arange(irradiance.size).reshape(irradiance.shape)
+    pairs = []
+    for here, there in (
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:-1, :], np.s_[1:, :]),
+    ):
+        leaving, entering = piece[here] & ~piece[there], ~piece[here] & piece[there]
+        pairs.append((pixel[here][leaving], pixel[there][leaving]))
+        pairs.append((pixel[there][entering], pixel[here][entering]))
+    inside, outside = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    values = irradiance.ravel().astype(np.float64)
+    # an outer neighbour is not above the level unless the spot's mask ends there
+    usable = (values[outside] <= level) & (values[inside] > level)
+    inside, outside = inside[usable], outside[usable]
+    if len(inside) < _LEAST_POINTS:
+        return None
+    share = (values[inside] - level) / (values[inside] - values[outside])
+    width = irradiance.shape[1]
+    return _Contour(
+        inside,
+        outside,
+        share,
+        x=(1 - share) * (inside % width) + share * (outside % width),
+        y=(1 - share) * (inside // width) + share * (outside // width),
+    )

@@ -1,0 +1,171 @@
+"""The ellipse as second localiser: against formulas, OpenCV, the Cramér-Rao bound, and the fitted profile."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from support.frames import HEIGHT, WIDTH, Blob, frame, light
+
+from altd.records import Frame, Spot
+from altd.vision.bound import cramer_rao
+from altd.vision.centre import Centre, Noise
+from altd.vision.ellipse import ellipse
+from altd.vision.flat import Flat
+from altd.vision.localise import locate, locate_ellipse
+from altd.vision.patch import Patch, patch_around
+from altd.vision.search import search
+from altd.vision.settings import SpotSettings
+
+SIZE = 168
+FULL_WELL = 15_000.0
+ELECTRONS_PER_COUNT = FULL_WELL / 255
+SETTINGS = SpotSettings()
+
+
+def photographed(mean_counts: np.ndarray, read: float, rng: np.random.Generator) -> Frame:
+    electrons = rng.poisson(np.maximum(mean_counts, 0) * ELECTRONS_PER_COUNT)
+    return frame(electrons / ELECTRONS_PER_COUNT, rng, read)
+
+
+def found(centre: Centre | None) -> Centre:
+    assert centre is not None
+    return centre
+
+
+def seen(picture: Frame, read: float, flat: Flat | None = None) -> Centre:
+    """The ellipse with the noise that is true: what it says is then its own doing."""
+    found_there = search(picture.pixels)
+    patch = patch_around(picture, found_there.regions[0], found_there, SETTINGS)
+    assert isinstance(patch, Patch)
+    noise = Noise(np.sqrt(read**2 + 1 / 12), ELECTRONS_PER_COUNT)
+    return found(ellipse(patch, noise, SETTINGS, flat))
+
+
+def super_gaussian(
+    u_px: float, v_px: float, diameters_px: tuple[float, float], angle_rad: float, order: float, bits: int
+) -> np.ndarray:
+    """A spot of exp(−2 ρ^(2·order)), ρ = 1 on the 1/e² ellipse, counts: 60 % of full scale above 3 %."""
+    v, u = np.mgrid[:320, :400].astype(float)
+    along = (u - u_px) * np.cos(angle_rad) + (v - v_px) * np.sin(angle_rad)
+    across = (v - v_px) * np.cos(angle_rad) - (u - u_px) * np.sin(angle_rad)
+    rho2 = (2 * along / diameters_px[0]) ** 2 + (2 * across / diameters_px[1]) ** 2
+    return ((1 << bits) - 1) * (0.03 + 0.6 * np.exp(-2 * rho2**order))
+
+
+def exposed(mean: np.ndarray, bits: int, rng: np.random.Generator) -> Frame:
+    """Shot noise of a full well at full scale, and read noise of 40 electrons."""
+    per_count = FULL_WELL / ((1 << bits) - 1)
+    counts = (rng.poisson(mean * per_count) + rng.normal(0, 40, mean.shape)) / per_count
+    pixels = np.clip(np.rint(counts), 0, (1 << bits) - 1).astype(np.uint8 if bits == 8 else np.uint16)
+    return Frame("front", 0, 0, pixels, bits)
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0])
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_on_clean_spots_it_agrees_with_the_profile(order: float, bits: int) -> None:
+    rng = np.random.default_rng(bits)
+    apart = []
+    for diameter in (16.0, 30.0, 44.0, 60.0):
+        for ratio, angle in ((1.0, 0.0), (1.4, 0.5), (2.2, 1.2)):
+            u, v = rng.uniform((190, 150), (210, 170))
+            mean = super_gaussian(u, v, (diameter * ratio, diameter), angle, order, bits)
+            pair = []
+            for _ in range(2):
+                picture = exposed(mean, bits, rng)
+                spot, second = locate(picture), found(locate_ellipse(picture))
+                assert isinstance(spot, Spot)
+                assert np.hypot(second.u_px - u, second.v_px - v) < 5 * second.sigma_px
+                pair.append((spot.u_px - second.u_px, spot.v_px - second.v_px))
+            apart.append(np.mean(pair, axis=0))
+    assert np.sqrt(np.mean(np.square(apart))) < 0.01  # App. A.4
+
+
+@pytest.mark.parametrize(
+    ("peak", "read", "second_px", "most_bounds"),
+    [(150.0, 0.7, 42.0, 1.35), (20.0, 0.7, 42.0, 1.25), (150.0, 3.0, 42.0, 1.25), (150.0, 0.7, 26.0, 1.5)],
+)
+def test_its_error_is_what_it_says_and_near_the_bound(
+    peak: float, read: float, second_px: float, most_bounds: float
+) -> None:
+    def mean(p: np.ndarray) -> np.ndarray:
+        return light(Blob(p[1], p[2], p[3], p[4], 0.5, p[0]), width=SIZE, height=SIZE)
+
+    rng = np.random.default_rng(1)
+    errors, sigmas, bounds = [], [], []
+    for index in range(250):
+        truth = np.array([peak, *rng.uniform(80, 88, 2), 42.0, second_px + 1e-3])
+        expected = mean(truth)
+        centre = seen(photographed(expected, read, rng), read)
+        errors.append((centre.u_px - truth[1], centre.v_px - truth[2]))
+        sigmas.append(centre.sigma_px)
+        if index % 50 == 0:
+            variance = read**2 + 1 / 12 + expected / ELECTRONS_PER_COUNT
+            bounds.append(np.diag(cramer_rao(mean, truth, variance))[1:3])
+    rms_px, sigma_px = (float(np.sqrt(np.mean(np.square(values)))) for values in (errors, sigmas))
+    assert 0.85 < rms_px / sigma_px < 1.15
+    assert 0.95 < rms_px / float(np.sqrt(np.mean(bounds))) < most_bounds
+
+
+@pytest.mark.parametrize("surface", ["print", "grain"])
+def test_through_the_flat_neither_print_nor_grain_moves_it(surface: str) -> None:
+    rng = np.random.default_rng(3)
+    v, u = np.mgrid[:SIZE, :SIZE]
+    wave = 2 * np.pi / 6.0
+    response = (
+        1 + 0.45 * (np.cos(wave * u + 0.1 * v) + np.cos(wave * v - 0.1 * u))
+        if surface == "print"
+        else np.maximum(1 + 0.2 * rng.standard_normal((SIZE, SIZE)), 0.1)
+    )
+    flat = Flat.of(response, "recording")
+    with_flat, without, sigmas = [], [], []
+    for _ in range(250):
+        at_u, at_v = rng.uniform(74, 94, 2)
+        diameters = rng.uniform(36, 50, 2)
+        blob = Blob(at_u, at_v, *diameters, rng.uniform(0, np.pi), 90.0)
+        picture = photographed(response * light(blob, width=SIZE, height=SIZE), 0.7, rng)
+        centre, bare = seen(picture, 0.7, flat), seen(picture, 0.7)
+        with_flat.append((centre.u_px - at_u, centre.v_px - at_v))
+        without.append((bare.u_px - at_u, bare.v_px - at_v))
+        sigmas.append(centre.sigma_px)
+    rms_px, bare_px, sigma_px = (float(np.sqrt(np.mean(np.square(x)))) for x in (with_flat, without, sigmas))
+    assert 0.85 < rms_px / sigma_px < 1.15
+    if surface == "grain":  # the smoothing alone evens out so fine a print
+        assert bare_px > 3 * rms_px
+
+
+def test_opencv_fits_about_the_same_ellipse_to_whole_pixels() -> None:
+    rng = np.random.default_rng(4)
+    apart = []
+    for _ in range(20):
+        u, v = rng.uniform(80, 88, 2)
+        picture = photographed(light(Blob(u, v, 60, 40, 0.5), width=SIZE, height=SIZE), 0.7, rng)
+        smooth = cv2.GaussianBlur(picture.pixels.astype(np.float32) - 8, (0, 0), 4.0)
+        above = (smooth > smooth.max() / 2).astype(np.uint8)
+        outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        (x, y), _, _ = cv2.fitEllipse(outlines[0])
+        second = found(locate_ellipse(picture))
+        apart.append((second.u_px - x, second.v_px - y))
+    assert np.sqrt(np.mean(np.square(apart))) < 0.05  # what whole pixels allow
+
+
+def test_a_ghost_beside_the_spot_draws_the_two_localisers_apart() -> None:
+    rng = np.random.default_rng(5)
+    clean, ghost = Blob(375.3, 240.6), Blob(397.0, 240.6, 30.0, peak=20.0)
+    for blobs, distorted in (((clean,), False), ((clean, ghost), True)):
+        picture = photographed(light(*blobs), 0.7, rng)
+        spot, second = locate(picture), found(locate_ellipse(picture))
+        assert isinstance(spot, Spot)
+        apart = np.hypot(spot.u_px - second.u_px, spot.v_px - second.v_px)
+        assert (apart > 10 * np.hypot(spot.sigma_px, second.sigma_px)) == distorted
+
+
+def test_where_there_is_no_spot_there_is_no_ellipse() -> None:
+    assert locate_ellipse(frame(np.zeros((HEIGHT, WIDTH)))) is None
+
+
+def test_a_flat_that_is_dark_under_the_spot_leaves_no_ellipse() -> None:
+    response = np.ones((SIZE, SIZE))
+    response[40:130, 40:130] = 0
+    picture = frame(light(Blob(84.0, 84.0), width=SIZE, height=SIZE), np.random.default_rng(6), 0.7)
+    assert locate_ellipse(picture, flat=Flat.of(response, "recording")) is None
