@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from altd.calibration.file import save_calibration
+from altd.calibration.flat import flats_of
 from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target, Unit
@@ -16,6 +17,7 @@ from altd.recording import open_recording
 from altd.records import Frame
 from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose
+from hw_sim.flat import record_flat
 from hw_sim.motion import Drive, Vibration
 from hw_sim.recording import recording
 from hw_sim.scan import record_scan
@@ -24,15 +26,20 @@ from hw_sim.stage import Stage
 SEED = 1
 FPS = 20.0
 WINDOW = 20
+FLAT_EXPOSURES = 8
 CAMERAS = simulated.CAMERAS
 
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Pairs (front, rear) one exposure apart, and the calibration of the unit that they come from."""
+    """Pairs (front, rear) one exposure apart, and the calibration of the unit that they come from.
+
+    ``calibration`` was made with flats, ``without_flats`` from the same scan alone.
+    """
 
     pairs: tuple[tuple[Frame, Frame], ...]
     calibration: Calibration
+    without_flats: Calibration
 
     def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
         """Exposure number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps."""
@@ -58,8 +65,12 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
         still = simulated.Unit(simulated.UnitConfig(seed=SEED))
         stage = Stage(np.random.default_rng(SEED))
         record_scan(scan, still, stage, exposures_a_node, lambda done, planned: None)
-        calibration = calibrate_scan(open_recording(scan)).calibration
-    return Material(tuple(rendered), calibration)
+        flat = Path(folder, "flat")
+        record_flat(flat, still, FLAT_EXPOSURES, lambda done, planned: None)
+        recording_of_scan = open_recording(scan)
+        calibration = calibrate_scan(recording_of_scan, flats_of(open_recording(flat))).calibration
+        without_flats = calibrate_scan(recording_of_scan).calibration
+    return Material(tuple(rendered), calibration, without_flats)
 
 
 def make_config(

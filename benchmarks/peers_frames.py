@@ -133,6 +133,6 @@ def _sample(
     left, top = max(region.left - margin, 0), max(region.top - margin, 0)
     right, bottom = min(region.right + margin, columns), min(region.bottom + margin, rows)
     whole = mended.astype(np.float32)
-    whole -= found.background.at(np.arange(columns, dtype=float), np.arange(rows, dtype=float))
+    whole -= found.background.at((0.0, 0.0), whole.shape)
     box = whole[top:bottom, left:right].copy()
     return Sample(seed, kind, frame, truth_px, found, region, mended, left, top, box, whole, flat)

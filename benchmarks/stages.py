@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 from unittest import mock
 
 import cv2
 import numpy as np
 
+import altd.vision.localise as localise_room
 import altd.vision.search as search_room
 from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.pairing import Pairer
 from altd.records import Exposure, Frame, MeanSpots, Origin, Spot, TargetPoint
 from altd.service.chain import MeasuringChain, View
-from altd.vision.background import coarse_picture, fit_background
 from altd.vision.localise import locate, spot_in
 from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
 
 PERIOD_NS = 50_000_000
-COPY, PICTURE, SEARCH, CHAIN = "memory pass: copy", "coarse picture", "coarse search", "whole chain"
+COPY, SEARCH, CHAIN = "memory pass: copy", "coarse search", "whole chain"
+
+_SEARCH_PARTS = {"coarse_picture": "coarse picture", "fit_background": "background"}
+_SPOT_PARTS = {
+    "patch_around": "patch",
+    "_judge": "judging",
+    "_noise": "noise",
+    "is_printed": "print or not",
+    "_profile_centre": "profile",
+    "moment": "moment",
+}
+"""Functions as the modules that call them know them, and what the table calls them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +55,41 @@ class StageFigures:
 
 @dataclass(slots=True)
 class _Stage:
+    """``parts``, functions of ``room`` with their names in the table, are timed in the stage's own calls."""
+
     name: str
     calls_a_pair: int
     works: Sequence[Callable[[], object]]
+    room: ModuleType | None = None
+    parts: Mapping[str, str] = field(default_factory=dict)
+    rest: str = ""
+    """What the table calls the time that no part took."""
     part_of: str = ""
     samples_us: list[float] = field(default_factory=list)
+    inside_us: dict[str, list[float]] = field(default_factory=dict)
 
     def take(self) -> None:
         clock = time.perf_counter_ns
-        for work in self.works:
-            before = clock()
-            work()
-            self.samples_us.append((clock() - before) * 1e-3)
+        with ExitStack() as patches:
+            for function, name in self.parts.items():
+                samples_us = self.inside_us.setdefault(name, [])
+                timed = _timed(getattr(self.room, function), samples_us)
+                patches.enter_context(mock.patch.object(self.room, function, timed))
+            for work in self.works:
+                before = clock()
+                work()
+                self.samples_us.append((clock() - before) * 1e-3)
+
+    def inner(self) -> list[_Stage]:
+        """The parts as stages; those that a target did not need are left out."""
+        used = {name: samples_us for name, samples_us in self.inside_us.items() if samples_us}
+        if self.rest:
+            parts = zip(*used.values(), strict=True)
+            used[self.rest] = [whole - sum(part) for whole, part in zip(self.samples_us, parts, strict=True)]
+        return [
+            _Stage(name, self.calls_a_pair, (), part_of=self.name, samples_us=samples_us)
+            for name, samples_us in used.items()
+        ]
 
 
 def measure_stages(material: Material, rounds: int) -> list[StageFigures]:
@@ -66,15 +102,10 @@ def measure_stages(material: Material, rounds: int) -> list[StageFigures]:
         *_vision_stages(material),
         *_stages_after_vision(material, rounds),
     ]
-    inside: dict[str, list[float]] = {}
     for _ in range(rounds):
         for stage in stages:
-            if stage.name == SEARCH:
-                _take_search(stage, inside)
-            else:
-                stage.take()
-    for at, (name, samples_us) in enumerate(inside.items(), [s.name for s in stages].index(SEARCH) + 1):
-        stages.insert(at, _Stage(name, 2, (), SEARCH, samples_us))
+            stage.take()
+    stages = [row for stage in stages for row in (stage, *stage.inner())]
     one_pass_us = float(np.median(stages[0].samples_us))
     return [_figures(stage, one_pass_us) for stage in stages]
 
@@ -124,42 +155,26 @@ def _memory_stages(material: Material) -> list[_Stage]:
 
 
 def _vision_stages(material: Material) -> list[_Stage]:
-    stages = [
-        _Stage(SEARCH, 2, [_call(search_room.search, f.pixels) for pair in material.pairs for f in pair])
-    ]
-    for index, name in enumerate(CAMERAS):
-        frames = [pair[index] for pair in material.pairs]
-        target = material.calibration.target(name)
-        assert target is not None  # noqa: S101  the scan has both
-        works = []
-        for frame in frames:
-            found = search_room.search(frame.pixels)
-            works.append(_call(spot_in, frame, found.regions[0], found, target.localiser))
-        stages.append(_Stage(f"fine localisation {name}", 1, works))
+    every = [_call(search_room.search, f.pixels) for pair in material.pairs for f in pair]
+    stages = [_Stage(SEARCH, 2, every, search_room, _SEARCH_PARTS, "regions")]
+    for what, calibration in (("", material.calibration), (", no flat", material.without_flats)):
+        for index, name in enumerate(CAMERAS):
+            target = calibration.target(name)
+            assert target is not None  # noqa: S101  the scan has both
+            works = []
+            for pair in material.pairs:
+                found = search_room.search(pair[index].pixels)
+                works.append(
+                    _call(spot_in, pair[index], found.regions[0], found, target.localiser, target.flat)
+                )
+            stages.append(_Stage(f"fine {name}{what}", 1, works, localise_room, _SPOT_PARTS))
     return stages
 
 
-def _take_search(stage: _Stage, inside: dict[str, list[float]]) -> None:
-    """Time the search and, in the very same calls, its parts; the rest of it finds the regions."""
-    spent = {
-        PICTURE: inside.setdefault(PICTURE, []),
-        "background": inside.setdefault("background", []),
-    }
-    regions = inside.setdefault("regions", [])
-    before = len(stage.samples_us)
-    with (
-        mock.patch.object(search_room, "coarse_picture", _timed(coarse_picture, spent[PICTURE])),
-        mock.patch.object(search_room, "fit_background", _timed(fit_background, spent["background"])),
-    ):
-        stage.take()
-    parts = zip(stage.samples_us[before:], *(samples[before:] for samples in spent.values()), strict=True)
-    regions += [whole - picture - background for whole, picture, background in parts]
-
-
-def _timed(work: Callable[[Any], object], samples_us: list[float]) -> Callable[[Any], object]:
-    def timed(argument: Any) -> object:
+def _timed(work: Callable[..., object], samples_us: list[float]) -> Callable[..., object]:
+    def timed(*arguments: object) -> object:
         before = time.perf_counter_ns()
-        result = work(argument)
+        result = work(*arguments)
         samples_us.append((time.perf_counter_ns() - before) * 1e-3)
         return result
 

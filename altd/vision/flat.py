@@ -10,6 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from altd.records import FloatArray
+
 Image = npt.NDArray[np.float32]
 Source = Literal["recording", "print"]
 
@@ -54,26 +56,25 @@ class Flat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockSums:
-    """Sums of powers of F over square blocks, each (rows, columns) of blocks.
+    """Sums of powers of F over square blocks, and where the blocks measure: ``planes`` (9, rows, columns).
 
-    ``f1`` … ``f4`` are ΣF … ΣF⁴. ``u_px`` and ``v_px`` are where a block measures: its centroid weighted
-    with F², so that ΣF·(E·F) is E there times ΣF² for an irradiance that is linear over the block;
-    ``uu_px2``, ``uv_px2`` and ``vv_px2`` are the moments about it, for one that is bent.
+    ΣF, ΣF², ΣF³, ΣF⁴, then u and v in px: a block's centroid weighted with F², so that ΣF·(E·F) is E there
+    times ΣF² for an irradiance that is linear over the block; then uu, uv and vv in px², the moments about
+    it, for one that is bent. One array, since a spot's part is cut out of it for every frame.
     """
 
-    f1: Image
-    f2: Image
-    f3: Image
-    f4: Image
-    u_px: Image
-    v_px: Image
-    uu_px2: Image
-    uv_px2: Image
-    vv_px2: Image
+    planes: FloatArray
 
     def cut(self, rows: slice, columns: slice) -> BlockSums:
         """Some of the blocks."""
-        return BlockSums(*(getattr(self, name)[rows, columns] for name in self.__slots__))
+        return BlockSums(self.planes[:, rows, columns])
+
+    def moved(self, left: int, top: int) -> BlockSums:
+        """The same blocks at another place."""
+        planes = self.planes.copy()
+        planes[4] += left
+        planes[5] += top
+        return BlockSums(planes)
 
 
 def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
@@ -89,17 +90,18 @@ def block_sums(response: Image, left: int, top: int, size: int) -> BlockSums:
     from_u, from_v = block_sum(share * by_column, size), block_sum(share * by_row, size)
     middle_u = np.arange(left, left + size * columns, size, dtype=np.float32) + np.float32((size - 1) / 2)
     middle_v = np.arange(top, top + size * rows, size, dtype=np.float32) + np.float32((size - 1) / 2)
-    return BlockSums(
-        f1=block_sum(whole, size),
-        f2=f2,
-        f3=block_sum(square * whole, size),
-        f4=block_sum(square * square, size),
-        u_px=middle_u + from_u,
-        v_px=middle_v[:, None] + from_v,
-        uu_px2=block_sum(share * by_column**2, size) - from_u**2,
-        uv_px2=block_sum(share * by_column * by_row, size) - from_u * from_v,
-        vv_px2=block_sum(share * by_row**2, size) - from_v**2,
+    planes = (
+        block_sum(whole, size),
+        f2,
+        block_sum(square * whole, size),
+        block_sum(square * square, size),
+        middle_u + from_u,
+        middle_v[:, None] + from_v,
+        block_sum(share * by_column**2, size) - from_u**2,
+        block_sum(share * by_column * by_row, size) - from_u * from_v,
+        block_sum(share * by_row**2, size) - from_v**2,
     )
+    return BlockSums(np.array(planes, dtype=np.float64))
 
 
 def block_sum(image: Image, size: int) -> Image:

@@ -6,6 +6,7 @@ import math
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from altd.records import Frame, NoSpot, Reason, Spot
 from altd.vision.background import pixel_noise
@@ -13,7 +14,7 @@ from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
 from altd.vision.moment import moment
-from altd.vision.patch import Mask, Patch, patch_around
+from altd.vision.patch import Outline, Patch, patch_around
 from altd.vision.profile import fit_profile
 from altd.vision.search import Region, Search, search
 from altd.vision.settings import SpotSettings
@@ -118,10 +119,9 @@ def _profile_centre(
     frame: Frame, patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None
 ) -> Centre | NoSpot:
     """The centre of the fitted profile; clipped pixels do not count."""
-    height, width = patch.mask.shape
-    window = slice(patch.top, patch.top + height), slice(patch.left, patch.left + width)
-    clipped = frame.pixels[window] >= SATURATED_FROM * frame.full_scale
-    profile = fit_profile(patch, flat, diameter_px, noise, clipped if clipped.any() else None)
+    full = SATURATED_FROM * frame.full_scale
+    clipped = patch.pixels >= full if patch.pixels.max() >= full else None
+    profile = fit_profile(patch, flat, diameter_px, noise, clipped)
     if profile is None:
         return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     return profile.centre
@@ -129,10 +129,11 @@ def _profile_centre(
 
 def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, float] | NoSpot:
     """Classify the contour by size and shape (2.1.1); diameter px and peak counts of what passes."""
-    peak, clipped = _brightness(frame, patch)
+    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
+    peak, clipped = _brightness(frame, patch, core)
     if clipped > settings.max_saturated:
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
-    rival = _second_half_peak(patch)
+    rival = _second_half_peak(core)
     if rival >= settings.like_size:
         return NoSpot(
             Reason.AMBIGUOUS, f"two spots touch, the second has {rival:.0%} of the first one's area"
@@ -142,32 +143,30 @@ def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, f
     if not settings.min_diameter_px <= diameter_px <= largest:
         limits = f"{settings.min_diameter_px:.0f} to {largest:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
-    aspect, fill = shape_of(patch.mask)
+    aspect, fill = shape_of(patch.outline)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
     return diameter_px, peak
 
 
-def _brightness(frame: Frame, patch: Patch) -> tuple[float, float]:
+def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tuple[float, float]:
     """Peak of the spot over the background, and the saturated fraction of its bright pixels.
 
-    The peak is where the brightest hundredth of the core begins, so that a hot pixel among the dots makes
-    none. Bright is what reaches half of it: on the printed window the dots, not the glass between them.
+    ``core`` is what reaches half the smoothed peak. The peak is where the brightest hundredth of it begins,
+    so that a hot pixel among the dots makes none. Bright is what reaches half of that: on the printed window
+    the dots, not the glass between them.
     """
-    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
-    height, width = core.shape
-    raw = frame.pixels[patch.top : patch.top + height, patch.left : patch.left + width][core]
-    excess = patch.excess[core]
+    raw, excess = patch.pixels[core], patch.excess[core]
     brightest = len(excess) - 1 - len(excess) // 100
     peak = float(np.partition(excess, brightest)[brightest])
+    saturated = raw >= SATURATED_FROM * frame.full_scale
     bright = excess >= 0.5 * peak
-    return peak, float(np.mean(raw[bright] >= SATURATED_FROM * frame.full_scale))
+    return peak, np.count_nonzero(saturated & bright) / np.count_nonzero(bright)
 
 
-def _second_half_peak(patch: Patch) -> float:
-    """Area of the second largest piece above half the peak, relative to the largest."""
-    core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
-    count, labels = cv2.connectedComponents(core.astype(np.uint8))
+def _second_half_peak(core: npt.NDArray[np.bool_]) -> float:
+    """Area of the second largest piece of the core, relative to the largest."""
+    count, labels = cv2.connectedComponents(core.view(np.uint8))
     if count <= 2:
         return 0.0
     areas = np.sort(np.bincount(np.asarray(labels).ravel())[1:])[::-1]
@@ -180,12 +179,10 @@ def _diameter_px(patch: Patch, settings: SpotSettings) -> float:
     return math.sqrt(max(4 * area / math.pi - 16 * settings.smoothing_px**2, 0.0))
 
 
-def shape_of(mask: Mask) -> tuple[float, float]:
-    """Aspect ratio of the ellipse with the mask's second moments, and the mask's area over that ellipse's."""
-    m = cv2.moments(mask, binaryImage=True)
-    area = m["m00"]
+def shape_of(outline: Outline) -> tuple[float, float]:
+    """Aspect ratio of the ellipse with the outline's second moments, and the area over that ellipse's."""
     # 1/12: the second moment of a pixel, so that a thin line has a width
-    uu, vv, uv = m["mu20"] / area + 1 / 12, m["mu02"] / area + 1 / 12, m["mu11"] / area
+    uu, vv, uv = outline.uu + 1 / 12, outline.vv + 1 / 12, outline.uv
     mean, spread = (uu + vv) / 2, math.hypot((uu - vv) / 2, uv)
     major, minor = mean + spread, max(mean - spread, 1e-9)
-    return math.sqrt(major / minor), area / (4 * math.pi * math.sqrt(major * minor))
+    return math.sqrt(major / minor), outline.area / (4 * math.pi * math.sqrt(major * minor))

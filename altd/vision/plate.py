@@ -10,7 +10,7 @@ import numpy as np
 from altd.records import FloatArray
 from altd.vision.background import Image, robust_sigma
 from altd.vision.localise import shape_of
-from altd.vision.patch import Mask
+from altd.vision.patch import Mask, outline_of
 
 _DETECTION_SIGMAS = 6.0
 _DETECTION_COUNTS = 2.0
@@ -118,7 +118,7 @@ def _judged(difference: Image, mask: Mask, left: int, top: int) -> Disc | str:
         top + int(at_v.max()),
     )
     cut = first_u <= 1 or first_v <= 1 or last_u >= columns - 2 or last_v >= rows - 2
-    aspect, fill = shape_of(mask)
+    aspect, fill = shape_of(outline_of(mask))
     if not cut and (aspect > _MAX_ASPECT or fill < _MIN_FILL):
         return f"a light at ({u}, {v}) px is no disc: aspect ratio {aspect:.1f}, fill {fill:.2f}"
     margin = _MARGIN_PX + max(last_u - first_u, last_v - first_v) // 3

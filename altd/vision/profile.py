@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -16,16 +18,18 @@ from altd.vision.patch import Patch
 _ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
 _CONVERGED_SHAPE = 0.02
+_CONVERGED_GRAIN2 = 1.0
 _LATE = 11
 _CONVERGED_LATE_SIGMAS = 3e-3
 _LONGEST_STEP = 0.5
 _FINE_BELOW_PX = 24.0
 """Spots below this 1/e² diameter are fitted pixel by pixel: a block would be too coarse."""
 
-_ORDER_FREE_FROM = 2
+_ORDER_FREE_FROM = 1
 _ORDERS = 0.6, 8.0
 _ORDER_PRIOR_SIGMA = 0.5
-_GRAIN_AT_FIRST = 0.2
+_ORDER_HELD_SIGMA = 1e-6
+_GRAIN_AT_FIRST = 0.02
 _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
@@ -35,7 +39,9 @@ _SLOPE_SHARE_PER_PX = 1.5e-4
 fall-off and stray light are no parabola."""
 _LEAST_SLOPE_COUNTS_PER_PX = 1e-4
 
-_PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER = range(10)
+_PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER, _RESIDUAL = range(11)
+_State = Sequence[float]
+"""The first ten of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +68,14 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I.
-
-    Places are from the seed in units of its sigma, ``bends`` the moments xx, xy, yy about them; None where
-    they are alike in all blocks and only widen the spot.
-    """
+    """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I."""
 
     light: FloatArray
-    x: FloatArray
-    y: FloatArray
-    bends: tuple[FloatArray, FloatArray, FloatArray] | None
+    monomials: FloatArray
+    """1, x, y, x², xy, y² as rows; places are from the seed in units of its sigma."""
+    bends: FloatArray | None
+    """½ xx, xy, ½ yy as rows, the moments about the places; None where they are alike in all blocks and only
+    widen the spot."""
     f1: FloatArray
     f2: FloatArray
     read_variance: FloatArray
@@ -97,19 +101,26 @@ def fit_profile(
     from its own residuals, so that a clean spot as well as a coarse one gets the weights that it deserves. On
     blocks of one dot pitch the centre is as good as on pixels.
     """
-    seed = _seed(patch, diameter_px)
-    from_u, from_v, sigma_px = seed
-    data = _data(patch, flat, clipped, noise, seed, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
+    seed = patch.outline
+    sigma_px = diameter_px / 4
+    data = _data(patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
     rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _LEAST_SLOPE_COUNTS_PER_PX) * sigma_px
-    solution = _solve(data, patch.peak, rise)
+    # an even ellipse's second moments: those of the spot but for a factor
+    scale = 1 / math.sqrt(max(seed.uu * seed.vv - seed.uv**2, 1e-12))
+    form = scale * seed.vv, -scale * seed.uv, scale * seed.uu
+    solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
     if solution is None:
         return None
     state, centre_variance = solution
-    peak, u, v, a, b, c, rest, _, _, order = state.tolist()
+    peak, u, v, a, b, c, rest, _, _, order = state
     if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
         return None
     return Profile(
-        Centre(from_u + u * sigma_px, from_v + v * sigma_px, sigma_px * math.sqrt(centre_variance)),
+        Centre(
+            patch.left + seed.u + u * sigma_px,
+            patch.top + seed.v + v * sigma_px,
+            sigma_px * math.sqrt(centre_variance),
+        ),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
@@ -117,52 +128,46 @@ def fit_profile(
     )
 
 
-def _seed(patch: Patch, diameter_px: float) -> tuple[float, float, float]:
-    """Centre of the mask and a standard deviation, px."""
-    columns, rows = patch.mask.sum(axis=0), patch.mask.sum(axis=1)
-    total = float(columns.sum())
-    u = float(columns @ np.arange(len(columns))) / total
-    v = float(rows @ np.arange(len(rows))) / total
-    return patch.left + u, patch.top + v, diameter_px / 4
-
-
 def _data(
     patch: Patch,
     flat: Flat | None,
     clipped: npt.NDArray[np.bool_] | None,
     noise: Noise,
-    seed: tuple[float, float, float],
+    sigma_px: float,
     size: int,
 ) -> _Data:
     light, sums = _sums(patch, flat, clipped, size)
-    from_u, from_v, sigma_px = seed
+    f1, f2, f3, f4, u, v = sums.planes[:6].reshape(6, -1)
     bends = None
     if flat is not None or clipped is not None:
-        xx, xy, yy = (_vector(moment) / sigma_px**2 for moment in (sums.uu_px2, sums.uv_px2, sums.vv_px2))
-        bends = xx, xy, yy
-    f2 = _vector(sums.f2)
+        bends = sums.planes[6:].reshape(3, -1) * (np.array([[0.5], [1.0], [0.5]]) / sigma_px**2)
+    monomials = np.empty((6, f1.size))
+    monomials[0] = 1
+    _, x, y, xx, xy, yy = monomials
+    np.multiply(u - (patch.left + patch.outline.u), 1 / sigma_px, out=x)
+    np.multiply(v - (patch.top + patch.outline.v), 1 / sigma_px, out=y)
+    np.multiply(x, x, out=xx)
+    np.multiply(x, y, out=xy)
+    np.multiply(y, y, out=yy)
     return _Data(
-        light=_vector(light),
-        x=(_vector(sums.u_px) - from_u) / sigma_px,
-        y=(_vector(sums.v_px) - from_v) / sigma_px,
+        light=np.ravel(light),
+        monomials=monomials,
         bends=bends,
-        f1=_vector(sums.f1),
+        f1=f1,
         f2=f2,
         read_variance=noise.read_counts**2 * np.maximum(f2, 1e-9),
-        shot_variance=_vector(sums.f3) / noise.electrons_per_count,
-        grain_variance=_vector(sums.f4),
+        shot_variance=f3 / noise.electrons_per_count,
+        grain_variance=f4,
     )
-
-
-def _vector(image: Image) -> FloatArray:
-    return np.ravel(image).astype(np.float64)
 
 
 def _sums(
     patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, size: int
 ) -> tuple[Image, BlockSums]:
-    """Σ F·I over the patch's blocks and the sums of F; from those that the flat keeps where they serve."""
+    """Σ F·I over the patch's blocks and the sums of F; from those that are kept where they serve."""
     height, width = patch.excess.shape
+    if flat is None and clipped is None:
+        return block_sum(patch.excess, size), _plain_sums(height, width, size).moved(patch.left, patch.top)
     if flat is None:
         response = np.ones((height, width), np.float32)
     else:
@@ -177,137 +182,143 @@ def _sums(
     return light, flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
 
 
-def _solve(data: _Data, peak: float, rise: float) -> tuple[FloatArray, float] | None:
+@lru_cache(maxsize=64)
+def _plain_sums(height: int, width: int, size: int) -> BlockSums:
+    """Those of a plain target, which depend on a patch's size alone."""
+    return block_sums(np.ones((height, width), np.float32), 0, 0, size)
+
+
+def _solve(data: _Data, state: _State, rise: float) -> tuple[_State, float] | None:
     """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes.
 
-    ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed.
+    ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed. Some three
+    hundred blocks are so few that numpy's calls cost more than its sums: what belongs together is one array,
+    and one product gives the normal equations with their right-hand side.
     """
-    state = np.array([peak, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    known = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    precision = np.array([0.0] * 7 + [rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2])
-    grain2 = _GRAIN_AT_FIRST**2
-    jacobian = np.empty((len(state), len(data.light)))
-    jacobian[_REST] = data.f1
-    jacobian[_RISE_X] = data.f1 * data.x
-    jacobian[_RISE_Y] = data.f1 * data.y
+    grain2 = grain2_before = _GRAIN_AT_FIRST**2
+    rows = np.empty((_RESIDUAL + 1, data.light.size))
+    rows[_REST : _RISE_Y + 1] = data.f1 * data.monomials[:3]
+    bright = np.empty(data.light.size)
     for iteration in range(_ITERATIONS):
-        spot, residual = _linearise(data, state, jacobian)
-        free = len(state) if iteration >= _ORDER_FREE_FROM else _ORDER
+        spot = _linearise(data, state, rows)
+        free = iteration >= _ORDER_FREE_FROM
         noise_variance = data.read_variance + spot * data.shot_variance
-        grain_variance = spot * spot * data.grain_variance
-        if iteration >= _ORDER_FREE_FROM:
-            bright = spot > _GRAIN_SEEN_FROM * state[_PEAK]
-            unexplained = float((residual * residual - noise_variance)[bright].sum())
-            per_grain2 = float(grain_variance[bright].sum())
+        grain_variance = spot * spot
+        grain_variance *= data.grain_variance
+        if free:
+            residual = rows[_RESIDUAL]
+            np.greater(spot, _GRAIN_SEEN_FROM * state[_PEAK], out=bright)  # 0 or 1
+            unexplained = float((residual * bright) @ residual - noise_variance @ bright)
+            per_grain2 = float(grain_variance @ bright)
             if per_grain2 <= 0:
                 return None  # no pixel that counts lies where the spot is
+            grain2_before = grain2
             grain2 = min(max(unexplained / per_grain2, _GRAINS[0] ** 2), _GRAINS[1] ** 2)
-        weighted = jacobian[:free] / (noise_variance + grain2 * grain_variance)
-        normal = weighted @ jacobian[:free].T
-        pull = weighted @ residual
-        normal.flat[:: free + 1] += precision[:free]
-        pull += precision[:free] * (known - state)[:free]
+        weighted = rows[:_RESIDUAL] / (noise_variance + grain2 * grain_variance)
+        equations = weighted @ rows.T
+        order_sigma = _ORDER_PRIOR_SIGMA if free else _ORDER_HELD_SIGMA
+        for index, known, sigma in ((_RISE_X, 0.0, rise), (_RISE_Y, 0.0, rise), (_ORDER, 1.0, order_sigma)):
+            equations[index, index] += sigma**-2
+            equations[index, _RESIDUAL] += (known - state[index]) * sigma**-2
         try:
-            step: FloatArray = np.asarray(np.linalg.solve(normal, pull), dtype=np.float64)
+            covariance = np.linalg.inv(equations[:, :_RESIDUAL])
         except np.linalg.LinAlgError:
             return None
-        moved = _moved(state, step)
+        moved = _moved(state, (covariance @ equations[:, _RESIDUAL]).tolist())
         if moved is None:
             return None
-        change, state = np.abs(moved - state), moved
-        if free > _ORDER and _is_settled(change, iteration >= _LATE):
-            levers = np.linalg.inv(normal)[[_U, _V]] @ weighted
-            return state, float(np.square(levers).mean(axis=0) @ noise_variance)
+        change = [abs(after - before) for after, before in zip(moved, state, strict=True)]
+        state = moved
+        even = abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
+        if free and _is_settled(change, even, iteration >= _LATE):
+            levers = covariance[_U : _V + 1] @ weighted
+            return state, float((np.square(levers) @ noise_variance).sum()) / 2
     return None
 
 
-def _is_settled(change: FloatArray, late: bool) -> bool:
+def _is_settled(change: Sequence[float], even: bool, late: bool) -> bool:
     """Whether the last step moved centre and shape by next to nothing; an order at its limit is at rest.
 
-    A small spot with a hard edge may swing between shapes for ever: late on, a centre at rest is enough.
+    ``even``: so is the grain, which decides on the weights. A small spot with a hard edge may swing between
+    shapes for ever: late on, a centre at rest is enough.
     """
     if late:
-        return bool(max(change[_U], change[_V]) < _CONVERGED_LATE_SIGMAS)
-    if max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
+        return max(change[_U], change[_V]) < _CONVERGED_LATE_SIGMAS
+    if not even or max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
         return False
-    return bool(max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE)
+    return max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE
 
 
-def _linearise(data: _Data, state: FloatArray, jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Irradiance at the blocks and what is left over; fills in the derivatives of the blocks' light."""
-    peak, u, v, a, b, c, rest, rise_x, rise_y, order = state.tolist()
-    dx, dy = data.x - u, data.y - v
-    along, across = a * dx + b * dy, b * dx + c * dy
-    q = along * dx
-    q += across * dy
-    q *= 0.5
+def _linearise(data: _Data, state: _State, rows: FloatArray) -> FloatArray:
+    """Irradiance at the blocks; fills in the derivatives of the blocks' light and what is left over of it."""
+    peak, u, v, a, b, c, rest, rise_x, rise_y, order = state
+    pull_u, pull_v = a * u + b * v, b * u + c * v
+    quadratics = np.array(
+        (
+            ((u * pull_u + v * pull_v) / 2, -pull_u, -pull_v, a / 2, b, c / 2),  # q
+            (-pull_u, a, b, 0.0, 0.0, 0.0),  # −∂q/∂u
+            (-pull_v, b, c, 0.0, 0.0, 0.0),  # −∂q/∂v
+            (-u * u / 2, u, 0.0, -0.5, 0.0, 0.0),  # −∂q/∂a
+            (-u * v, v, u, 0.0, -1.0, 0.0),  # −∂q/∂b
+            (-v * v / 2, 0.0, v, 0.0, 0.0, -0.5),  # −∂q/∂c
+            (rest, rise_x, rise_y, 0.0, 0.0, 0.0),
+        )
+    )
+    polynomials = quadratics @ data.monomials
+    q, background = polynomials[0], polynomials[-1]
     np.maximum(q, 1e-9, out=q)
     logarithm = np.log(q)
-    raised = q if order == 1.0 else np.exp(order * logarithm)
-    shape = np.exp(-raised)
-    spot = peak * shape
-    steep = order * raised
-    steep /= q
-    f2 = data.f2
-    if data.bends is not None:
-        f2 = f2 * _bent(data.bends, steep, along, across, (a, b, c))
-    slope = spot * f2
-    slope *= steep
-    np.multiply(shape, f2, out=jacobian[_PEAK])
-    np.multiply(slope, along, out=jacobian[_U])
-    np.multiply(slope, across, out=jacobian[_V])
-    np.multiply(slope, q, out=jacobian[_ORDER])
-    jacobian[_ORDER] *= logarithm
-    jacobian[_ORDER] *= -1 / order
-    slope *= -0.5
-    slope_x, slope_y = slope * dx, slope * dy
-    np.multiply(slope_x, dx, out=jacobian[_A])
-    np.multiply(slope_x, 2 * dy, out=jacobian[_B])
-    np.multiply(slope_y, dy, out=jacobian[_C])
-    background = rest + rise_x * data.x + rise_y * data.y
+    raised = np.exp(order * logarithm)
+    shape: FloatArray = np.exp(-raised)
+    steep = raised / q
+    steep *= order
+    f2 = data.f2 if data.bends is None else data.f2 * _bent(data.bends, steep, polynomials[1:3], (a, b, c))
+    np.multiply(shape, f2, out=rows[_PEAK])
+    fall = rows[_PEAK] * peak
+    np.subtract(data.light, fall, out=rows[_RESIDUAL])
     background *= data.f1
-    residual = data.light - peak * jacobian[_PEAK]
-    residual -= background
-    return spot, residual
+    rows[_RESIDUAL] -= background
+    raised *= logarithm
+    np.multiply(fall, raised, out=rows[_ORDER])
+    np.negative(rows[_ORDER], out=rows[_ORDER])
+    fall *= steep
+    np.multiply(polynomials[1:-1], fall, out=rows[_U : _C + 1])
+    shape *= peak
+    return shape
 
 
 def _bent(
-    bends: tuple[FloatArray, FloatArray, FloatArray],
-    steep: FloatArray,
-    along: FloatArray,
-    across: FloatArray,
-    form: tuple[float, float, float],
+    bends: FloatArray, steep: FloatArray, along: FloatArray, form: tuple[float, float, float]
 ) -> FloatArray:
     """Mean of the spot over each block against its value where the block measures.
 
     1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives that a Gaussian as steep as the spot
-    is there has. Where the rows of dots run along those of pixels, the moments beat, and without this so does
-    the centre: by 0.02 px.
+    is there has; ``along`` (2, n) is the gradient of q. Where the rows of dots run along those of pixels, the
+    moments beat, and without this so does the centre: by 0.02 px.
     """
     xx, xy, yy = bends
-    a, b, c = form
-    along, across = steep * along, steep * across
-    bent = xx * along * along
-    bent += 2 * xy * along * across
-    bent += yy * across * across
-    bent -= steep * (a * xx + 2 * b * xy + c * yy)
-    bent *= 0.5
-    bent += 1.0
+    by_x, by_y = along * steep
+    bent: FloatArray = np.asarray(form) @ bends
+    bent *= steep
+    np.subtract(1.0, bent, out=bent)
+    bent += (xx * by_x + xy * by_y) * by_x
+    by_y *= by_y
+    by_y *= yy
+    bent += by_y
     return bent
 
 
-def _moved(state: FloatArray, step: FloatArray) -> FloatArray | None:
+def _moved(state: _State, step: Sequence[float]) -> _State | None:
     """A step, shortened until the form stays an ellipse and nothing leaps; None when it cannot be."""
-    longest = max(abs(step[_U]), abs(step[_V]), abs(step[_A] / state[_A]), abs(step[_C] / state[_C]))
-    if len(step) > _ORDER:
-        longest = max(longest, abs(step[_ORDER] / state[_ORDER]))
+    longest = max(
+        abs(step[_U]), abs(step[_V]), *(abs(step[index] / state[index]) for index in (_A, _C, _ORDER))
+    )
     if not math.isfinite(longest):
         return None
     scale = min(1.0, _LONGEST_STEP / max(longest, 1e-12))
     while scale > 1e-3:
-        moved = state.copy()
-        moved[: len(step)] += scale * step
-        a, b, c = moved[_A], moved[_B], moved[_C]
+        moved = [s + scale * d for s, d in zip(state, step, strict=True)]
+        a, b, c = moved[_A : _C + 1]
         if moved[_PEAK] > 0 and a > 0 and c > 0 and a * c > b * b:
             moved[_ORDER] = min(max(moved[_ORDER], _ORDERS[0]), _ORDERS[1])
             return moved

@@ -67,21 +67,17 @@ def search(pixels: PixelArray) -> Search:
 
 
 def _regions(excess: Image, level: float) -> list[Region]:
-    mask = (excess > level).astype(np.uint8)
-    # Grana's algorithm: on pictures so small three times as fast as OpenCV's choice.
-    _, labels, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_32S, cv2.CCL_GRANA)
-    return [
-        _region(excess, np.asarray(labels) == label, tuple(box))
-        for label, box in enumerate(np.asarray(stats).tolist())
-        if label > 0
-    ]
+    # Grana's algorithm: on pictures so small three times as fast as OpenCV's choice. Its statistics would
+    # take three times as long as the labels.
+    count, labels = cv2.connectedComponentsWithAlgorithm(
+        (excess > level).view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA
+    )
+    return [_region(excess, np.asarray(labels) == label) for label in range(1, count)]
 
 
-def _region(excess: Image, mask: npt.NDArray[np.bool_], box: tuple[int, ...]) -> Region:
-    """The region of a mask; ``box`` is its left, top, width, height, area in cells."""
-    left, top, width, height, _ = box
-    window = slice(top, top + height), slice(left, left + width)
-    values = excess[window][mask[window]]
+def _region(excess: Image, mask: npt.NDArray[np.bool_]) -> Region:
+    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
+    values = excess[mask]
     return Region(
         left=left * CELL_PX,
         top=top * CELL_PX,

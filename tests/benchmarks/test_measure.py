@@ -38,15 +38,14 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     assert all(math.isfinite(number) and number >= 0 for number in numbers(figures))
 
     stages = {stage["name"]: stage for stage in figures["stages"]}
-    assert list(stages) == [
+    assert [name for name, stage in stages.items() if not stage["part_of"]] == [
         "memory pass: copy",
         "memory pass: cv2.resize to 1/8",
         "coarse search",
-        "coarse picture",
-        "background",
-        "regions",
-        "fine localisation front",
-        "fine localisation rear",
+        "fine front",
+        "fine rear",
+        "fine front, no flat",
+        "fine rear, no flat",
         "pairing",
         "averaging over 20",
         "mapping, one point",
@@ -54,6 +53,10 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
         "beam fit",
         "whole chain",
     ]
+    parts = [(stage["part_of"], stage["name"]) for stage in figures["stages"] if stage["part_of"]]
+    assert parts[:3] == [("coarse search", part) for part in ("coarse picture", "background", "regions")]
+    for fine in ("fine front", "fine rear"):
+        assert [part for of, part in parts if of == fine] == ["patch", "judging", "noise", "profile"]
     assert all(0 < stage["median_us"] <= stage["p99_us"] for stage in stages.values())
     assert stages["memory pass: copy"]["passes"] == 1
     assert stages["coarse search"]["median_us"] > stages["background"]["median_us"]
