@@ -43,8 +43,8 @@ def found_mm(runs: int = 300, **parts: object) -> np.ndarray:
 
 def test_what_one_beam_does_to_both_targets_is_not_their_pattern() -> None:
     front, rear = found_mm(patterns_mm=(0.010, 0.006), stage_mm=0.008)
-    assert front == pytest.approx(0.010, rel=0.15)  # with the stage it would be 0.0128
-    assert rear == pytest.approx(0.006, rel=0.25)  # 0.010
+    assert 0.0098 < front < 0.0120  # with the stage it would be 0.0128, and chance stays in
+    assert 0.0058 < rear < 0.0085  # 0.010
 
 
 def test_what_exposures_scatter_is_not_pattern() -> None:
@@ -70,7 +70,14 @@ def test_targets_that_share_no_node_or_have_one_exposure_each_keep_their_scatter
 
 
 def test_some_pattern_is_always_left() -> None:
+    """Nodes that scatter by the exposures alone, ten each: all of it would come off."""
     rng = np.random.default_rng(3)
-    targets = scatters(rng, (0.0005, 0.0005), 0.02)
+    targets = scatters(rng, (0.0, 0.0), 0.0, exposures=10, noise_mm=0.02)
     for target, pattern_px in zip(targets, pattern_noise_px(targets), strict=True):
-        assert pattern_px == pytest.approx(0.4 * target.noise_px)
+        assert 0.4 * target.noise_px <= pattern_px < 0.8 * target.noise_px
+
+
+def test_chance_seldom_makes_the_pattern_much_too_small() -> None:
+    rng = np.random.default_rng(4)
+    found = [pattern_noise_px(scatters(rng, (0.007, 0.007), 0.002)) for _ in range(300)]
+    assert np.percentile(np.array(found) * 0.25, 5) > 0.0061  # all that they share taken off: 0.0057
