@@ -18,12 +18,12 @@ from altd.records import FloatArray
 Key = tuple[int, int]
 """A node of the scan."""
 
-_LEAST_SHARE = 0.4
+_LEAST_SHARE = 0.3
 """What is small against the rest is not known well enough to leave less of it."""
 
-_CHANCE_SIGMAS = 2.0
-"""Coarse patterns at 30 nodes share by chance as much as a good stage's error, and thrice that is not rare:
-a sigma that is too small is worse than one that is too large."""
+_SURE_SIGMAS = 2.5
+"""Coarse patterns at 30 nodes share by chance as much as a good stage's error. Only what is that far beyond
+chance is taken for the stage's: a sigma that is too small is worse than one that is too large."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,14 +67,15 @@ def _pattern_px(target: NodeScatter, stage_mm2: float, trembling_mm2: float) -> 
 
 
 def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
-    """Variance per axis that the nodes of two targets surely share: less what chance may make of it."""
+    """Variance per axis that the nodes of two targets share, less what chance may make; 0 when unsure."""
     shared = [key for key in a.residuals_mm if key in b.residuals_mm]
     if not shared:
         return 0.0
     left, right = (np.array([target.residuals_mm[key] for key in shared]) for target in (a, b))
     freedom = max(left.size - (a.parameters + b.parameters) / 2, 1.0)
     chance = float(np.sqrt(np.square(left).mean() * np.square(right).mean() / freedom))
-    return max(float((left * right).sum()) / freedom - _CHANCE_SIGMAS * chance, 0.0)
+    common = float((left * right).sum()) / freedom
+    return common - chance if common > _SURE_SIGMAS * chance else 0.0
 
 
 def _trembling_mm2(a: NodeScatter, b: NodeScatter) -> float:
