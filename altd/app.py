@@ -15,7 +15,7 @@ from altd.config import Config, SerialPort
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError, bare
 from altd.ports import Camera, Clock, Lamps, Stage
-from altd.recording import Recording, UnitHeader, open_recording, refuse_used_folder
+from altd.recording import Kind, Recording, UnitHeader, open_recording, refuse_used_folder
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
@@ -171,7 +171,7 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     return daemon
 
 
-async def record_of(config: Config, place: Path, folder: Path, seconds: float) -> int:
+async def record_of(config: Config, place: Path, folder: Path, seconds: float, kind: Kind) -> int:
     """Record from the config's cameras into ``folder``; returns the number of exposures."""
     refuse_used_folder(folder)
     cameras = cameras_of(config, place)
@@ -179,7 +179,7 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float) -
     distance_mm = max(target.z_mm for target in config.targets) - min(t.z_mm for t in config.targets)
     unit = UnitHeader(serial=config.unit.serial, target_distance_mm=distance_mm)
     return await record(
-        list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds
+        list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds, kind
     )
 
 

@@ -56,6 +56,12 @@ def _parser() -> argparse.ArgumentParser:
     record.add_argument("--config", type=Path, required=True, metavar="FILE")
     record.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     record.add_argument("--seconds", type=_seconds, required=True, metavar="S")
+    record.add_argument(
+        "--kind",
+        choices=("measurement", "flat", "self-check"),
+        default="measurement",
+        help="what it shows (measurement)",
+    )
 
     scan = commands.add_parser(
         "scan", help="make a calibration scan with the stage; goes on where it stopped"

@@ -105,9 +105,8 @@ def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
         if flat is not None:
             raise BadInputError(flat, "is for a scan; a plate shows no laser spot")
         return calibrate_plate(recording, progress=progress)
-    return calibrate_scan(
-        recording, flats_of(open_recording(flat), progress) if flat else {}, progress=progress
-    )
+    flats = flats_of(open_recording(flat), recording.header, progress) if flat else {}
+    return calibrate_scan(recording, flats, progress=progress)
 
 
 def _print_result(result: CalibrationResult) -> None:
@@ -142,8 +141,9 @@ def _report(options: argparse.Namespace, recording: Recording, result: Calibrati
     from altd.calibration.report.source import Source
     from altd.calibration.report.write import PAGE, SHEETS
 
-    given = [str(path) for path in (options.recording, "-o", options.output, "--report", options.report)]
-    command = shlex.join(["altd", "calibrate", *given])
+    given = [options.recording, *(["--flat", options.flat] if options.flat else [])]
+    given += ["-o", options.output, "--report", options.report]
+    command = shlex.join(["altd", "calibrate", *map(str, given)])
     show = _progress("files of the report")
     show(0, 2)
     try:
@@ -169,7 +169,8 @@ def _record(options: argparse.Namespace) -> int:
 
     logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     config = load_config(options.config)
-    exposures = asyncio.run(until_signal(record_of(config, options.config, options.output, options.seconds)))
+    work = record_of(config, options.config, options.output, options.seconds, options.kind)
+    exposures = asyncio.run(until_signal(work))
     if exposures is not None:
         print(f"{exposures} exposures in {options.output}", file=sys.stderr)
     return 0

@@ -26,6 +26,9 @@ HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
+Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
+"""What a recording shows."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
 
@@ -76,7 +79,7 @@ class RecordingHeader(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     format: Literal["altd-recording/1"]
-    kind: Literal["scan", "plate", "flat", "measurement", "self-check"]
+    kind: Kind
     fps: Annotated[float, Field(gt=0)]
     cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
     unit: UnitHeader

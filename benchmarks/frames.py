@@ -68,7 +68,8 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
         flat = Path(folder, "flat")
         record_flat(flat, still, FLAT_EXPOSURES, lambda done, planned: None)
         recording_of_scan = open_recording(scan)
-        calibration = calibrate_scan(recording_of_scan, flats_of(open_recording(flat))).calibration
+        flats = flats_of(open_recording(flat), recording_of_scan.header)
+        calibration = calibrate_scan(recording_of_scan, flats).calibration
         without_flats = calibrate_scan(recording_of_scan).calibration
     return Material(tuple(rendered), calibration, without_flats)
 

@@ -143,6 +143,26 @@ def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> 
     )
 
 
+def test_a_flat_that_was_recorded_with_the_unit_goes_into_its_calibration(
+    folder: Path, tmp_path: Path
+) -> None:
+    lit = frame(np.full((480, 752), 100.0), np.random.default_rng(1)).pixels
+    screen = write_beams(tmp_path / "screen", BEAMS[:1])
+    for path in screen.glob("*.png"):
+        cv2.imwrite(str(path), lit)
+    config = write_config(tmp_path / "altd.toml", folder / "cal.json", screen)
+    flat, output = tmp_path / "flat", tmp_path / "cal.json"
+    outcome = altd("record", "--config", config, "-o", flat, "--seconds", "0.2", "--kind", "flat")
+    assert outcome.status == 0, outcome.err
+    assert json.loads((flat / "recording.json").read_text())["kind"] == "flat"
+    outcome = altd("calibrate", folder / "scan", "--flat", flat, "-o", output)
+    assert outcome.status == 0, outcome.err
+    assert "\nrear: localised through its recorded flat" in outcome.out
+    assert [target.flat is not None for target in load_calibration(output).targets] == [True, True]
+    lines = altd("replay", folder / "beams", "--calibration", output, "--window", 4, "--every", 4).objects
+    assert [line["valid"] for line in lines] == [True] * len(BEAMS)
+
+
 class TestBadInput:
     """One clear line on stderr that names file and place, exit status 2, no output, nothing half written."""
 

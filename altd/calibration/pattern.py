@@ -21,6 +21,10 @@ Key = tuple[int, int]
 _LEAST_SHARE = 0.4
 """What is small against the rest is not known well enough to leave less of it."""
 
+_CHANCE_SIGMAS = 2.0
+"""Coarse patterns at 30 nodes share by chance as much as a good stage's error, and thrice that is not rare:
+a sigma that is too small is worse than one that is too large."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeScatter:
@@ -63,14 +67,14 @@ def _pattern_px(target: NodeScatter, stage_mm2: float, trembling_mm2: float) -> 
 
 
 def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
-    """Variance per axis that the nodes of two targets share, less one standard deviation of its estimate."""
+    """Variance per axis that the nodes of two targets surely share: less what chance may make of it."""
     shared = [key for key in a.residuals_mm if key in b.residuals_mm]
     if not shared:
         return 0.0
     left, right = (np.array([target.residuals_mm[key] for key in shared]) for target in (a, b))
     freedom = max(left.size - (a.parameters + b.parameters) / 2, 1.0)
     chance = float(np.sqrt(np.square(left).mean() * np.square(right).mean() / freedom))
-    return max(float((left * right).sum()) / freedom - chance, 0.0)
+    return max(float((left * right).sum()) / freedom - _CHANCE_SIGMAS * chance, 0.0)
 
 
 def _trembling_mm2(a: NodeScatter, b: NodeScatter) -> float:

@@ -2,101 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
-from altd.calibration.agreement import Agreement, Verdict, agreement, verdict
+from altd.calibration.agreement import Verdict, agreement, verdict
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
+from altd.calibration.flat import flat_likeness
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
-from altd.calibration.print_model import find_print
+from altd.calibration.printed.find import Print, find_print
 from altd.calibration.result import (
     CalibrationResult,
     Progress,
     cross_check_doubts,
     residual_distances_mm,
 )
+from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, look, printed_nodes
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
-from altd.recording import Recording, Row
-from altd.records import FloatArray, Frame, NoSpot
+from altd.recording import Recording
+from altd.records import FloatArray
 from altd.vision.flat import Flat
-from altd.vision.leds import locate_leds
-from altd.vision.localise import locate, shows_print
 from altd.vision.settings import SpotSettings
 
+_PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _LARGEST_MISSING_SHARE = 0.2
-_SAME_NODE_MM = 0.5
-"""Exposures whose stage positions round to the same half millimetre belong to one node."""
-
-
-@dataclass(slots=True)
-class _Node:
-    """The exposures at one node: stage positions mm, spots px, and why the others have none."""
-
-    positions_mm: list[tuple[float, float]] = field(default_factory=list)
-    spots_px: list[tuple[float, float]] = field(default_factory=list)
-    complaints: list[str] = field(default_factory=list)
-    located: list[Row] = field(default_factory=list)
-    """The rows that the spots come from."""
-
-    @property
-    def usable(self) -> bool:
-        """Whether most of its exposures have a spot."""
-        return len(self.spots_px) > len(self.complaints)
-
-    @property
-    def key(self) -> tuple[int, int]:
-        """Which node it is."""
-        return _node_key(self.positions_mm[0])
-
-    @property
-    def position_mm(self) -> tuple[float, float]:
-        """The mean of the stage's positions."""
-        x_mm, y_mm = np.mean(self.positions_mm, axis=0).tolist()
-        return x_mm, y_mm
-
-    def refuse(self, why: str) -> None:
-        """Take its exposures out of use."""
-        self.spots_px.clear()
-        self.located.clear()
-        self.complaints.append(why)
-
-
-@dataclass(slots=True)
-class _Seen:
-    """What a target's camera saw during the scan."""
-
-    nodes: dict[tuple[int, int], _Node] = field(default_factory=dict)
-    leds: list[FloatArray] = field(default_factory=list)
-
-    @property
-    def refused(self) -> list[_Node]:
-        """The nodes that cannot be used."""
-        return [node for node in self.nodes.values() if not node.usable]
-
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """One target of a scan and how its spots are localised."""
-
-    recording: Recording
-    name: str
-    z_mm: float
-    localiser: SpotSettings
-    flat: Flat | None
-    degree: tuple[int, int] | None
-
-    @property
-    def image_size(self) -> tuple[int, int]:
-        """Width and height of the target's pictures, px."""
-        camera = self.recording.header.cameras[self.name]
-        return camera.width, camera.height
+_LEAST_LIKENESS = 0.5
+"""0.8 to 1 for the right flat; moved by a pixel it is below 0.5, moved by more about 0."""
+_MARKS_COST = 1.2
+"""Marks of the print guide the map unless it then misses a left-out node by this much more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,34 +45,22 @@ class _Made:
     target: TargetCalibration
     evidence: TargetEvidence
     scatter: NodeScatter
-    agreement: Agreement | None = None
     remark: str = ""
+    doubt: str = ""
     must_agree: bool = False
     """Whether no print excuses the two localisers."""
-
-    def verdict(self, pattern_px: float) -> Verdict:
-        """On the two localisers; a recorded flat leaves no pattern to excuse them either."""
-        allowed_px = 0.0 if self.target.flat is not None else pattern_px
-        return verdict(
-            self.evidence.name,
-            self.target.localiser.method,
-            self.agreement,
-            allowed_px if self.must_agree else None,
-        )
 
 
 def calibrate_scan(
     recording: Recording,
     flats: Mapping[str, Flat] | None = None,
-    localiser: SpotSettings | None = None,
-    degree: tuple[int, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> CalibrationResult:
     """Fit the maps of every target of a recording of kind ``scan``.
 
     Spots are localised through the target's flat; where ``flats`` has none, the scan is searched for a
-    regular print, of which a model is made. Raises BadInputError when it is no scan, when flats do not belong
-    to it, when too few nodes have a spot, or when the nodes are no grid.
+    regular print, of which a model is made. Raises BadInputError when it is no scan, when too few nodes
+    have a spot, or when the nodes are no grid.
     """
     header = recording.header
     if header.kind != "scan":
@@ -142,15 +69,12 @@ def calibrate_scan(
     if set(header.cameras) != set(distances):
         raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")
     jobs = [
-        _Job(recording, name, z_mm, localiser or SpotSettings(), (flats or {}).get(name), degree)
+        Job(recording, name, z_mm, _PROFILE, (flats or {}).get(name))
         for name, z_mm in sorted(distances.items(), key=lambda item: item[1])
     ]
-    for job in jobs:
-        if job.flat is not None and job.flat.levels.shape[::-1] != job.image_size:
-            raise BadInputError(recording.path, f"{job.name}: the flat is of another size than the frames")
     made = [_calibrate_target(job, progress) for job in jobs]
     patterns_px = pattern_noise_px([target.scatter for target in made])
-    verdicts = [of.verdict(pattern_px) for of, pattern_px in zip(made, patterns_px, strict=True)]
+    verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
@@ -169,129 +93,134 @@ def calibrate_scan(
             for (x, y), why in of.evidence.left_out
         ),
         tuple(of.evidence for of in made),
-        (*cross_check_doubts(calibration.targets), *(of.doubt for of in verdicts if of.doubt is not None)),
+        (
+            *cross_check_doubts(calibration.targets),
+            *(of.doubt for of in made if of.doubt),
+            *(of.doubt for of in verdicts if of.doubt is not None),
+        ),
         (*(of.remark for of in made), *(of.remark for of in verdicts)),
     )
 
 
-def _calibrate_target(job: _Job, progress: Progress) -> _Made:
-    """One target: localised through its flat, the model of its print, or as plain."""
-    seen = _look(job, progress)
-    made = _fit_target(job, seen, None)
+def _calibrate_target(job: Job, progress: Progress) -> _Made:
+    """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
-        return replace(made, remark=f"{job.name}: localised through its recorded flat", must_agree=True)
-    usable = [node for node in seen.nodes.values() if node.usable]
-    frames = [job.recording.frame(node.located[0]) for node in usable]
-    printed = sum(shows_print(frame, job.localiser) for frame in frames)
-    if 2 * printed < len(frames):
-        plain = replace(made.target, localiser=replace(job.localiser, method="profile"))
-        return replace(made, target=plain, remark=f"{job.name}: plain, no print", must_agree=True)
-    nodes_px = np.array([np.mean(node.spots_px, axis=0) for node in usable])
-    found = find_print(frames, nodes_px, made.target.map, job.localiser)
-    if found is None:
-        bare = replace(made.target, localiser=replace(job.localiser, method="moment"))
-        return replace(made, target=bare, remark=f"{job.name}: printed, not regularly: a flat would help")
-    job = replace(job, flat=found.flat)
-    made = _fit_target(job, _look(job, lambda done, total: None), found.marks)
-    pitch_mm = found.lattice.pitches_mm[0]
-    return replace(made, remark=f"{job.name}: print of {pitch_mm:.3f} mm pitch found and modelled")
+        made = _fit_target(job, look(job, progress), None)
+        doubt = _doubt_of_flat(flat_likeness(first_frames(job), job.flat), job.name)
+        remark = f"{job.name}: localised through its recorded flat"
+        return replace(made, remark=remark, doubt=doubt, must_agree=True)
+    printed, nodes = printed_nodes(job)
+    if 2 * printed > nodes:
+        job = replace(job, localiser=_MOMENT)
+    seen = look(job, progress)
+    made = _fit_target(job, seen, None)
+    frames = [job.recording.frame(node.located[0]) for node in seen.usable]
+    found = find_print(frames, _spots_px(seen.usable), made.target.map, job.localiser)
+    if found is not None:
+        return _calibrate_printed(job, found, progress)
+    remark = "plain, no print"
+    if printed:
+        remark = f"print at {printed} of {nodes} nodes, but no regular one: a flat would help"
+    return replace(made, remark=f"{job.name}: {remark}", must_agree=not printed)
 
 
-def _look(job: _Job, progress: Progress) -> _Seen:
-    """Localise the spots of all nodes and the LEDs of all reference pairs in one camera's frames."""
-    seen = _Seen()
-    dark: Frame | None = None
-    rows = [row for row in job.recording.rows if row.camera == job.name]
-    for done, row in enumerate(rows, start=1):
-        frame = job.recording.frame(row)
-        if row.position_mm is not None:
-            if not row.leds_on:
-                _take_node(seen, frame, row, job)
-        elif not row.leds_on:
-            dark = frame
-        elif dark is not None:  # LED reference exposures come in pairs: off, then on
-            spots = locate_leds(frame, dark)
-            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
-        progress(done, len(rows))
-    return seen
+def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
+    """On the two localisers; a recorded flat leaves no pattern to excuse them."""
+    target = made.target
+    seen = agreement(first_frames(job), target.localiser, target.flat)
+    allowed_px = 0.0 if job.flat is not None else pattern_px
+    return verdict(target.name, target.localiser.method, seen, allowed_px if made.must_agree else None)
 
 
-def _node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
-    x_mm, y_mm = position_mm
-    return round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)
+def _doubt_of_flat(likeness: float, name: str) -> str:
+    if not likeness < _LEAST_LIKENESS:  # a flat that is too even to tell is no worse than none
+        return ""
+    return (
+        f"{name}: the flat is not what the spots show (likeness {likeness:.2f} of 1): "
+        "was it recorded before camera, lens or window were moved?"
+    )
 
 
-def _take_node(seen: _Seen, frame: Frame, row: Row, job: _Job) -> None:
-    assert row.position_mm is not None  # noqa: S101  the caller looked
-    node = seen.nodes.setdefault(_node_key(row.position_mm), _Node())
-    node.positions_mm.append(row.position_mm)
-    spot = locate(frame, job.localiser, job.flat)
-    if isinstance(spot, NoSpot):
-        detail = f" ({spot.detail})" if spot.detail else ""
-        node.complaints.append(f"{spot.reason} in {row.file}{detail}")
-    else:
-        node.spots_px.append((spot.u_px, spot.v_px))
-        node.located.append(row)
+def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
+    """A target through the model of its print; the print also guides the map unless it is bent itself."""
+    job = replace(job, localiser=_PROFILE, flat=found.flat)
+    seen = look(job, progress)
+    alone, guided = (_fit_target(job, seen, marks) for marks in (None, found.marks))
+    remark = f"{job.name}: print of {found.lattice.pitch_mm:.3f} mm pitch found and modelled"
+    if guided.target.left_out_px > _MARKS_COST * alone.target.left_out_px:
+        return replace(alone, remark=f"{remark}; it is bent, so it does not guide the map")
+    return replace(guided, remark=remark)
 
 
-def _fit_target(job: _Job, seen: _Seen, marks: Marks | None) -> _Made:
-    recording, name = job.recording, job.name
-    nodes = [node for node in seen.nodes.values() if node.usable]
+def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
+    """The maps through the nodes that can be used; raises BadInputError where they are too few."""
+    place, nodes = job.recording.path, seen.usable
     refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
     if len(refused) > most or not nodes:
         why = refused[0].complaints[0] if refused else "no row has a position"
         raise BadInputError(
-            recording.path, f"{name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
+            place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
         )
-    all_mm = np.array([node.position_mm for node in nodes])
-    all_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
     try:
-        fitted = fit_nodes(all_mm, all_px, job.image_size, job.degree, most - len(refused), marks)
+        fitted = fit_nodes(
+            _positions_mm(nodes), _spots_px(nodes), job.image_size, None, most - len(refused), marks
+        )
     except ValueError as error:
-        raise BadInputError(recording.path, f"{name}: {error}") from error
-    fit = fitted.fit
-    used = [node for row, node in enumerate(nodes) if row not in fitted.dropped]
-    exposures = [node.spots_px for node in used]
-    for row in fitted.dropped:
-        off_px = float(np.linalg.norm(all_px[row] - fit.map.to_px(all_mm[row : row + 1])[0]))
-        nodes[row].refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
-    nodes_mm = np.delete(all_mm, fitted.dropped, axis=0)
-    distance_mm = residual_distances_mm(fit, nodes_mm)
-    target = TargetCalibration(
-        name=name,
+        raise BadInputError(place, f"{job.name}: {error}") from error
+    for node in (nodes[row] for row in fitted.dropped):
+        mapped_px = fitted.fit.map.to_px(_positions_mm([node]))
+        off_px = float(np.linalg.norm(_spots_px([node]) - mapped_px))
+        node.refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
+    return _Made(_target(job, seen, fitted), _evidence(job, seen, fitted), _scatter(seen.usable, fitted))
+
+
+def _positions_mm(nodes: Sequence[Node]) -> FloatArray:
+    return np.array([node.position_mm for node in nodes])
+
+
+def _spots_px(nodes: Sequence[Node]) -> FloatArray:
+    return np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+
+
+def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
+    distance_mm = residual_distances_mm(fitted.fit, _positions_mm(seen.usable))
+    width, height = job.image_size
+    return TargetCalibration(
+        name=job.name,
         z_mm=job.z_mm,
-        width=job.image_size[0],
-        height=job.image_size[1],
-        localiser=replace(job.localiser, method="profile") if job.flat is not None else job.localiser,
+        width=width,
+        height=height,
+        localiser=job.localiser,
         flat=job.flat,
-        map=fit.map,
+        map=fitted.fit.map,
         cross_check=fitted.cross_check,
-        left_out_px=fit.left_out_px,
+        left_out_px=fitted.fit.left_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px(exposures),
-        leds_px=_mean_leds_px(seen.leds),
+        repeatability_px=_repeatability_px([node.spots_px for node in seen.usable]),
+        leds_px=seen.leds_px,
     )
-    evidence = TargetEvidence(
-        name=name,
-        nodes_mm=nodes_mm,
-        nodes_px=np.delete(all_px, fitted.dropped, axis=0),
-        residuals_px=fit.residuals_px,
-        missed_px=fit.missed_px,
-        scatter_px=np.array([_scatter_px(spots) for spots in exposures]),
-        exposures=tuple(len(spots) for spots in exposures),
+
+
+def _evidence(job: Job, seen: Seen, fitted: TargetFit) -> TargetEvidence:
+    return TargetEvidence(
+        name=job.name,
+        nodes_mm=_positions_mm(seen.usable),
+        nodes_px=_spots_px(seen.usable),
+        residuals_px=fitted.fit.residuals_px,
+        missed_px=fitted.fit.missed_px,
+        scatter_px=np.array([_scatter_px(node.spots_px) for node in seen.usable]),
+        exposures=tuple(len(node.spots_px) for node in seen.usable),
         left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
         candidates=fitted.candidates,
     )
-    frames = (recording.frame(node.located[0]) for node in used)
-    return _Made(target, evidence, _scatter(fitted, used), agreement(frames, job.localiser, job.flat))
 
 
-def _scatter(fitted: TargetFit, used: list[_Node]) -> NodeScatter:
+def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     """How the nodes that were used lie about the map, in mm, to be held against the other targets'."""
-    nodes_mm = np.array([node.position_mm for node in used])
-    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(fitted.fit.map.to_px(nodes_mm))
+    nodes_px = fitted.fit.map.to_px(_positions_mm(used))
+    _, jacobian, _ = InverseMap.of(fitted.fit.map).to_mm(nodes_px)
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):
@@ -323,12 +252,3 @@ def _scatter_px(spots: list[tuple[float, float]]) -> FloatArray:
         return np.full(2, np.nan)
     scatter: FloatArray = np.std(spots, axis=0, ddof=1)
     return scatter
-
-
-def _mean_leds_px(pairs: list[FloatArray]) -> FloatArray:
-    """Mean LED positions over the reference pairs that show the usual number of LEDs."""
-    if not pairs:
-        return np.empty((0, 2))
-    usual = int(np.median([len(pair) for pair in pairs]))
-    same = [pair for pair in pairs if len(pair) == usual]
-    return np.mean(same, axis=0) if same and usual else np.empty((0, 2))

@@ -10,7 +10,7 @@ from pathlib import Path
 from altd.config import Measuring
 from altd.pairing import Pair, Pairer
 from altd.ports import Camera
-from altd.recording import CameraHeader, RecordingHeader, RecordingWriter, UnitHeader
+from altd.recording import CameraHeader, Kind, RecordingHeader, RecordingWriter, UnitHeader
 from altd.records import Frame, Origin
 from altd.service.grabbing import grab
 from altd.service.health import Health
@@ -25,9 +25,10 @@ async def record(
     health: Health,
     utc: Callable[[int], datetime | None],
     seconds: float,
+    kind: Kind = "measurement",
     fps: float = 20.0,
 ) -> int:
-    """Write a recording of kind ``measurement``; returns the number of exposures.
+    """Write a recording of a kind; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
     written until then is whole. Raises BadInputError when the folder cannot be used, and a driver's own
@@ -37,7 +38,7 @@ async def record(
     inbox = Inbox(names)
     max_skew_ns = round(measuring.max_skew_ms * 1e6)
     pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, max_skew_ns)
-    sink = _Sink(path, unit, cameras, fps, utc)
+    sink = _Sink(path, unit, cameras, kind, fps, utc)
     grabbers = [
         asyncio.create_task(grab(camera, inbox, health.component(f"camera {camera.name}")))
         for camera in cameras
@@ -67,11 +68,13 @@ class _Sink:
         path: Path,
         unit: UnitHeader,
         cameras: Sequence[Camera],
+        kind: Kind,
         fps: float,
         utc: Callable[[int], datetime | None],
     ) -> None:
         self._path = path
         self._unit = unit
+        self._kind: Kind = kind
         self._fps = fps
         self._utc = utc
         origins = sorted({camera.origin for camera in cameras} - {Origin.CAMERA})
@@ -102,7 +105,7 @@ class _Sink:
     def _header(self, pair: Pair[Frame]) -> RecordingHeader:
         return RecordingHeader(
             format="altd-recording/1",
-            kind="measurement",
+            kind=self._kind,
             fps=self._fps,
             cameras={
                 name: CameraHeader(width=f.pixels.shape[1], height=f.pixels.shape[0], bits=f.bits)

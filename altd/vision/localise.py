@@ -61,7 +61,7 @@ def spot_in(
     if isinstance(judged, NoSpot):
         return judged
     diameter_px, peak = judged
-    noise = _noise(frame, found, settings)
+    noise = noise_of(frame, found, settings)
     if settings.method == "moment" or (
         settings.method == "auto" and flat is None and is_printed(patch, noise)
     ):
@@ -96,10 +96,11 @@ def _cut_out(frame: Frame, settings: SpotSettings) -> tuple[Patch, Noise] | None
     patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
     if patch is None or isinstance(patch, NoSpot):
         return None
-    return patch, _noise(frame, found, settings)
+    return patch, noise_of(frame, found, settings)
 
 
-def _noise(frame: Frame, found: Search, settings: SpotSettings) -> Noise:
+def noise_of(frame: Frame, found: Search, settings: SpotSettings) -> Noise:
+    """The noise of a frame's pixels."""
     read_counts = pixel_noise(frame.pixels, found.background)
     return Noise(read_counts, settings.full_well_electrons / frame.full_scale)
 

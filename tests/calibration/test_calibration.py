@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +16,7 @@ from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
 from altd.recording import open_recording
+from altd.vision.flat import Flat
 
 
 @pytest.fixture(scope="module")
@@ -171,6 +174,54 @@ def test_damaged_files_are_refused_with_the_place(file: Path, tmp_path: Path) ->
     assert "no JSON object" in complaint(file)
     file.write_text(json.dumps(good)[:500])
     assert "is not JSON" in complaint(file)
+
+
+def test_a_flat_of_another_target_is_doubted(scan: Path) -> None:
+    strange = Flat.of(np.random.default_rng(1).uniform(0.7, 1, (480, 752)), "recording")
+    result = calibrate_scan(open_recording(scan), {"front": strange})
+    assert result.remarks == ("front: localised through its recorded flat", "rear: plain, no print")
+    (doubt,) = result.doubts
+    assert re.match(r"front: the flat is not what the spots show \(likeness -?0\.0\d of 1\): ", doubt)
+
+
+@pytest.fixture
+def with_flat(calibration: Calibration, tmp_path: Path) -> Path:
+    """A calibration whose front target has a flat."""
+    response = np.random.default_rng(1).uniform(0, 1, (480, 752))
+    front = replace(calibration.targets[0], flat=Flat.of(response, "recording"))
+    save_calibration(replace(calibration, targets=(front, calibration.targets[1])), tmp_path / "flat.json")
+    return tmp_path / "flat.json"
+
+
+def test_a_file_keeps_the_flat_and_where_it_comes_from(with_flat: Path) -> None:
+    response = np.random.default_rng(1).uniform(0, 1, (480, 752))
+    front, rear = load_calibration(with_flat).targets
+    assert front.flat is not None
+    assert front.flat.source == "recording"
+    assert np.abs(front.flat.response - response / response.mean()).max() < 2 * 1.01 / 255
+    assert rear.flat is None
+
+
+def test_a_damaged_flat_is_refused_with_its_place(with_flat: Path) -> None:
+    targets = json.loads(with_flat.read_text())["targets"]
+    good = targets[0]["flat"]["png"]
+    small = base64.b64encode(cv2.imencode(".png", np.full((480, 640), 9, np.uint8))[1].tobytes()).decode()
+    for png, complaint in (
+        (good[: len(good) // 2 // 4 * 4], "targets.front.flat.png: "),
+        ("", "targets.front.flat.png: is no picture"),
+        ("no base64!", "targets.front.flat.png: is no picture"),
+        (small, "targets.front.flat.png: is no grey picture of 752 × 480"),
+    ):
+        targets[0]["flat"]["png"] = png
+        assert complaint in complaint_of(with_flat, targets), complaint
+    targets[0]["flat"] = {"source": "guess", "png": good}
+    assert "targets.0.flat.source: Input should be 'recording' or 'print'" in complaint_of(with_flat, targets)
+    del targets[0]["flat"]
+    assert "targets.0.flat: Field required" in complaint_of(with_flat, targets)
+
+
+def complaint_of(file: Path, targets: object) -> str:
+    return complaint(tampered(file, targets=targets))
 
 
 def test_saving_where_nothing_can_be_written_leaves_nothing_behind(

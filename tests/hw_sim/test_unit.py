@@ -53,7 +53,7 @@ def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> N
 
 
 def test_without_dots_the_window_is_as_even_as_the_plate() -> None:
-    for dots in (True, False):
+    for dots in (DotPattern(), None):
         bare = Unit(UnitConfig(seed=11, dots=dots, speckle_contrast=0.0))
         response = bare.eyes[FRONT].view.response
         ripple = float(np.std(response / cv2.GaussianBlur(response, (0, 0), 4.0)))

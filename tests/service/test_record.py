@@ -8,7 +8,7 @@ from support.frames import Blob, frame, light
 
 from altd.config import Measuring
 from altd.ports import CameraEndedError
-from altd.recording import UnitHeader, open_recording
+from altd.recording import Kind, UnitHeader, open_recording
 from altd.records import Frame, Origin
 from altd.service.clock import SystemClock
 from altd.service.health import Health
@@ -40,17 +40,23 @@ class Source:
     def close(self) -> None: ...
 
 
-async def kept(path: Path, end: Exception) -> int:
+async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
     sources = [Source(name, 5, end) for name in ("front", "rear")]
     clock = SystemClock()
     unit = UnitHeader(serial="A", target_distance_mm=280.0)
-    return await record(sources, path, unit, Measuring(), Health(clock), clock.utc, 60.0)
+    return await record(sources, path, unit, Measuring(), Health(clock), clock.utc, 60.0, kind)
 
 
 async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:
     assert await kept(tmp_path / "rec", CameraEndedError("the end")) == 5
     opened = open_recording(tmp_path / "rec")
     assert [row.sequence for row in opened.rows if row.camera == "rear"] == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("kind", ["measurement", "flat", "self-check"])
+async def test_a_recording_says_of_what_kind_it_is(kind: Kind, tmp_path: Path) -> None:
+    await kept(tmp_path / "rec", CameraEndedError("the end"), kind)
+    assert open_recording(tmp_path / "rec").header.kind == kind
 
 
 async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:

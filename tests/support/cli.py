@@ -9,6 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from altd.cli import main
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -40,6 +44,13 @@ def refusal(outcome: Outcome) -> str:
     lines = outcome.err.splitlines()
     assert len(lines) == 1, outcome.err
     return lines[0]
+
+
+def refusal_of(*arguments: object, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of a command that refuses its input, without a process of its own."""
+    status = main([str(argument) for argument in arguments])
+    printed = capsys.readouterr()
+    return refusal(Outcome(status, printed.out, printed.err))
 
 
 CONFIG = """

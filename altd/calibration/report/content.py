@@ -9,6 +9,7 @@ import matplotlib
 import numpy as np
 
 from altd import __version__
+from altd.calibration.model import TargetCalibration
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
@@ -78,6 +79,19 @@ def _left_out(source: Source) -> list[Block]:
     ]
 
 
+def _located(target: TargetCalibration) -> str:
+    """How the target's spots are located, in words."""
+    if target.flat is not None:
+        return {"recording": "through a recorded flat", "print": "through a model of the print"}[
+            target.flat.source
+        ]
+    return {
+        "profile": "as on a plain target",
+        "moment": "by their centre of light",
+        "auto": "as each one asks",
+    }[target.localiser.method]
+
+
 def _inputs(source: Source) -> list[Block]:
     calibration = source.calibration
     exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
@@ -95,6 +109,7 @@ def _inputs(source: Source) -> list[Block]:
             (
                 f"Target {target.name}",
                 f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.name}, "
+                f"spots located {_located(target)}, "
                 f"valid for x {low[0]:g} … {high[0]:g} mm, y {low[1]:g} … {high[1]:g} mm",
             )
         )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.calibration.evidence import Candidate
+from altd.calibration.evidence import Candidate, TargetEvidence
 from altd.calibration.model import TargetCalibration
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
@@ -16,6 +16,7 @@ from altd.calibration.report.prediction import (
     node_covariance_px2,
     noise_in_map_px,
     offsets_mm,
+    own_noise_px,
     spectrum_covariance_px2,
 )
 from altd.calibration.report.source import Source
@@ -71,7 +72,7 @@ def residuals(source: Source) -> list[Block]:
 def models(source: Source) -> list[Block]:
     """The candidates: error against degree."""
     noises = [
-        np.array([noise_in_map_px(c, len(seen.nodes_mm), target.map.noise_px) for c in shown])
+        np.array([noise_in_map_px(c, len(seen.nodes_mm), _noise_px(target, seen)) for c in shown])
         for target, seen in source.targets()
         if (shown := _shown(seen.candidates))
     ]
@@ -142,6 +143,14 @@ def _chosen(target: TargetCalibration, tried: Sequence[Candidate]) -> int | None
     """Which candidate became the map: of its model the one with the map's left-out error."""
     same = [n for n, c in enumerate(tried) if c.model == target.map.model]
     return min(same, key=lambda n: abs(tried[n].left_out_px - target.left_out_px), default=None)
+
+
+def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
+    """The nodes' scatter about the map, stage and exposures included, which its own pattern does not hold."""
+    chosen = _chosen(target, seen.candidates)
+    return (
+        target.map.noise_px if chosen is None else own_noise_px(seen.candidates[chosen], len(seen.nodes_mm))
+    )
 
 
 def cross_checks(source: Source) -> list[Block]:

@@ -84,14 +84,19 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     return Prediction(x_mm, y_mm, sigma, variances / variances.sum(axis=1, keepdims=True), exposures)
 
 
+def own_noise_px(candidate: Candidate, nodes: int) -> float:
+    """What the nodes scatter about a candidate, from the definition of the cross-validation score."""
+    free = 1 - candidate.parameters / (2 * nodes)
+    return candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
+
+
 def noise_in_map_px(candidate: Candidate, nodes: int, noise_px: float) -> float:
     """What noise of ``noise_px`` at each of so many nodes leaves in a candidate's map, rms over the hull.
 
     A candidate's own ``map_sigma_px`` counts its misfit as noise, and so falls with it; at one noise for all
-    it grows with the degree, as in Sec. 3.5.6. Follows from the definition of the cross-validation score.
+    it grows with the degree, as in Sec. 3.5.6.
     """
-    free = 1 - candidate.parameters / (2 * nodes)
-    own_px = candidate.gcv_px * float(np.sqrt(max(free, 0.0)))
+    own_px = own_noise_px(candidate, nodes)
     return candidate.map_sigma_px * noise_px / own_px if own_px > 0 else float("nan")
 
 

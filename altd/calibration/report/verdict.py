@@ -89,9 +89,9 @@ def judge(
     prediction: Prediction,
 ) -> Verdict:
     """Judge a calibration by what its scan shows."""
-    limit, advice = _limit(prediction)
+    limit, advice = _limit(prediction, calibration.targets)
     checks = [
-        *_of_the_beam(prediction),
+        *_of_the_beam(prediction, calibration.targets),
         *_of_the_maps(calibration.targets),
         _of_the_cross_check(calibration.targets),
         *_of_the_nodes(evidence),
@@ -100,8 +100,8 @@ def judge(
     return Verdict(tuple(checks), limit, advice)
 
 
-def _of_the_beam(prediction: Prediction) -> list[Check]:
-    remedy = _sentence("; ".join(_ADVICE[cause] for cause in _main_causes(prediction)))
+def _of_the_beam(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:
+    remedy = _sentence(_advice(prediction, targets))
     checks = []
     for name, quantity, unit, good, usable in (
         ("yaw", "yaw_deg", "°", _GOOD_DEG, _USABLE_DEG),
@@ -229,7 +229,17 @@ def _main_causes(prediction: Prediction) -> list[str]:
     return [CAUSES[n] for n in order if shares[n] >= 1 / 3] or [CAUSES[order[0]]]
 
 
-def _limit(prediction: Prediction) -> tuple[str, str]:
+def _advice(prediction: Prediction, targets: Sequence[TargetCalibration]) -> str:
+    """What to do about the main causes; a flat comes first where a target has none that was recorded."""
+    causes = _main_causes(prediction)
+    words = [_ADVICE[cause] for cause in causes]
+    without = [target.name for target in targets if target.flat is None or target.flat.source != "recording"]
+    if "pattern" in causes and without:
+        words.insert(0, f"record a flat of {' and '.join(without)} and calibrate a scan with it (--flat)")
+    return "; ".join(words)
+
+
+def _limit(prediction: Prediction, targets: Sequence[TargetCalibration]) -> tuple[str, str]:
     """What limits the measurement, and what would make it better."""
     shares = prediction.shares.mean(axis=0)
     first, second, third = (CAUSES[n] for n in np.argsort(shares)[::-1])
@@ -238,8 +248,7 @@ def _limit(prediction: Prediction) -> tuple[str, str]:
         f"What limits it is {_CAUSE_WORDS[first]}: {percent[first]} of the variance; {_CAUSE_WORDS[second]} "
         f"makes {percent[second]}, {_CAUSE_WORDS[third]} {percent[third]}."
     )
-    advice = "; ".join(_ADVICE[cause] for cause in _main_causes(prediction))
-    return limit, f"To measure better than this: {advice}."
+    return limit, f"To measure better than this: {_advice(prediction, targets)}."
 
 
 def _level(value: float, good: float, usable: float) -> Level:

@@ -10,6 +10,7 @@ from altd.calibration.evidence import TargetEvidence
 from altd.calibration.model import Calibration
 from altd.calibration.report.prediction import predict
 from altd.calibration.report.verdict import Check, Level, Verdict, judge
+from altd.vision.flat import Flat
 
 
 def verdict_of(made: Calibration | None = None, seen: tuple[TargetEvidence, ...] | None = None) -> Verdict:
@@ -48,6 +49,19 @@ def test_a_coarse_pattern_spoils_yaw_and_pitch(pattern_px: float, level: Level, 
     assert verdict.limit.startswith("What limits it is the fixed pattern of print and speckle: ")
     (remedy,) = verdict.remedies
     assert "larger laser spot" in remedy
+
+
+def test_a_flat_is_advised_where_none_was_recorded_and_pattern_limits() -> None:
+    coarse = {"pattern_px": 0.09}
+    recorded, modelled = (
+        replace(target(name, **coarse), flat=Flat(np.full((480, 752), 9, np.uint8), source))
+        for name, source in (("front", "recording"), ("rear", "print"))
+    )
+    (remedy,) = verdict_of(calibration(target("front", **coarse), target("rear", **coarse))).remedies
+    assert remedy.startswith("Record a flat of front and rear and calibrate a scan with it (--flat); ")
+    assert "a flat of rear and" in verdict_of(calibration(recorded, modelled)).advice
+    both = calibration(recorded, replace(modelled, flat=recorded.flat))
+    assert "flat" not in verdict_of(both).advice
 
 
 def test_what_limits_is_named_with_what_to_do_about_it() -> None:

@@ -1,0 +1,140 @@
+"""From the frames of a scan to the model of the print that its spots lie on.
+
+Printed dots are a lattice: two reciprocal vectors and a Fourier series say how much light each place sends
+to the camera. The lattice is regular in the plane of the print, so it also tells where the map bends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from altd.calibration.printed.lattice import Lattice, find_lattice
+from altd.calibration.printed.plane import Plane
+from altd.calibration.printed.sample import Sample, sample_of
+from altd.calibration.printed.series import Series
+from altd.mapping.marks import Marks
+from altd.mapping.tensor_map import TensorMap
+from altd.records import FloatArray, Frame
+from altd.vision.flat import Flat
+from altd.vision.settings import SpotSettings
+
+_LEAST_CONTRAST = 0.1
+"""Dots of 0.15 mm, 0.6 mm apart, still make 0.24 in a picture of 4 px/mm; the plain spot's own shape 0.02."""
+_FEWEST_NODES = 12
+_BLURS_PX = 0.3, 0.5, 0.7, 0.9, 1.1
+_ROUNDS = 2
+_COEFFICIENTS = 10
+"""Of a cubic of two coordinates."""
+_CUBIC_UNIT_MM = 50.0
+_LEAST_MARK_SIGMA_MM = 0.002
+"""Print is no more regular than that, nor is a node's spread of dots over a bent picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Print:
+    """What the scan shows of a print: its lattice, the flat of its picture, where it is seen at the nodes."""
+
+    lattice: Lattice
+    flat: Flat
+    marks: Marks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """A print on its plane.
+
+    ``series`` is how bright it is, ``bend`` (10, 2) by how much it lies off the map, as a cubic of the place.
+    ``regular_mm`` (n, 2) are the nodes' coordinates on it, ``sigma_mm`` is their standard deviation.
+    """
+
+    series: Series
+    bend: FloatArray
+    regular_mm: FloatArray
+    sigma_mm: float
+
+    @classmethod
+    def first(cls, lattice: Lattice, samples: Sequence[Sample], centres_mm: FloatArray) -> _Model:
+        """As if the map were true; the blur that fits best stays."""
+        series = Series.fit(lattice, samples, _BLURS_PX)
+        return cls._through(series, np.zeros((_COEFFICIENTS, 2)), samples, centres_mm)
+
+    def next(self, samples: Sequence[Sample], centres_mm: FloatArray) -> _Model:
+        """A better one, from samples that were taken through this one's flat."""
+        regular = [replace(sample, mm=self.moved(sample.mm)) for sample in samples]
+        series = Series.fit(self.series.lattice, regular, (self.series.blur_px,))
+        return self._through(series, self.bend, regular, centres_mm)
+
+    @classmethod
+    def _through(
+        cls, series: Series, bend: FloatArray, regular: Sequence[Sample], centres_mm: FloatArray
+    ) -> _Model:
+        """What a cubic explains of the nodes' offsets from the series is the bend, the rest their error."""
+        cubic = _cubic(centres_mm)
+        off_mm = cubic @ bend + np.array([series.offset_mm(sample) for sample in regular])
+        bend = np.asarray(np.linalg.lstsq(cubic, off_mm, rcond=None)[0])
+        freedom = max(off_mm.size - bend.size, 1)
+        sigma_mm = float(np.sqrt(np.square(off_mm - cubic @ bend).sum() / freedom))
+        return cls(series, bend, centres_mm + off_mm, max(sigma_mm, _LEAST_MARK_SIGMA_MM))
+
+    def moved(self, places_mm: FloatArray) -> FloatArray:
+        """Where on the print the places (n, 2) of the map are, (n, 2) mm."""
+        moved: FloatArray = places_mm + _cubic(places_mm) @ self.bend
+        return moved
+
+
+def find_print(
+    nodes: Sequence[Frame], nodes_px: FloatArray, first_map: TensorMap, settings: SpotSettings
+) -> Print | None:
+    """The print that the spots at a scan's nodes show; None when there is none or it is not regular.
+
+    ``nodes`` holds one exposure of each node, ``nodes_px`` (n, 2) where the spots are, ``first_map`` a map
+    that is good to a tenth of a dot pitch.
+    """
+    plane = Plane(first_map)
+    seen, samples = _seen(nodes, plane, settings, None)
+    if len(seen) < _FEWEST_NODES:
+        return None
+    lattice = find_lattice(samples, plane.to_mm(nodes_px[seen]))
+    if lattice is None:
+        return None
+    rows, columns = nodes[0].pixels.shape
+    picture_mm = plane.grid_mm(rows, columns)
+    model = _Model.first(lattice, samples, plane.to_mm(nodes_px[seen]))
+    if model.series.contrast < _LEAST_CONTRAST:
+        return None
+    for _ in range(_ROUNDS):
+        seen, samples = _seen(nodes, plane, settings, _flat(model, picture_mm))
+        if len(seen) < _FEWEST_NODES:
+            return None
+        model = model.next(samples, plane.to_mm(nodes_px[seen]))
+    return Print(lattice, _flat(model, picture_mm), Marks(nodes_px[seen], model.regular_mm, model.sigma_mm))
+
+
+def _seen(
+    nodes: Sequence[Frame], plane: Plane, settings: SpotSettings, flat: Flat | None
+) -> tuple[list[int], list[Sample]]:
+    """The nodes that show the print, and what they show."""
+    samples = [sample_of(frame, plane, settings, flat) for frame in nodes]
+    return (
+        [index for index, sample in enumerate(samples) if sample is not None],
+        [sample for sample in samples if sample is not None],
+    )
+
+
+def _cubic(mm: FloatArray) -> FloatArray:
+    x, y = mm.T / _CUBIC_UNIT_MM
+    xx, yy = x * x, y * y
+    return np.stack([np.ones(len(x)), x, y, xx, x * y, yy, xx * x, xx * y, x * yy, yy * y], axis=1)
+
+
+def _flat(model: _Model, picture_mm: FloatArray) -> Flat:
+    """F at every pixel of a picture whose pixels look at (rows, columns, 2) mm."""
+    by_v, by_u = (np.asarray(slope) for slope in np.gradient(picture_mm, axis=(0, 1)))
+    metrics = by_u[..., :, None] * by_u[..., None, :] + by_v[..., :, None] * by_v[..., None, :]
+    response = np.empty(picture_mm.shape[:2], np.float32)
+    for row, (mm, metric) in enumerate(zip(picture_mm, metrics, strict=True)):  # stays in the cache
+        response[row] = model.series.at(model.moved(mm), metric)
+    return Flat.of(response, "print")

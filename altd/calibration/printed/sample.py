@@ -1,0 +1,69 @@
+"""What one spot of a scan shows of the print that it lies on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.calibration.printed.plane import Plane
+from altd.records import FloatArray, Frame, NoSpot
+from altd.vision.flat import Flat
+from altd.vision.localise import SATURATED_FROM, noise_of
+from altd.vision.patch import Mask, patch_around
+from altd.vision.profile import fit_profile
+from altd.vision.search import search
+from altd.vision.settings import SpotSettings
+
+_SHARE_OF_PEAK = 0.15
+_GRAIN = 0.15
+"""Relative scatter that a pixel keeps beside the print: limits the weight of bright pixels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """The lit pixels of one node.
+
+    ``mm`` (n, 2) is where on the target they look, ``ratio`` (n,) their light relative to that of the spot on
+    even ground, ``weight`` (n,) the inverse of its variance, ``metric`` (2, 2) mm²/px² the scale there.
+    """
+
+    mm: FloatArray
+    ratio: FloatArray
+    weight: FloatArray
+    metric: FloatArray
+
+
+def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | None) -> Sample | None:
+    """The sample of a frame; None where it has no spot, or none that a profile fits.
+
+    Without a flat the light is taken relative to the smoothed spot, with one to the fitted profile.
+    """
+    found = search(frame.pixels)
+    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
+    if patch is None or isinstance(patch, NoSpot):
+        return None
+    noise = noise_of(frame, found, settings)
+    height, width = patch.excess.shape
+    window = slice(patch.top, patch.top + height), slice(patch.left, patch.left + width)
+    clipped = frame.pixels[window] >= SATURATED_FROM * frame.full_scale
+    u = np.arange(patch.left, patch.left + width, dtype=np.float64)
+    v = np.arange(patch.top, patch.top + height, dtype=np.float64)
+    light, even = patch.excess.astype(np.float64), patch.smooth.astype(np.float64)
+    if flat is not None:
+        profile = fit_profile(
+            patch, flat, _diameter_px(patch.mask), noise, clipped if clipped.any() else None
+        )
+        if profile is None:
+            return None
+        light, even = light - profile.rest, profile.irradiance(u, v)
+    lit = (even > _SHARE_OF_PEAK * even.max()) & ~clipped
+    variance = (noise.read_counts**2 + even[lit] / noise.electrons_per_count) / even[lit] ** 2
+    px = np.stack(np.meshgrid(u, v), axis=-1)[lit]
+    return Sample(
+        plane.to_mm(px), light[lit] / even[lit], 1 / (_GRAIN**2 + variance), plane.metric(px.mean(axis=0))
+    )
+
+
+def _diameter_px(mask: Mask) -> float:
+    return float(np.sqrt(np.count_nonzero(mask) * 4 / np.pi))

@@ -1,0 +1,80 @@
+"""Marks of a print before a lens of the simulator: they bend a map as they should, and place nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from altd.mapping.camera import Camera
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.lens import fit_lens_map
+from altd.mapping.marks import Marks
+from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
+from hw_sim.scan import grid_mm
+
+NODES_MM = np.array(grid_mm())
+PLACES_MM = np.stack(np.meshgrid(np.linspace(-60, 60, 9), np.linspace(-48, 48, 8)), axis=-1).reshape(-1, 2)
+TURN = np.array([[1.02, 0.03], [-0.05, 0.97]])
+
+
+def seen(lens: Lens, mm: np.ndarray) -> np.ndarray:
+    return np.stack(lens.project(*mm.T), axis=1)
+
+
+def camera(seed: int = 1) -> Camera:
+    rng = np.random.default_rng(seed)
+    parameters = np.zeros(Camera.optical_parameters("brown"))
+    parameters[:3] = rng.normal(0, 0.1, 3)
+    parameters[5] = np.log(4.5)
+    return Camera("brown", parameters, True, WIDTH_PX, HEIGHT_PX)
+
+
+def test_marks_that_lie_as_the_camera_sees_them_are_satisfied_however_the_print_is_laid() -> None:
+    at = camera()
+    marks = Marks(at.to_px(NODES_MM), NODES_MM, 0.001)
+    assert np.abs(marks.misfit(at)[0]).max() < 1e-5
+    # a print that is turned, stretched and moved needs the places it was affinely made of
+    laid = Marks(at.to_px(NODES_MM), NODES_MM @ TURN.T + (0.3, -0.2), 0.001)
+    assert np.abs(laid.misfit(at)[0]).max() < 1e-3
+
+
+def test_a_mark_that_is_off_counts_in_units_of_sigma() -> None:
+    at = camera()
+    off = NODES_MM.copy()
+    off[14, 0] += 0.01
+    misfit = Marks(at.to_px(NODES_MM), off, 0.002).misfit(at)[0].reshape(2, -1)
+    assert np.abs(misfit[0, 14]) == pytest.approx(5.0, rel=0.1)
+    assert np.abs(misfit[1]).max() < 0.01
+
+
+def test_the_slopes_are_the_derivatives() -> None:
+    at = camera()
+    marks = Marks(at.to_px(NODES_MM), NODES_MM, 0.001)
+    _, slopes = marks.misfit(at)
+    assert slopes.shape == (2 * len(NODES_MM), len(at.parameters))
+    for index in range(len(at.parameters)):
+        step = np.zeros(len(at.parameters))
+        step[index] = 1e-4
+        ends = [marks.misfit(at.with_parameters(at.parameters + sign * step))[0] for sign in (1, -1)]
+        by_difference = (ends[0] - ends[1]) / 2e-4
+        assert slopes[:, index] == pytest.approx(by_difference, abs=0.02 * np.abs(by_difference).max() + 1e-2)
+
+
+def test_marks_make_a_map_between_noisy_nodes_better() -> None:
+    misses: dict[bool, list[float]] = {True: [], False: []}
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
+        nodes_px = seen(lens, NODES_MM) + rng.normal(0, 0.05, NODES_MM.shape)
+        regular_mm = NODES_MM @ TURN.T + (5.0, -3.0) + rng.normal(0, 0.003, NODES_MM.shape)
+        marks = Marks(seen(lens, NODES_MM), regular_mm, 0.003)
+        for given in (None, marks):
+            fit = fit_lens_map(
+                NODES_MM, nodes_px, convex_hull_mm(NODES_MM), (WIDTH_PX, HEIGHT_PX), marks=given
+            )
+            off_px = fit.map.to_px(PLACES_MM) - seen(lens, PLACES_MM)
+            misses[given is not None].append(float(np.square(off_px).mean()))
+    alone_px, guided_px = (np.sqrt(np.mean(misses[guided])) for guided in (False, True))
+    assert 0.01 < alone_px < 0.04
+    assert guided_px < 0.8 * alone_px
