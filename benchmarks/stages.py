@@ -30,7 +30,7 @@ _SEARCH_PARTS = {"coarse_picture": "coarse picture", "fit_background": "backgrou
 _SPOT_PARTS = {
     "patch_around": "patch",
     "_judge": "judging",
-    "_noise": "noise",
+    "noise_of": "noise",
     "is_printed": "print or not",
     "_profile_centre": "profile",
     "moment": "moment",
