@@ -22,45 +22,59 @@ _TILE_ROWS, _TILE_COLUMNS = 6, 8
 _OUTLIER_SIGMAS = 2.0
 _REFINEMENTS = 3
 _TOLERATED_COUNTS = 0.1
+_FEWEST_CELLS = 1000
+"""A smaller picture, of which a spot covers much, does not tell the terms with r² from noise."""
 _MAD_TO_SIGMA = 1.4826
-_RIDGE = 1e-9 * np.eye(6)
+_RIDGE = 1e-9 * np.eye(9)
 _ROUNDED_UP = 0.125
 """The mean of four whole numbers, rounded half up, is off by 0, −1/4, 1/2 or 1/4: this in the mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """Smooth background over a frame, counts: a polynomial of second degree in (u, v) px.
+    """Smooth background over a frame, counts: even or sloping light behind the fall-off of a lens.
 
-    Ambient light seen through a lens falls off towards the corners, which a plane would miss.
-    ``coefficients`` belong to 1, u, v, u², uv, v², with (u, v) in units of ``scale_px``.
+    Fall-off goes by the square of the distance r from the middle, so beside the terms of second degree there
+    are those in which r² multiplies a slope or itself: ``coefficients`` belong to 1, u, v, u², uv, v², r²u,
+    r²v, r⁴, with (u, v) from ``middle_px`` in units of ``scale_px``.
     """
 
-    coefficients: tuple[float, float, float, float, float, float]
+    coefficients: tuple[float, ...]
+    middle_px: tuple[float, float]
     scale_px: float
 
     @property
     def level(self) -> float:
-        """The background in the frame's first pixel."""
+        """The background in the middle of the frame."""
         return self.coefficients[0]
 
     def at(
         self, first_px: tuple[float, float], shape: tuple[int, int], step_px: tuple[int, int] = (1, 1)
     ) -> Image:
         """The background on a grid: ``shape`` (rows, columns), every ``step_px`` (u, v) from ``first_px``."""
-        c0, cu, cv, cuu, cuv, cvv = self.coefficients
-        u = _powers(first_px[0], shape[1], step_px[0], self.scale_px)
-        v = _powers(first_px[1], shape[0], step_px[1], self.scale_px)
-        by_power = np.array(((c0, cu, cuu), (cv, cuv, 0.0), (cvv, 0.0, 0.0)), dtype=np.float32)
+        c, cu, cv, cuu, cuv, cvv, ru, rv, rr = self.coefficients
+        u = _powers(first_px[0] - self.middle_px[0], shape[1], step_px[0], self.scale_px)
+        v = _powers(first_px[1] - self.middle_px[1], shape[0], step_px[1], self.scale_px)
+        by_power = np.array(  # of v downwards, of u to the right
+            (
+                (c, cu, cuu, ru, rr),
+                (cv, cuv, rv, 0.0, 0.0),
+                (cvv, ru, 2 * rr, 0.0, 0.0),
+                (rv, 0.0, 0.0, 0.0, 0.0),
+                (rr, 0.0, 0.0, 0.0, 0.0),
+            ),
+            dtype=np.float32,
+        )
         background: Image = v.T @ (by_power @ u)
         return background
 
 
 @lru_cache(maxsize=256)
 def _powers(first_px: float, count: int, step_px: int, scale_px: float) -> Image:
-    """Rows 1, x, x² at ``count`` places. A spot's window is the same in most frames, the others' always."""
-    x = (first_px + step_px * np.arange(count)) / scale_px
-    return np.stack([np.ones(count), x, x * x]).astype(np.float32)
+    """Rows 1, x … x⁴ at ``count`` places. A spot's window is the same in most frames, the others' always."""
+    return np.vander((first_px + step_px * np.arange(count)) / scale_px, 5, increasing=True).T.astype(
+        np.float32
+    )
 
 
 def coarse_picture(pixels: PixelArray) -> Image:
@@ -96,33 +110,43 @@ def fit_background(coarse: Image) -> Background:
     tiles = coarse[: height * tile_rows, : width * tile_columns]
     tiles = tiles.reshape(tile_rows, height, tile_columns, width).swapaxes(1, 2)
     values = _medians(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
-    scale_px = float(max(rows, columns) * CELL_PX)
-    design = _tile_design(tile_rows, tile_columns, height, width, scale_px)
+    middle_px = (columns * CELL_PX - 1) / 2, (rows * CELL_PX - 1) / 2
+    scale_px = max(rows, columns) * CELL_PX / 2
+    terms = 9 if coarse.size >= _FEWEST_CELLS else 6
+    design = _tile_design(tile_rows, tile_columns, height, width, middle_px, scale_px)[:, :terms]
     middle = float(_medians(values))
     kept = values <= middle + _OUTLIER_SIGMAS * _sigma(np.abs(values - middle)) + 1.0
-    solution: FloatArray = np.array([middle, 0, 0, 0, 0, 0])
+    solution: FloatArray = np.array([middle, *[0.0] * (terms - 1)])
     for _ in range(_REFINEMENTS):
         if np.count_nonzero(kept) < len(values) // 3:
             break
         rows_kept = design[kept]
         # Normal equations: half the time of lstsq. The ridge is for tiles that do not tell all six apart.
-        normal = rows_kept.T @ rows_kept + _RIDGE
+        normal = rows_kept.T @ rows_kept + _RIDGE[:terms, :terms]
         solution = np.asarray(np.linalg.solve(normal, values[kept] @ rows_kept), dtype=np.float64)
         off = np.abs(values - design @ solution)
         kept_before, kept = kept, off <= _OUTLIER_SIGMAS * _sigma(off[kept]) + _TOLERATED_COUNTS
         if (kept == kept_before).all():
             break
-    c0, cu, cv, cuu, cuv, cvv = solution.tolist()
-    return Background((c0, cu, cv, cuu, cuv, cvv), scale_px)
+    coefficients = (*solution.tolist(), *[0.0] * (9 - terms))
+    return Background(coefficients, middle_px, scale_px)
 
 
 @lru_cache(maxsize=8)
-def _tile_design(tile_rows: int, tile_columns: int, height: int, width: int, scale_px: float) -> FloatArray:
-    """Rows (1, u, v, u², uv, v²) at the tiles' middles, in units of ``scale_px``."""
-    u = ((np.arange(tile_columns) + 0.5) * width * CELL_PX - 0.5) / scale_px
-    v = ((np.arange(tile_rows) + 0.5) * height * CELL_PX - 0.5) / scale_px
-    grid_u, grid_v = (grid.ravel() for grid in np.meshgrid(u, v))
-    return np.column_stack([np.ones(grid_u.size), grid_u, grid_v, grid_u**2, grid_u * grid_v, grid_v**2])
+def _tile_design(
+    tile_rows: int,
+    tile_columns: int,
+    height: int,
+    width: int,
+    middle_px: tuple[float, float],
+    scale_px: float,
+) -> FloatArray:
+    """Rows of the background's terms at the tiles' middles."""
+    along_u = (((np.arange(tile_columns) + 0.5) * width * CELL_PX - 0.5) - middle_px[0]) / scale_px
+    along_v = (((np.arange(tile_rows) + 0.5) * height * CELL_PX - 0.5) - middle_px[1]) / scale_px
+    u, v = (grid.ravel() for grid in np.meshgrid(along_u, along_v))
+    r2 = u * u + v * v
+    return np.column_stack([np.ones(u.size), u, v, u * u, u * v, v * v, r2 * u, r2 * v, r2 * r2])
 
 
 def excess_over(coarse: Image, background: Background) -> Image:

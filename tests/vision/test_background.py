@@ -1,0 +1,34 @@
+"""The background against light whose fall-off is a formula, and on frames of a simulated unit without a spot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.frames import HEIGHT, WIDTH, frame, light
+
+from altd.records import NoSpot, Reason
+from altd.vision.background import coarse_picture, fit_background
+from altd.vision.localise import locate
+from hw_sim.faults import Fault
+from hw_sim.unit import CAMERAS, Unit, UnitConfig
+
+
+def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
+    v, u = np.mgrid[:HEIGHT, :WIDTH].astype(float)
+    from_axis = np.hypot(u - WIDTH / 2 + 4, v - HEIGHT / 2 - 3) / 900.0  # in focal lengths
+    falling = 60 / (1 + from_axis**2) ** 2 * (1 + 0.3 * u / WIDTH - 0.2 * v / HEIGHT)
+    seen = frame(light() + falling, np.random.default_rng(1), noise=1.0, background=4.0)
+    background = fit_background(coarse_picture(seen.pixels)).at((0.0, 0.0), (HEIGHT, WIDTH))
+    assert np.abs(background - falling - 4.0).max() < 0.25
+    assert background[HEIGHT // 2, WIDTH // 2] - background[0, 0] > 10
+
+
+@pytest.mark.parametrize("lux", [0.0, 200.0, 1000.0])
+def test_ambient_light_alone_is_no_spot(lux: float) -> None:
+    for seed in (1, 3, 9, 12):
+        unit = Unit(UnitConfig(seed=seed, lux=lux))
+        unit.inject(Fault.NO_LASER)
+        for camera in CAMERAS:
+            outcome = locate(unit.expose(camera, 0, 0))
+            assert isinstance(outcome, NoSpot)
+            assert outcome.reason is Reason.SPOT_MISSING, (seed, camera, outcome)
