@@ -45,7 +45,7 @@ class Output:
         self._descriptor = descriptor
         self.data = b""
 
-    def until(self, enough: Callable[[bytes], object], timeout_s: float = 15.0) -> bytes:
+    def until(self, enough: Callable[[bytes], object], timeout_s: float = 60.0) -> bytes:
         deadline = time.monotonic() + timeout_s
         while not enough(self.data):
             left = deadline - time.monotonic()
