@@ -34,10 +34,11 @@ _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
 
-_SLOPE_SHARE_PER_PX = 1.5e-4
-"""By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it:
-fall-off and stray light are no parabola."""
-_LEAST_SLOPE_COUNTS_PER_PX = 1e-4
+_SLOPE_SHARE_PER_PX = 2e-5
+"""By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it.
+More freedom would cost: on speckle a slope looks much like a shift of the centre (1.5e-4: a tenth more
+scatter)."""
+_LEAST_SLOPE_COUNTS_PER_PX = 2e-5
 
 _PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER, _RESIDUAL = range(11)
 _State = Sequence[float]
