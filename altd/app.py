@@ -11,7 +11,7 @@ import cv2
 from altd import __version__
 from altd.calibration.file import check_image_size, load_calibration
 from altd.calibration.model import Calibration
-from altd.config import Config, SerialPort
+from altd.config import AravisCamera, Config, LiveCamera, RecordingCamera, SerialPort, V4l2Camera
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError, bare
 from altd.ports import Camera, Clock, Lamps, Stage
@@ -57,7 +57,7 @@ class Daemon:
             calibration,
             config.measuring,
             config.installation,
-            (camera.origin for camera in self._cameras.values()),
+            lambda: (camera.origin for camera in self._cameras.values()),
             self.clock.utc,
         )
 
@@ -134,14 +134,22 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
         raise BadInputError(place, "cameras: no [cameras.…] table")
     recordings: dict[Path, tuple[Recording, Playback]] = {}
     cameras: dict[str, Camera] = {}
-    for target in config.targets:
-        settings = config.cameras[target.camera]
-        if settings.path not in recordings:
-            recording = open_recording(settings.path)
-            playback = Playback(recording, settings.pace == "realtime", settings.repeat)
-            recordings[settings.path] = recording, playback
-        cameras[target.camera] = PlaybackCamera(target.camera, recordings[settings.path][1])
+    for name in (target.camera for target in config.targets):
+        settings = config.cameras[name]
+        if isinstance(settings, RecordingCamera):
+            if settings.path not in recordings:
+                recording = open_recording(settings.path)
+                playback = Playback(recording, settings.pace == "realtime", settings.repeat)
+                recordings[settings.path] = recording, playback
+            cameras[name] = PlaybackCamera(name, recordings[settings.path][1])
+        else:
+            cameras[name] = _live_camera(name, settings)
     return cameras
+
+
+def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
+    """The driver behind a camera's table. Imported only when wanted."""
+    raise NotImplementedError(f"{name}: {settings.driver}")
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
@@ -156,9 +164,11 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
             raise BadInputError(
                 path, f"target {target.name!r} was calibrated at z {known.z_mm:g} mm, not {target.z_mm:g}"
             )
-        camera = cameras.get(target.camera)
+        camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
         if isinstance(camera, PlaybackCamera):
             check_image_size(calibration, path, target.name, camera.width, camera.height)
+        elif isinstance(settings, LiveCamera):
+            check_image_size(calibration, path, target.name, settings.width, settings.height)
     return calibration
 
 

@@ -44,13 +44,135 @@ class RecordingCamera(Table):
     """A camera that plays a recording; every output then says ``playback``."""
 
     driver: Literal["recording"]
-    """The only driver of this release."""
     path: Path
     """The recording's folder, relative to the config file."""
     pace: Literal["realtime", "fast"] = "realtime"
     """``realtime`` keeps the recording's times, ``fast`` delivers as soon as a frame was taken."""
     repeat: bool = False
     """Start again at the end."""
+
+
+class ExposureControl(Table):
+    """Exposure and gain of one camera."""
+
+    control: Literal["auto", "fixed", "camera"] = "auto"
+    """``auto`` keeps the spot's peak in a band between starvation and saturation; ``fixed`` sets
+    ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
+    to set is left alone, and its health says so."""
+    exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
+    """Where ``auto`` begins, or what is ``fixed``."""
+    gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
+    """The same for the gain."""
+    shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
+    """``auto`` goes no lower, nor lower than the camera can."""
+    longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
+    """``auto`` goes no higher. A long exposure smears vibration; it must fit between two frames."""
+    largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
+    """``auto`` adds gain only once ``longest_ms`` does not suffice, and no more than this."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.shortest_ms <= self.exposure_ms <= self.longest_ms and self.control == "auto":
+            raise ValueError("exposure_ms: not between shortest_ms and longest_ms")
+        if self.gain_db > self.largest_gain_db and self.control == "auto":
+            raise ValueError("gain_db: larger than largest_gain_db")
+        return self
+
+
+class LiveCamera(Table):
+    """What every camera that is no recording has."""
+
+    width: Annotated[int, Field(ge=64, le=16384)] = 752
+    """Columns of a frame; the calibration must have been made with the same."""
+    height: Annotated[int, Field(ge=64, le=16384)] = 480
+    """Rows of a frame."""
+    fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
+    """Frames a second."""
+    exposure: ExposureControl = ExposureControl()
+    """A table of its own, see below."""
+
+
+class V4l2Camera(LiveCamera):
+    """A USB or MIPI camera through the kernel's Video4Linux."""
+
+    driver: Literal["v4l2"]
+    device: Path
+    """The camera's device, best by its stable name, such as /dev/v4l/by-path/…: `altd devices` shows it."""
+    pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
+    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    controls: dict[str, int] = {}
+    """Controls of this camera to set when it is opened, by the names that `altd devices` shows: a trigger
+    input, for instance, which every maker calls something else."""
+
+
+class AravisCamera(LiveCamera):
+    """A GigE Vision (or USB3 Vision) camera through Aravis."""
+
+    driver: Literal["aravis"]
+    device: Annotated[str, Field(min_length=1, max_length=128)]
+    """The camera's serial number, IP address or id, as `altd devices` shows it."""
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
+    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
+    """First column of the sensor that is read. The calibration holds for one offset only."""
+    offset_y_px: Annotated[int, Field(ge=0, le=16384)] = 0
+    trigger: Literal["free", "software", "line"] = "free"
+    """``free``: the camera's own rate; ``software``: altd triggers all such cameras at the same instants;
+    ``line``: an electrical signal at ``trigger_line``."""
+    trigger_line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's own name of its trigger input."""
+    packet_bytes: Annotated[int, Field(ge=0, le=16384)] = 0
+    """Size of a network packet; 0 finds the largest that gets through."""
+    resend: bool = True
+    """Ask the camera again for packets that were lost."""
+    features: dict[str, bool | int | float | str] = {}
+    """GenICam features of this camera to set when it is opened, in this order."""
+
+
+CameraTable = Annotated[RecordingCamera | V4l2Camera | AravisCamera, Field(discriminator="driver")]
+
+
+class GpiodLamps(Table):
+    """The frame LEDs on lines of a GPIO chip."""
+
+    driver: Literal["gpiod"]
+    chip: Annotated[str, Field(min_length=1, max_length=64)]
+    """The chip's label (or its name or path), as `altd devices` shows it."""
+    lines: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=1)]
+    """The lines by name; all are switched together."""
+    active_low: bool = False
+    """The LEDs are lit when the line is low."""
+
+
+class CameraLamps(Table):
+    """The frame LEDs on an output line of the cameras (GenICam LineSelector, UserOutputValue)."""
+
+    driver: Literal["camera"]
+    cameras: Annotated[tuple[Name, ...], Field(min_length=1)]
+    """The cameras, names under ``[cameras]``, whose output switches LEDs; all are switched together."""
+    line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's own name of the output line."""
+
+
+LampsTable = Annotated[GpiodLamps | CameraLamps, Field(discriminator="driver")]
+
+
+class IndicatorLamps(Table):
+    """The four lamps on the housing, on lines of a GPIO chip. A lamp without a line is left out."""
+
+    driver: Literal["gpiod"]
+    chip: Annotated[str, Field(min_length=1, max_length=64)]
+    """The chip's label (or its name or path), as `altd devices` shows it."""
+    data: str | None = None
+    """The line, by name, of the lamp that flashes when a controller is given data."""
+    error: str | None = None
+    """Lit while nothing valid is measured; blinks while a part has failed although it is."""
+    power: str | None = None
+    """Lit while the daemon runs."""
+    ok: str | None = None
+    """Lit while the measurement is valid; blinks while it is valid with a warning."""
+    active_low: bool = False
+    """The lamps are lit when the line is low."""
 
 
 class Measuring(Table):
@@ -61,9 +183,12 @@ class Measuring(Table):
     every: Annotated[int, Field(ge=1, le=1000)] = 1
     """A measurement after this many exposures: 1 is the sliding mean."""
     pair_by: Literal["sequence", "time"] = "sequence"
-    """What makes one exposure of two frames: triggered cameras count together, free ones do not."""
+    """What makes one exposure of two frames: their number, in recordings, or their time, with all others."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    """Largest difference in time between the frames of one exposure."""
+    """Largest difference in time between the frames of one exposure. By time, a steady lag of one camera
+    behind another is measured and taken off first."""
+    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 25.0
+    """Largest steady lag: free-running cameras expose up to half a period apart."""
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
@@ -112,6 +237,20 @@ class Http(Table):
     """TCP port."""
 
 
+class Rs485(Table):
+    """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
+
+    For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
+    """
+
+    rts_while_sending: Literal["high", "low"] = "high"
+    """The level of RTS while the unit sends."""
+    delay_before_ms: Annotated[int, Field(ge=0, le=100)] = 0
+    """Time from switching to sending until the first bit."""
+    delay_after_ms: Annotated[int, Field(ge=0, le=100)] = 0
+    """Time from the last bit until switching back."""
+
+
 class SerialPort(Table):
     """One serial port and what it speaks."""
 
@@ -123,6 +262,8 @@ class SerialPort(Table):
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
+    rs485: Rs485 | None = None
+    """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus RTU only."""
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
@@ -190,12 +331,14 @@ class Config(Table):
 
     unit: Unit
     targets: Annotated[tuple[Target, ...], Field(min_length=2)]
-    cameras: dict[Name, RecordingCamera] = {}
+    cameras: dict[Name, CameraTable] = {}
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
     modbus_tcp: ModbusTcp | None = None
     http: Http | None = None
     serial: tuple[SerialPort, ...] = ()
+    lamps: LampsTable | None = None
+    indicators: IndicatorLamps | None = None
     stage: GrblStage | None = None
     scan: Scan = Scan()
 
@@ -211,12 +354,31 @@ class Config(Table):
         missing = [target.camera for target in self.targets if target.camera not in self.cameras]
         if self.cameras and missing:
             raise ValueError(f"targets: no [cameras.{missing[0]}] for camera {missing[0]!r}")
+        live = any(isinstance(camera, LiveCamera) for camera in self.cameras.values())
+        if live and self.measuring.pair_by == "sequence":
+            raise ValueError('measuring.pair_by: must be "time", for cameras count each from its own start')
         devices = [port.device for port in self.serial]
         if len(set(devices)) < len(devices):
             raise ValueError("serial: two ports have the same device")
         if self.stage is not None and self.stage.device in devices:
             raise ValueError("stage: a [[serial]] port has the same device")
+        self._lamps_fit()
         return self
+
+    def _lamps_fit(self) -> None:
+        if isinstance(self.lamps, CameraLamps):
+            for name in self.lamps.cameras:
+                if not isinstance(self.cameras.get(name), AravisCamera):
+                    raise ValueError(f'lamps: camera {name!r} is no camera with driver "aravis"')
+        named: list[tuple[str, str]] = []
+        if isinstance(self.lamps, GpiodLamps):
+            named += [(self.lamps.chip, line) for line in self.lamps.lines]
+        if self.indicators is not None:
+            lamps = self.indicators
+            lines = [lamps.data, lamps.error, lamps.power, lamps.ok]
+            named += [(lamps.chip, line) for line in lines if line is not None]
+        if len(set(named)) < len(named):
+            raise ValueError("lamps, indicators: two lamps are on the same line")
 
 
 def load_config(path: Path) -> Config:
@@ -231,11 +393,13 @@ def load_config(path: Path) -> Config:
     except UnicodeDecodeError as error:
         raise BadInputError(path, "is not UTF-8 text") from error
     try:
-        return Config.model_validate(_anchored(tomllib.loads(text), path.parent))
+        document = _anchored(tomllib.loads(text), path.parent)
     except tomllib.TOMLDecodeError as error:
         raise BadInputError(path, f"not TOML: {error}") from error
+    try:
+        return Config.model_validate(document)
     except ValidationError as error:
-        raise BadInputError(path, _first_fault(error)) from error
+        raise BadInputError(path, _first_fault(error, document)) from error
 
 
 def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -250,12 +414,31 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     return document
 
 
-def _first_fault(error: ValidationError) -> str:
-    faults = error.errors(include_url=False, include_context=False)
+def _first_fault(error: ValidationError, document: dict[str, Any]) -> str:
+    faults = error.errors(include_url=False)
     first = faults[0]
-    place = ".".join(str(part) for part in first["loc"])
+    keys = _keys(first["loc"], document)
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "extra_forbidden":
         message = "unknown key"
+    elif first["type"] == "union_tag_invalid":
+        keys.append("driver")
+        message = f"{first['ctx']['tag']!r} is none of {first['ctx']['expected_tags']}"
+    elif first["type"] == "union_tag_not_found":
+        keys.append("driver")
+        message = "Field required"
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return f"{place}: {message}{more}" if place else f"{message}{more}"
+    return f"{'.'.join(keys)}: {message}{more}" if keys else f"{message}{more}"
+
+
+def _keys(location: tuple[int | str, ...], document: Any) -> list[str]:
+    """Where in the file; pydantic puts the driver's name, which is no key, between a table and its key."""
+    keys: list[str] = []
+    for part in location[:-1]:
+        table = document if isinstance(document, dict) else {}
+        if part in table or isinstance(document, list):
+            document = document[part]
+        elif part == table.get("driver"):
+            continue
+        keys.append(str(part))
+    return [*keys, *map(str, location[-1:])]

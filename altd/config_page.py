@@ -9,24 +9,38 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from altd.config import (
+    AravisCamera,
+    CameraLamps,
     Config,
+    ExposureControl,
+    GpiodLamps,
     GrblStage,
     Http,
+    IndicatorLamps,
     Installation,
     Measuring,
     ModbusTcp,
     RecordingCamera,
+    Rs485,
     Scan,
     SerialPort,
     Table,
     Target,
     Unit,
+    V4l2Camera,
 )
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
     ("[[targets]]", Target, "Required, at least two, in beam order."),
-    ("[cameras.NAME]", RecordingCamera, "Required, one for each target's `camera`."),
+    ('[cameras.NAME], driver = "v4l2"', V4l2Camera, "One table for each target's `camera`."),
+    ('[cameras.NAME], driver = "aravis"', AravisCamera, "Needs the Debian packages that `cameras.md` names."),
+    ('[cameras.NAME], driver = "recording"', RecordingCamera, "Made by `altd record`."),
+    (
+        "[cameras.NAME.exposure]",
+        ExposureControl,
+        "For the drivers `v4l2` and `aravis`. All keys have defaults.",
+    ),
     ("[measuring]", Measuring, "All keys have defaults."),
     ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
     ("[modbus_tcp]", ModbusTcp, "Leave the table out and the face is off. Registers: `modbus.md`."),
@@ -36,6 +50,10 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         SerialPort,
         "One table a port. What it can speak: `telegram.md`, `console.md`, `modbus.md`.",
     ),
+    ("[serial.rs485]", Rs485, "Stands below the `[[serial]]` that it belongs to. All keys have defaults."),
+    ('[lamps], driver = "gpiod"', GpiodLamps, "Leave the table out and there are no frame LEDs."),
+    ('[lamps], driver = "camera"', CameraLamps, "Instead of the table above."),
+    ("[indicators]", IndicatorLamps, "Leave the table out and there are none."),
     ("[stage]", GrblStage, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, "All keys have defaults."),
 )
@@ -79,6 +97,10 @@ def _models(annotation: Any) -> Iterator[type[Table]]:
 def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
+    if isinstance(field.default, Table):
+        return "its defaults"
+    if field.default is None:
+        return "none"
     return f"`{str(field.default).lower()}`" if isinstance(field.default, bool) else f"`{field.default}`"
 
 
@@ -89,6 +111,10 @@ def _value(field: FieldInfo) -> str:
         return " or ".join(f"`{value}`" for value in get_args(annotation))
     if get_origin(annotation) in (Union, UnionType):
         annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (tuple, dict):
+        return "list" if get_origin(annotation) is tuple else "table"
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return "table"
     words = {bool: "true or false", int: "whole number", float: "number", str: "text"}
     word = words.get(annotation, "path") if isinstance(annotation, type) else "text"
     limits = {type(limit).__name__: limit for limit in field.metadata}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from typing import Protocol
 
 from altd.records import Frame, Origin
@@ -12,12 +14,38 @@ class CameraError(Exception):
     """A camera that cannot deliver; the service closes it, says so and opens it again."""
 
 
+class CameraNotFoundError(CameraError):
+    """There is no such camera now."""
+
+
+class CameraBusyError(CameraError):
+    """Another program holds the camera."""
+
+
+class CameraLostError(CameraError):
+    """The camera was there and went away, or broke off its stream."""
+
+
+class CameraRefusedError(CameraError):
+    """The camera does not do what it is asked for: a format, a size, a rate, a setting."""
+
+
 class CameraTimeoutError(CameraError):
     """No frame came in time; the camera stays open."""
 
 
 class CameraEndedError(CameraError):
     """The source is at its end and will not deliver again (a recording that was played)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureRange:
+    """What a camera lets itself be set to. Without a gain to set, both gains are the same."""
+
+    shortest_ms: float
+    longest_ms: float
+    smallest_gain_db: float
+    largest_gain_db: float
 
 
 class Camera(Protocol):
@@ -29,17 +57,27 @@ class Camera(Protocol):
 
     @property
     def origin(self) -> Origin:
-        """Where the frames come from; what is not a camera is marked in every output."""
+        """Where the frames come from; what is not a camera is marked in every output.
+
+        A camera may find out only when it is opened.
+        """
 
     @property
     def waits(self) -> bool:
         """Whether the source waits until a frame was taken; otherwise an untaken frame is dropped."""
 
+    @property
+    def exposure_range(self) -> ExposureRange | None:
+        """What exposure and gain can be set to, known once open; None: the camera has neither to set."""
+
     def open(self) -> None:
-        """Get ready to deliver; raises CameraError."""
+        """Get hold of the camera and let it run as it was set up to; raises CameraError."""
 
     def next_frame(self, timeout_s: float) -> Frame:
         """The next frame, waiting at most ``timeout_s``; raises CameraError or one of its kinds."""
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Expose so from one of the next frames on, as nearly as the camera can; raises CameraError."""
 
     def close(self) -> None:
         """Let go of the camera; harmless when it is not open."""
@@ -99,14 +137,42 @@ class Stage(Protocol):
 
 
 class LampsError(Exception):
-    """Lamps that cannot be switched."""
+    """Lamps that cannot be had or switched; the sentence says why."""
 
 
 class Lamps(Protocol):
     """The frame LEDs. The calls block."""
 
+    def open(self) -> None:
+        """Get hold of them, dark; raises LampsError."""
+
     def switch(self, on: bool) -> None:
         """Light or darken all of them; raises LampsError."""
+
+    def close(self) -> None:
+        """Darken them and let go; harmless when they are not open."""
+
+
+class Indicator(StrEnum):
+    """The lamps on the housing (App. A.1.4)."""
+
+    DATA = "data"
+    ERROR = "error"
+    POWER = "power"
+    OK = "ok"
+
+
+class Indicators(Protocol):
+    """The lamps on the housing. The calls block, each for microseconds."""
+
+    def open(self) -> None:
+        """Get hold of them, dark; raises LampsError."""
+
+    def show(self, lit: frozenset[Indicator]) -> None:
+        """Light these and darken the others; raises LampsError."""
+
+    def close(self) -> None:
+        """Darken them and let go; harmless when they are not open."""
 
 
 class Clock(Protocol):

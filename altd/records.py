@@ -46,6 +46,7 @@ class Reason(StrEnum):
     WRONG_SIZE = "wrong_size"
     WRONG_SHAPE = "wrong_shape"
     CAMERA_SILENT = "camera_silent"
+    EXPOSURE_CHANGING = "exposure_changing"
     IMPLAUSIBLE = "implausible"
 
     OUT_OF_STEP = "out_of_step"
@@ -73,6 +74,7 @@ _OF_ONE_TARGET = frozenset(
         Reason.WRONG_SIZE,
         Reason.WRONG_SHAPE,
         Reason.CAMERA_SILENT,
+        Reason.EXPOSURE_CHANGING,
         Reason.IMPLAUSIBLE,
     }
 )
@@ -97,7 +99,9 @@ class Frame:
     """One exposure of one camera.
 
     ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
-    ``t_ns`` is the middle of the exposure on the monotonic clock.
+    ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
+    those too that were lost. ``exposure_ms`` and ``gain_db`` are None where the camera does not tell them.
+    ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
     """
 
     camera: str
@@ -106,6 +110,9 @@ class Frame:
     pixels: PixelArray
     bits: int = 8
     leds_on: bool = False
+    exposure_ms: float | None = None
+    gain_db: float | None = None
+    changing: bool = False
 
     @property
     def full_scale(self) -> int:

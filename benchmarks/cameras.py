@@ -55,6 +55,7 @@ class MemoryCamera:
 
     waits = False
     origin = Origin.SIMULATED
+    exposure_range = None
 
     def __init__(self, source: Source, index: int) -> None:
         self.name = CAMERAS[index]
@@ -81,6 +82,9 @@ class MemoryCamera:
         source.note(self._next)
         self._next += 1
         return frame
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Never asked for: there is no range."""
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -132,7 +132,7 @@ def _chain(material: Material) -> MeasuringChain:
     config = make_config()
     views = [View(target.name, target.camera) for target in config.targets]
     return MeasuringChain(
-        views, material.calibration, config.measuring, config.installation, [Origin.SIMULATED]
+        views, material.calibration, config.measuring, config.installation, lambda: [Origin.SIMULATED]
     )
 
 

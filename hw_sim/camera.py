@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 import time
 
-from altd.ports import CameraError, CameraTimeoutError
+from altd.ports import CameraError, CameraTimeoutError, ExposureRange
 from altd.records import Frame, Origin
 from hw_sim.unit import CAMERAS, Unit
+
+EXPOSURE_RANGE = ExposureRange(0.02, 40.0, 0.0, 24.0)
 
 
 class Schedule:
@@ -75,6 +77,11 @@ class SimulatedCamera:
         """Whether exposures wait to be taken; in real time they do not."""
         return self._waits
 
+    @property
+    def exposure_range(self) -> ExposureRange:
+        """What an ordinary chip can do."""
+        return EXPOSURE_RANGE
+
     def open(self) -> None:
         """Get ready; the schedule goes on where it is."""
         self._schedule.begin()
@@ -97,6 +104,10 @@ class SimulatedCamera:
             if not self._unit.drops(self._name, sequence):
                 return self._unit.expose(self._name, sequence, self._schedule.time_ns(sequence) + lag_ns)
         raise CameraError(f"{self._name}: the camera is not open")
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Expose so from the next exposure on."""
+        self._unit.set_camera(self._name, exposure_ms=exposure_ms, gain=10.0 ** (gain_db / 20.0))
 
     def close(self) -> None:
         """Let go; a call that waits for a frame ends."""

@@ -29,9 +29,17 @@ class SimulatedLamps:
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
 
+    def open(self) -> None:
+        """Dark."""
+        self._unit.leds_on = False
+
     def switch(self, on: bool) -> None:
         """Light or darken them, from the next exposure on."""
         self._unit.leds_on = on
+
+    def close(self) -> None:
+        """Dark again."""
+        self._unit.leds_on = False
 
 
 def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:

@@ -42,12 +42,29 @@ def test_the_shipped_config_is_good() -> None:
         ('serial = "TEST-1"', 'serial = "TEST-1"\ncolour = 3', "unit.colour: unknown key"),
         ("z_mm = 280.0", 'z_mm = "far"', "targets.1.z_mm: Input should be a valid number"),
         ("z_mm = 280.0", "", "targets.1.z_mm: Field required"),
-        ('driver = "recording"', 'driver = "magic"', "cameras.front.driver: Input should be 'recording'"),
+        ('driver = "recording"', 'driver = "magic"', "cameras.front.driver: 'magic' is none of"),
         ('camera = "rear"', 'camera = "third"', "targets: no [cameras.third] for camera 'third'"),
         ('name = "rear"', 'name = "front"', "targets: two targets have the same name"),
         ("[unit]", "[unit", "not TOML"),
         ("[cameras.rear]", "[http]\nport = 70000\n[cameras.rear]", "http.port: Input should be less than or"),
         ("[unit]", "", "unit: Field required"),
+        ('driver = "recording"', "", "cameras.front.driver: Field required"),
+        ('driver = "recording"', 'driver = "v4l2"', "cameras.front.device: Field required"),
+        (
+            "[cameras.rear]",
+            '[lamps]\ndriver = "gpiod"\nchip = "a"\nlines = []\n[cameras.rear]',
+            "lamps.lines: Tuple should have at least 1 item",
+        ),
+        (
+            "[cameras.rear]",
+            '[lamps]\ndriver = "camera"\ncameras = ["rear"]\n[cameras.rear]',
+            "lamps: camera 'rear' is no camera with driver",
+        ),
+        (
+            "[cameras.rear]",
+            '[indicators]\ndriver = "gpiod"\nchip = "a"\nok = "x"\nerror = "x"\n[cameras.rear]',
+            "lamps, indicators: two lamps are on the same line",
+        ),
     ],
 )
 def test_a_mistake_is_named_with_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -92,3 +109,39 @@ def test_a_missing_file_and_a_binary_one_are_named(tmp_path: Path) -> None:
     assert "No such file or directory" in complaint(tmp_path / "none.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     assert "is not UTF-8 text" in complaint(tmp_path / "binary.toml")
+
+
+LIVE = """
+[cameras.front]
+driver = "aravis"
+device = "192.0.2.1"
+trigger = "software"
+
+[cameras.front.exposure]
+control = "fixed"
+exposure_ms = 1.5
+
+[cameras.rear]
+driver = "v4l2"
+device = "/dev/video0"
+pixel_format = "Y12"
+"""
+
+
+def live(more: str) -> str:
+    head, _, tail = GOOD.partition("[cameras.front]")
+    return head + LIVE + tail[tail.index("[measuring]") :] + more
+
+
+def test_cameras_of_several_drivers_stand_side_by_side(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, live('pair_by = "time"\n')))
+    assert [camera.driver for camera in config.cameras.values()] == ["aravis", "v4l2"]
+
+
+def test_live_cameras_are_paired_by_time_only(tmp_path: Path) -> None:
+    assert 'measuring.pair_by: must be "time"' in complaint(write(tmp_path, live("")))
+
+
+def test_automatic_exposure_begins_within_its_limits(tmp_path: Path) -> None:
+    text = live('pair_by = "time"\n').replace('control = "fixed"\nexposure_ms = 1.5', "exposure_ms = 100")
+    assert "exposure: exposure_ms: not between" in complaint(write(tmp_path, text))

@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from altd.errors import BadInputError
-from altd.ports import CameraEndedError, CameraError, CameraTimeoutError
+from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError
 from altd.recording import Recording, Row
 from altd.records import Frame, Origin
 
@@ -68,6 +68,7 @@ class PlaybackCamera:
         self.name = name
         self.origin = Origin.PLAYBACK
         self.waits = not playback.realtime
+        self.exposure_range = None
         self.width = playback.recording.header.cameras[name].width
         self.height = playback.recording.header.cameras[name].height
         self._playback = playback
@@ -101,6 +102,12 @@ class PlaybackCamera:
         except BadInputError as error:
             raise CameraError(str(error)) from error
         return replace(frame, t_ns=t_ns, sequence=row.sequence + turn * playback.length_sequences)
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Always refused: the frames were exposed when they were recorded."""
+        raise CameraRefusedError(
+            f"a recording cannot be exposed anew, with {exposure_ms:g} ms, {gain_db:g} dB"
+        )
 
     def close(self) -> None:
         """Nothing to let go of."""

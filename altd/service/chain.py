@@ -27,6 +27,8 @@ from altd.records import (
 )
 from altd.vision.localise import locate
 
+_CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -39,7 +41,7 @@ class View:
 class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
-    ``origins`` are where the frames come from: what is not a camera is said in every measurement.
+    ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
     """
 
     def __init__(
@@ -48,7 +50,7 @@ class MeasuringChain:
         calibration: Calibration,
         measuring: Measuring,
         installation: Installation,
-        origins: Iterable[Origin] = (),
+        origins: Callable[[], Iterable[Origin]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
     ) -> None:
         self._views = {view.camera: view for view in views}
@@ -63,7 +65,7 @@ class MeasuringChain:
             max_skew_ns=round(measuring.max_skew_ms * 1e6),
         )
         self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
-        self._origin_faults = tuple(Fault(Reason(o)) for o in sorted(set(origins) - {Origin.CAMERA}))
+        self._origins = origins
         self._utc = utc
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
@@ -84,7 +86,7 @@ class MeasuringChain:
             return []
         view = self._views[frame.camera]
         target = self._calibration[view.target]
-        spot = locate(frame, target.localiser, target.flat)
+        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat)
         self._last_spots[view.target] = spot
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, spot)
         return self._measure(pairs)
@@ -168,7 +170,7 @@ class MeasuringChain:
             frames=mean.frames,
             beam=installed(beam, self._installation),
             points_mm={t: (p.x_mm, p.y_mm) for t, p in zip(mean.targets, points, strict=True)},
-            status=lost + self._origin_faults,
+            status=lost + self._origin_faults(),
         )
 
     def _invalid(self, sequence: int, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
@@ -180,8 +182,11 @@ class MeasuringChain:
             frames=0,
             beam=None,
             points_mm=dict.fromkeys(self._targets),
-            status=faults + self._origin_faults,
+            status=faults + self._origin_faults(),
         )
+
+    def _origin_faults(self) -> tuple[Fault, ...]:
+        return tuple(Fault(Reason(o)) for o in sorted(set(self._origins()) - {Origin.CAMERA}))
 
 
 def _in_words(spot: Spot | NoSpot) -> str:

@@ -29,6 +29,8 @@ class Component:
     message: str = ""
     since_ns: int = 0
     counters: dict[str, int] = field(default_factory=dict)
+    figures: dict[str, float | str] = field(default_factory=dict)
+    """What it measures of itself, by names that end in the unit; replaced, not added up."""
 
     def say(self, state: State, message: str = "") -> None:
         """Set the state; ``since_ns`` moves only when the state changes."""
@@ -70,6 +72,7 @@ class Health:
                     "state": str(component.state),
                     "message": component.message,
                     "for_s": round((now_ns - component.since_ns) * 1e-9, 1),
+                    **component.figures,
                     **component.counters,
                 }
                 for component in self

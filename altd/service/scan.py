@@ -86,7 +86,7 @@ class Scanner:
         for a stage that is not there, and a camera driver's own failure.
         """
         try:
-            async with self._exposures, self._ready_stage():
+            async with self._exposures, self._ready_stage(), self._ready_lamps():
                 await self._scan()
                 return self._finished()
         except StageNotFoundError as error:
@@ -127,6 +127,19 @@ class Scanner:
             yield
         finally:
             await asyncio.shield(asyncio.to_thread(self._stage.close))
+
+    @asynccontextmanager
+    async def _ready_lamps(self) -> AsyncIterator[None]:
+        """The lamps are ours, and dark; at the end they are let go, dark."""
+        if self._lamps is None:
+            yield
+            return
+        try:
+            self._tell("opening the lamps")
+            await self._in_thread(self._lamps.open)
+            yield
+        finally:
+            await asyncio.shield(asyncio.to_thread(self._lamps.close))
 
     async def _expose(self, node: Node) -> None:
         """Go to a node and keep its exposures, or refuse it after as many tries as there may be."""

@@ -27,7 +27,11 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
 
 def chain(calibration: Calibration, origin: Origin = Origin.CAMERA, **installation: float) -> MeasuringChain:
     return MeasuringChain(
-        VIEWS, calibration, Measuring(window=4), Installation.model_validate(installation), [origin, origin]
+        VIEWS,
+        calibration,
+        Measuring(window=4),
+        Installation.model_validate(installation),
+        lambda: [origin, origin],
     )
 
 

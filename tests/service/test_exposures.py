@@ -23,6 +23,7 @@ class Camera:
 
     origin = Origin.CAMERA
     waits = True
+    exposure_range = None
 
     start_ns = 0
 
@@ -43,6 +44,8 @@ class Camera:
         t_ns = self.start_ns + self.number * PERIOD_NS
         time.sleep(max(t_ns + PERIOD_NS // 2 - time.monotonic_ns(), 0) * 1e-9)  # it is read out at its end
         return Frame(self.name, self.number, t_ns, PIXELS)
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None: ...
 
     def close(self) -> None: ...
 

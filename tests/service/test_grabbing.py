@@ -26,6 +26,7 @@ class ScriptedCamera:
     name = "front"
     origin = Origin.CAMERA
     waits = False
+    exposure_range = None
 
     def __init__(self, *script: Exception | str) -> None:
         self.script = list(script)
@@ -45,6 +46,9 @@ class ScriptedCamera:
         time.sleep(0.002)
         self.number += 1
         return Frame("front", self.number, time.monotonic_ns(), PIXELS)
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        self.calls.append(f"expose {exposure_ms:g} ms {gain_db:g} dB")
 
     def close(self) -> None:
         self.calls.append("close")

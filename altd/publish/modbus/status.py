@@ -42,6 +42,7 @@ _NO_SPOT = frozenset(
         Reason.CUT_BY_EDGE,
         Reason.WRONG_SIZE,
         Reason.WRONG_SHAPE,
+        Reason.EXPOSURE_CHANGING,
     }
 )
 
@@ -78,6 +79,7 @@ REASON_CODES = (
     ReasonCode(6, Reason.WRONG_SHAPE, "spot not round enough to be the laser"),
     ReasonCode(7, Reason.CAMERA_SILENT, "no frames come from the camera"),
     ReasonCode(8, Reason.IMPLAUSIBLE, "two maps of the target contradict each other"),
+    ReasonCode(9, Reason.EXPOSURE_CHANGING, "the camera's exposure is being set anew"),
     ReasonCode(20, Reason.OUT_OF_STEP, "the cameras' exposures do not fit together"),
     ReasonCode(21, Reason.OUT_OF_RANGE, "spot outside the calibrated area"),
     ReasonCode(22, Reason.UNSTEADY, "the spots move too much to be averaged"),

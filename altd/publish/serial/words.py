@@ -20,6 +20,7 @@ ADVICE: dict[Reason, tuple[str, str]] = {
     Reason.WRONG_SIZE: ("the spot has a wrong size", "clean the window and check the focus of the laser"),
     Reason.WRONG_SHAPE: ("the spot has a wrong shape", "clean the window and look for reflections"),
     Reason.CAMERA_SILENT: ("the camera delivers nothing", "check the camera's cable and supply"),
+    Reason.EXPOSURE_CHANGING: ("the exposure is being set anew", "wait a second"),
     Reason.IMPLAUSIBLE: ("two maps of the target contradict each other", "load or make the calibration anew"),
     Reason.OUT_OF_STEP: ("the cameras are out of step", "check the trigger of the cameras"),
     Reason.OUT_OF_RANGE: ("outside the calibrated area", "bring the beam nearer to the middle"),
@@ -136,7 +137,8 @@ def _component_line(component: Component, column: int) -> str:
     seconds = (component.clock.monotonic_ns() - component.since_ns) * 1e-9
     state = component.state.upper() if component.state is State.FAILED else str(component.state)
     head = f"{component.name:<{column - 1}} {state:<10}{duration(seconds):<11}"
-    counters = ", ".join(f"{name} {count}" for name, count in component.counters.items())
+    numbers = {**component.figures, **component.counters}
+    counters = ", ".join(f"{name} {number}" for name, number in numbers.items())
     remarks = "; ".join(filter(None, [component.message, counters]))
     return "\n".join([head.rstrip(), *([_hanging("", remarks, 4)] if remarks else [])])
 
