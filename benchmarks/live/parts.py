@@ -1,0 +1,127 @@
+"""The processes of a unit on a real wire: the simulated cameras, and the daemon beside them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+_STARTS_WITHIN_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A process of the unit, its output in a file."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def said(self) -> str:
+        """All that it wrote so far."""
+        return self.log.read_text()
+
+    def await_word(self, word: str, within_s: float = _STARTS_WITHIN_S) -> None:
+        """Wait until it has written ``word``; raises RuntimeError with what it wrote instead."""
+        deadline_s = time.monotonic() + within_s
+        while word not in self.said:
+            if self.process.poll() is not None or time.monotonic() > deadline_s:
+                raise RuntimeError(f"{self.process.args!r} did not say {word!r} but {self.said!r}")
+            time.sleep(0.01)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self.process.send_signal(number)
+
+    def cpu_s(self) -> float:
+        """Processor seconds of all its threads so far (proc(5), /proc/PID/stat)."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(") ")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def end(self) -> None:
+        """Ask it to end; kill it when it does not."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+            try:
+                self.process.wait(10)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+@contextlib.contextmanager
+def running(command: Sequence[str | Path], log: Path) -> Iterator[Running]:
+    """A process for the length of a ``with``."""
+    with log.open("ab") as output:
+        process = subprocess.Popen(  # noqa: S603  our own programs
+            [str(part) for part in command],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            cwd=ROOT,
+        )
+    part = Running(process, log)
+    try:
+        yield part
+    finally:
+        part.end()
+
+
+def cameras_command(seed: int, *more: str) -> list[str]:
+    """Serve the unit of ``seed`` as GigE Vision cameras."""
+    return [sys.executable, "-m", "hw_sim", "gige", "--seed", str(seed), *more]
+
+
+def daemon_command(config: Path) -> list[str]:
+    """The daemon as it runs on a unit."""
+    return [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+
+
+def calibrate(seed: int, folder: Path) -> Path:
+    """The calibration of the unit of ``seed`` by its own scan and flat, as ``make demo`` does it."""
+    scan, flat, calibration = folder / "scan", folder / "flat", folder / "calibration.json"
+    for arguments in (
+        ("hw_sim", "scan", "--seed", str(seed), "-o", scan),
+        ("hw_sim", "flat", "--seed", str(seed), "-o", flat),
+        ("altd.cli", "calibrate", scan, "--flat", flat, "-o", calibration),
+    ):
+        subprocess.run(  # noqa: S603  our own programs
+            [sys.executable, "-m", *map(str, arguments)], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
+        )
+    return calibration
+
+
+def free_port() -> int:
+    """A TCP port that nobody has at the moment."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port: int = server.getsockname()[1]
+        return port
+
+
+def write_config(
+    path: Path, serial: str, calibration: Path, addresses: Sequence[str], http_port: int, modbus_port: int
+) -> Path:
+    """The settings of a unit with two GigE Vision cameras, front and rear."""
+    cameras = "".join(
+        f'[cameras.{name}]\ndriver = "aravis"\ndevice = "{address}"\n\n'
+        for name, address in zip(("front", "rear"), addresses, strict=True)
+    )
+    path.write_text(
+        f'[unit]\nserial = "{serial}"\ncalibration = "{calibration}"\n\n'
+        '[[targets]]\nname = "front"\nz_mm = 0.0\ncamera = "front"\n\n'
+        '[[targets]]\nname = "rear"\nz_mm = 280.0\ncamera = "rear"\n\n'
+        f"{cameras}"
+        '[measuring]\npair_by = "time"\n\n'
+        f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n\n'
+        f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus_port}\n'
+    )
+    return path

@@ -1,0 +1,136 @@
+"""What a controller sees of the unit: every measurement of the stream, and how Modbus answers meanwhile."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+_HOST = "127.0.0.1"
+_REGISTERS = 100
+_POLL_EVERY_S = 0.05
+_LONGEST_ANSWER_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A measurement as the stream gave it, and when it arrived on the monotonic clock."""
+
+    arrived_s: float
+    said: dict[str, Any]
+
+    @property
+    def valid(self) -> bool:
+        """Whether the unit calls it valid."""
+        return bool(self.said["valid"])
+
+    @property
+    def reasons(self) -> frozenset[str]:
+        """Its status codes, less those that say where it comes from."""
+        return frozenset(self.said["status"]) - {"playback", "simulated"}
+
+
+@dataclass(slots=True)
+class Polled:
+    """Modbus answers: when asked, how long the answer took, the status word."""
+
+    asked_s: list[float] = field(default_factory=list)
+    took_s: list[float] = field(default_factory=list)
+    status: list[int] = field(default_factory=list)
+
+
+class Watch:
+    """``with Watch(http_port, modbus_port) as watch``: two threads that listen until the end."""
+
+    def __init__(self, http_port: int, modbus_port: int) -> None:
+        self.seen: list[Seen] = []
+        self.polled = Polled()
+        self.failure: BaseException | None = None
+        self._http_port = http_port
+        self._modbus_port = modbus_port
+        self._ended = threading.Event()
+        self._news = threading.Condition()
+        self._threads = [
+            threading.Thread(target=self._guarded, args=(work,), name=work.__name__)
+            for work in (self._listen, self._poll)
+        ]
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+
+    def first(self, wanted: Callable[[Seen], bool], since_s: float, within_s: float) -> Seen:
+        """The first measurement that arrived after ``since_s`` and is wanted; raises TimeoutError."""
+        deadline_s = time.monotonic() + within_s
+        looked_at = 0
+        while self.failure is None and time.monotonic() < deadline_s:
+            with self._news:
+                if len(self.seen) == looked_at:
+                    self._news.wait(0.1)
+            for seen in self.seen[looked_at:]:
+                looked_at += 1
+                if seen.arrived_s > since_s and wanted(seen):
+                    return seen
+        last = self.seen[-1].said if self.seen else None
+        raise TimeoutError(f"not within {within_s:g} s; the last measurement was {last}") from self.failure
+
+    def status(self) -> dict[str, Any]:
+        """What the unit says of its components."""
+        connection = http.client.HTTPConnection(_HOST, self._http_port, timeout=_LONGEST_ANSWER_S)
+        try:
+            connection.request("GET", "/api/status")
+            answer: dict[str, Any] = json.loads(connection.getresponse().read())
+            return answer
+        finally:
+            connection.close()
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:
+            if not self._ended.is_set():
+                self.failure = error
+
+    def _listen(self) -> None:
+        connection = http.client.HTTPConnection(_HOST, self._http_port, timeout=_LONGEST_ANSWER_S)
+        connection.request("GET", "/api/stream")
+        stream = connection.getresponse()
+        try:
+            while not self._ended.is_set():
+                line = stream.readline()
+                arrived_s = time.monotonic()
+                if line.startswith(b"data: "):
+                    with self._news:
+                        self.seen.append(Seen(arrived_s, json.loads(line[6:])))
+                        self._news.notify_all()
+                elif not line:
+                    raise ConnectionError("the stream ended")
+        finally:
+            connection.close()
+
+    def _poll(self) -> None:
+        with socket.create_connection((_HOST, self._modbus_port), timeout=_LONGEST_ANSWER_S) as link:
+            while not self._ended.wait(_POLL_EVERY_S):
+                asked_s = time.monotonic()
+                link.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, _REGISTERS))
+                answer = b""
+                while len(answer) < 9 + 2 * _REGISTERS:
+                    data = link.recv(4096)
+                    if not data:
+                        raise ConnectionError("Modbus hung up")
+                    answer += data
+                self.polled.took_s.append(time.monotonic() - asked_s)
+                self.polled.asked_s.append(asked_s)
+                self.polled.status.append(int.from_bytes(answer[9:11], "big"))
