@@ -25,11 +25,8 @@ from hw_sim.demo_figures import Figures
 from hw_sim.demo_lines import Line
 from hw_sim.demo_screen import Screen, keys
 from hw_sim.demo_view import CLEAR_KEY, FAULT_KEYS, QUIT_KEY, Faces, View
-from hw_sim.motion import Drive, Vibration
+from hw_sim.motion import SLOW_DRIVE, Vibration
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
-
-DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
-"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 62.5 × 50."""
 
 REDRAW_S = 0.2
 LINE_S = 1.0
@@ -86,7 +83,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
     with tempfile.TemporaryDirectory(prefix="altd-demo-") as folder, contextlib.ExitStack() as open_lines:
         calibration = Path(folder, "calibration.json")
         await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
-        unit = Unit(UnitConfig(seed=arguments.seed, drive=DRIVE, vibration=Vibration()))
+        unit = Unit(UnitConfig(seed=arguments.seed, drive=SLOW_DRIVE, vibration=Vibration()))
         telegram, console, modbus_rtu = (open_lines.enter_context(Line()) for _ in range(3))
         faces = Faces(
             http_port=arguments.http_port or _free_port(),
