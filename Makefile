@@ -67,4 +67,4 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils
+	@.ci/programs may arv-tool-0.8=aravis-tools-cli ip=iproute2 mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils

@@ -19,7 +19,7 @@ from altd.app import Daemon, calibration_of
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, bare
-from hw_sim.arguments import natural
+from hw_sim.arguments import natural, seconds
 from hw_sim.camera import make_cameras
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_lines import Line
@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
     )
-    parser.add_argument("--seconds", type=_seconds, metavar="N", help="end after so long (default: never)")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
     parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
     parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
 
@@ -217,13 +217,3 @@ def _port(text: str) -> int:
     if not 0 <= port <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
     return port
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
-    return seconds
