@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from support.gige import Served, served
+from support.gige_unit import Served, served
 
 SEED = 5
 POSE = ("8", "-6", "2", "-1.5")

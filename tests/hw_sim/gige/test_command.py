@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import pytest
 from support.cli import altd, refusal
-from support.gige import client, need_gige, new_addresses, served
+from support.gige_unit import client, need_gige, new_addresses, served
 
 from hw_sim.__main__ import main
 from hw_sim.gige import libaravis

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from support.foreign import need_program
-from support.gige import Served, client
+from support.gige_unit import Served, client
 
 from hw_sim.camera import EXPOSURE_RANGE
 from hw_sim.sensor import BLACK_LEVEL

@@ -7,7 +7,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from support.gige import Client, Received, Served, client, served
+from support.gige_unit import Client, Received, Served, client, served
 
 from hw_sim.gige.command import make_unit
 from hw_sim.targets import LED_POSITIONS_MM
