@@ -23,7 +23,7 @@ _BITS = {pixel_format: bits for bits, pixel_format in PIXEL_FORMATS.items()}
 
 TRIGGER_LOOKS_HZ = 200.0
 """How often a camera looks for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps by
-whole milliseconds and spends what is left of the last one awake, which makes this a fifth of a core."""
+whole milliseconds and stays awake for what is left of the last one: 10 % of a core."""
 
 GAIN_STEPS_PER_DB = 1000
 
