@@ -69,6 +69,7 @@ venv:
 programs: # foreign programs that tests use
 	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
-	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \
+	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
+	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \
 	    gcc pkg-config ip=iproute2 unshare=util-linux "$$header=python3-dev" \
 	    /usr/include/gobject-introspection-1.0/girepository.h=libgirepository1.0-dev /usr/include/cairo/cairo.h=libcairo2-dev
