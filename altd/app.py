@@ -149,6 +149,12 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
     """The driver behind a camera's table. Imported only when wanted."""
+    if isinstance(settings, AravisCamera):
+        try:
+            from altd.devices.aravis import driver as aravis
+        except ImportError as error:
+            raise BadInputError(f"cameras.{name}", str(error)) from error
+        return aravis.AravisCamera(name, settings)
     raise NotImplementedError(f"{name}: {settings.driver}")
 
 
