@@ -57,7 +57,9 @@ def asked(one: ExposureRule, sight: Sight, present: Setting = HERE, limit: int =
 )
 def test_exposure_comes_first_and_gain_only_where_it_does_not_do(light_ms: float, setting: Setting) -> None:
     found = setting_for(light_ms, LIMITS)
-    assert (found.exposure_ms, found.gain_db) == pytest.approx((setting.exposure_ms, setting.gain_db), abs=1e-4)
+    assert (found.exposure_ms, found.gain_db) == pytest.approx(
+        (setting.exposure_ms, setting.gain_db), abs=1e-4
+    )
 
 
 def test_the_limits_are_those_of_config_camera_and_frame_rate_together() -> None:
@@ -165,7 +167,9 @@ SPOT = Blob(300, 200, peak=150.0)
 
 
 @pytest.mark.parametrize(("bits", "scale"), [(8, 1.0), (10, 4.01), (12, 16.06), (16, 257.0)])
-def test_the_level_is_that_of_the_peak_with_the_background_whatever_the_depth(bits: int, scale: float) -> None:
+def test_the_level_is_that_of_the_peak_with_the_background_whatever_the_depth(
+    bits: int, scale: float
+) -> None:
     taken = frame(light(SPOT) * scale, background=8.0 * scale, bits=bits)
     sight = look(taken, Spot(300, 200, 0.01, 44.0, 150.0 * scale))
     assert sight.seen is Seen.SPOT

@@ -100,6 +100,7 @@ class _Report:
     _heard_s: float = 0.0
     _losses: deque[tuple[float, int]] = field(default_factory=deque)
     _refusal: str = ""
+    _logged_refusal: str = ""
 
     def opened(self, now_s: float) -> None:
         """The camera was opened; it is well with its first frame."""
@@ -125,6 +126,9 @@ class _Report:
         """The camera does not take an exposure; it goes on with what it has. Empty: it took the next one."""
         if refusal:
             self.component.count("refused_exposures")
+            if refusal != self._logged_refusal:
+                self._logged_refusal = refusal
+                log.warning("%s: exposure refused: %s", self.component.name, refusal)
         self._refusal = refusal
 
     def failed(self, sentence: str) -> None:
@@ -212,9 +216,11 @@ class _Grabber:
                 self._call(self._report.failed, sentence)
             finally:
                 self._camera.close()
-            retry_s = _FIRST_RETRY_S if self._delivered else min(2 * retry_s, _LONGEST_RETRY_S)
+            if self._delivered:
+                retry_s = _FIRST_RETRY_S
             failed_s = time.monotonic()
             self.stop.wait(retry_s)
+            retry_s = min(2 * retry_s, _LONGEST_RETRY_S)
 
     def _deliver(self) -> None:
         last: int | None = None

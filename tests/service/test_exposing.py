@@ -89,7 +89,9 @@ def test_no_frame_passes_for_what_it_was_not_exposed_with(lag: int, tells: str, 
             if not taken.changing:
                 assert (taken.exposure_ms, taken.gain_db) == (used.exposure_ms, used.gain_db)
     assert marks[8]  # a window must see where the change lies
-    assert sum(marks[8:]) == (max(lag, 1) if "gain" in tells or (tells and not changed.gain_db) else MARKED_FRAMES)
+    assert sum(marks[8:]) == (
+        max(lag, 1) if "gain" in tells or (tells and not changed.gain_db) else MARKED_FRAMES
+    )
 
 
 def test_an_exposure_that_never_comes_is_not_waited_for_longer_than_four_frames() -> None:
@@ -122,7 +124,9 @@ def test_a_camera_with_nothing_to_set_is_left_alone_and_says_so(component: Compo
     }
 
 
-def test_a_refusal_is_told_and_ends_the_wishing_until_the_camera_is_opened_again(component: Component) -> None:
+def test_a_refusal_is_told_and_ends_the_wishing_until_the_camera_is_opened_again(
+    component: Component,
+) -> None:
     camera = Camera()
     keeper = ExposureKeeper(ExposureControl(), 20.0, 4, component)
     setter = keeper.setter
