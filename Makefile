@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs
+.PHONY: help demo demo-gige test check bench bench-peers studies docs lock clean venv programs
 
 export PYTHON ?= python3
 python := .venv/bin/python

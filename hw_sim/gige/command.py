@@ -32,16 +32,21 @@ LARGEST_FPS = 200.0
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the cameras take on the command line."""
+def add_addresses(parser: argparse.ArgumentParser) -> None:
+    """Where the cameras are."""
     for name in CAMERAS:
         parser.add_argument(
             f"--{name}",
             type=_address,
             default=ADDRESSES[name],
             metavar="ADDRESS",
-            help=f"address of the {name} camera (default {ADDRESSES[name]})",
+            help=f"address of the {name} GigE Vision camera (default {ADDRESSES[name]})",
         )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the cameras take on the command line."""
+    add_addresses(parser)
     parser.add_argument(
         "--only", choices=CAMERAS, help="this camera alone; the other one may be another process"
     )

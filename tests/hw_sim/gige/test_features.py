@@ -34,6 +34,12 @@ def test_aravis_finds_both_cameras_by_their_serial_numbers(unit_at_rest: Served)
         assert f"SIM-5-{name} at {address}" in unit_at_rest.said
 
 
+def test_a_client_that_finds_a_camera_by_its_name_gets_its_frames(unit_at_rest: Served) -> None:
+    # beside a network card, where the same broadcast goes out, it must not be looked for there
+    with client("altd-hw_sim-SIM-5-front") as front:
+        assert front.take(2)[-1].pixels.shape == (480, 752)
+
+
 def test_the_features_have_the_standard_names(unit_at_rest: Served) -> None:
     said = "\n".join(arv_tool("-a", unit_at_rest.front, "values"))
     for line in (
@@ -58,6 +64,7 @@ def test_the_bounds_are_those_of_the_simulated_chip(unit_at_rest: Served) -> Non
         assert (shortest, longest) == (1e3 * EXPOSURE_RANGE.shortest_ms, 1e3 * EXPOSURE_RANGE.longest_ms)
         smallest, largest = rear.bounds("Gain")
         assert (smallest, largest) == (EXPOSURE_RANGE.smallest_gain_db, EXPOSURE_RANGE.largest_gain_db)
+        assert rear.bounds("AcquisitionFrameRate") == (1.0, 200.0)
 
 
 def test_what_is_set_is_read_back(unit_at_rest: Served) -> None:
