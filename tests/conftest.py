@@ -11,7 +11,11 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support.cli import altd
 from support.foreign import need
+
+from altd.calibration.file import load_calibration
+from altd.calibration.model import Calibration
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -23,6 +27,15 @@ def shared_data() -> Path:
     return SHARED_DATA
 
 
+@pytest.fixture(scope="session")
+def calibration_of_unit_3(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """The calibration of the simulated unit with seed 3, from a scan as a technician makes it."""
+    folder = tmp_path_factory.mktemp("unit-3")
+    assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
+    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
+    return load_calibration(folder / "cal.json")
+
+
 @pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
     """A test that leaks a thread fails."""
@@ -30,8 +43,8 @@ def no_thread_is_left() -> Iterator[None]:
     yield
     deadline = time.monotonic() + 2.0
     while leaked := [t for t in threading.enumerate() if t not in before and t.is_alive()]:
-        if all(t.name.startswith("asyncio_") for t in leaked):
-            return  # the loop's own executor, joined when the loop closes
+        if all(t.name.startswith(("asyncio_", "aravis-release")) for t in leaked):
+            return  # the loop's own executor, joined when the loop closes; one that ends by itself in some seconds
         if time.monotonic() > deadline:
             pytest.fail(f"threads left behind: {[t.name for t in leaked]}")
         time.sleep(0.01)
