@@ -33,7 +33,7 @@ def measure_fault(
     watch: Watch,
     fault: str,
     camera: str,
-    strike: Callable[[], None],
+    strike: Callable[[], object],
     mend: Callable[[], float],
     lasts_s: float,
 ) -> Recovery:

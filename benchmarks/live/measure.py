@@ -17,8 +17,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from hw_sim.gige.command import make_unit
-
 from benchmarks.live.faults import Recovery, measure_fault
 from benchmarks.live.parts import (
     Running,
@@ -29,8 +27,10 @@ from benchmarks.live.parts import (
     running,
     write_config,
 )
-from benchmarks.live.steady import QUANTITIES, Steady, Truthfulness, measure_in_process, measure_steady
+from benchmarks.live.steady import Steady, measure_steady
+from benchmarks.live.truth import QUANTITIES, Truthfulness
 from benchmarks.live.watch import Watch
+from hw_sim.gige.command import make_unit
 
 SEED = 1
 FRONT, REAR = "127.0.0.1", "127.0.0.2"
@@ -67,14 +67,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _undisturbed(folder: Path, calibration: Path, seconds: float) -> tuple[Steady, Truthfulness]:
-    unit = make_unit(SEED, drive=True)
-    in_process = measure_in_process(_config(folder, calibration, (FRONT, REAR))[0], unit, min(seconds, 120.0))
+    log = folder / "in_process.log"
     with (
         running(cameras_command(SEED, "--drive"), folder / "cameras.log") as cameras,
         _daemon(folder, calibration, (FRONT, REAR), cameras) as (daemon, watch),
     ):
         watch.first(lambda seen: seen.valid, 0.0, _WITHIN_S)
-        return measure_steady(watch, daemon, unit, seconds), in_process
+        command = [sys.executable, "-m", "benchmarks.live.in_process", str(folder / "altd.toml")]
+        with running([*command, str(SEED), str(seconds)], log) as in_process:
+            steady = measure_steady(watch, daemon, make_unit(SEED, drive=True), seconds)
+            in_process.process.wait(_WITHIN_S)
+            return steady, Truthfulness(**json.loads(in_process.said))
 
 
 def _faults(folder: Path, calibration: Path) -> list[Recovery]:
@@ -204,10 +207,12 @@ def _ip(*arguments: str) -> None:
 
 
 def _steady_lines(steady: Steady, in_process: Truthfulness) -> Iterator[str]:
+    lost = ", ".join(f"{what} {count}" for what, count in steady.lost.items())
     yield (
-        f"undisturbed, {steady.seconds:.0f} s: {steady.measurements} measurements, {steady.invalid} invalid, "
-        f"{steady.pairs_lost} pairs lost; rear camera {steady.lag_ms:g} ms behind the front one"
+        f"undisturbed, {steady.seconds:.0f} s: {steady.measurements} measurements, {steady.invalid} invalid; "
+        f"rear camera {steady.lag_ms:g} ms behind the front one"
     )
+    yield f"lost: {lost}, unpaired {steady.unpaired}"
     yield (
         f"interval p50 {steady.interval_p50_ms:.2f} ms, p99 {steady.interval_p99_ms:.2f} ms, largest "
         f"{steady.interval_max_ms:.2f} ms; Modbus p99 {steady.modbus_p99_ms:.2f} ms; daemon "
