@@ -202,8 +202,8 @@ def _factor(gain_db: float) -> float:
 
 def _is_clipped_somewhere(pixels: PixelArray, full: int) -> bool:
     """Whether more is clipped than hot pixels."""
-    clipped = np.asarray(cv2.compare(pixels, math.ceil(CLIPPED_FROM * full), cv2.CMP_GE))
-    return bool(_cells(clipped).max() >= _CLIPPED_CELL * 255)
+    _, clipped = cv2.threshold(pixels, math.ceil(CLIPPED_FROM * full) - 1, 255, cv2.THRESH_BINARY)
+    return bool(_cells(np.asarray(clipped)).max() >= _CLIPPED_CELL * 255)
 
 
 def _cells(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
