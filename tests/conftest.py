@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.foreign import need
+from support.wire import Wire
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -21,6 +22,14 @@ def shared_data() -> Path:
     """The recordings and photographs that this project did not make."""
     need(SHARED_DATA.is_dir(), "../shared/data is not there")
     return SHARED_DATA
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    """A serial line; the unit opens its ``device``."""
+    wire = Wire.laid()
+    yield wire
+    wire.hang_up()
 
 
 @pytest.fixture(autouse=True)

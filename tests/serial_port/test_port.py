@@ -5,23 +5,24 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import fcntl
 import time
 from pathlib import Path
 
 import pytest
 import serial
 from support.foreign import need_program
+from support.wire import Wire
 
 from altd.config import SerialPort
-from altd.publish.serial.port import Port, describe, seconds_on_line
+from altd.serial_port.opening import open_serial
+from altd.serial_port.port import describe, opened, seconds_on_line
 
-from .conftest import Wire
-
-GONE = r"hung up|Input/output"
+GONE = "the port is gone"
 
 
 async def test_bytes_go_both_ways(wire: Wire) -> None:
-    with Port(wire.settings(), limit=100) as port:
+    async with opened(wire.settings(), limit=100, fresh=True) as port:
         assert port.write(b"out")
         assert await wire.receive(lambda data: data == b"out")
         wire.send(b"in")
@@ -38,14 +39,15 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
             while not (far.exists() and near.exists()):  # noqa: ASYNC110  a foreign program makes them
                 await asyncio.sleep(0.005)
         settings = SerialPort(device=near, speaks="telegram", baud=115200, parity="even", stop_bits=2)
-        with Port(settings, limit=100) as port, serial.Serial(str(far), 115200, timeout=1) as client:
-            port.write(b"$PALT\r\n")
-            assert await asyncio.to_thread(client.readline) == b"$PALT\r\n"
-            client.write(b"help\r")
-            assert await port.read() == b"help\r"
-            socat.terminate()
-            with pytest.raises(OSError, match=GONE):
-                await asyncio.wait_for(port.read(), 2.0)
+        async with opened(settings, limit=100, fresh=True) as port:
+            with serial.Serial(str(far), 115200, timeout=1) as client:
+                port.write(b"$PALT\r\n")
+                assert await asyncio.to_thread(client.readline) == b"$PALT\r\n"
+                client.write(b"help\r")
+                assert await port.read() == b"help\r"
+                socat.terminate()
+                with pytest.raises(OSError, match=GONE):
+                    await asyncio.wait_for(port.read(), 2.0)
     finally:
         if socat.returncode is None:
             with contextlib.suppress(ProcessLookupError):
@@ -54,14 +56,14 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
 
 
 async def test_reading_ends_when_the_pause_is_over(wire: Wire) -> None:
-    with Port(wire.settings(), limit=100) as port:
+    async with opened(wire.settings(), limit=100, fresh=True) as port:
         assert await port.read(until=asyncio.ensure_future(asyncio.sleep(0.01))) == b""
 
 
 async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -> None:
     """Nobody reads: the kernel's buffer fills up, then one telegram waits, then all are refused."""
     telegram = b"x" * 98 + b"\r\n"
-    with Port(wire.settings(), limit=150) as port:
+    async with opened(wire.settings(), limit=150, fresh=True) as port:
         accepted = 0
         slowest_s = 0.0
         for _ in range(2000):
@@ -77,18 +79,18 @@ async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -
 
 
 async def test_a_hang_up_raises(wire: Wire) -> None:
-    with Port(wire.settings(), limit=100) as port:
+    async with opened(wire.settings(), limit=100, fresh=True) as port:
         reading = asyncio.ensure_future(port.read())
         await asyncio.sleep(0.01)
         wire.hang_up()
         with pytest.raises(OSError, match=GONE):
             await reading
-        with pytest.raises(OSError, match="Input/output"):
+        with pytest.raises(OSError, match=GONE):
             port.write(b"x")
 
 
 async def test_a_hang_up_with_output_waiting_raises(wire: Wire) -> None:
-    with Port(wire.settings(), limit=100_000) as port:
+    async with opened(wire.settings(), limit=100_000, fresh=True) as port:
         while port.write(b"x" * 1000):
             pass
         wire.hang_up()
@@ -96,14 +98,21 @@ async def test_a_hang_up_with_output_waiting_raises(wire: Wire) -> None:
             await port.read()
 
 
+def exclusive(wire: Wire) -> bool:
+    """Whether the kernel refuses to let anybody else open the device (TIOCGEXCL of asm-generic/ioctls.h)."""
+    return fcntl.ioctl(wire.near, 0x80045440, b"\0" * 4) != b"\0" * 4
+
+
 async def test_a_second_program_is_kept_out_until_the_port_is_closed(wire: Wire) -> None:
-    with Port(wire.settings(), limit=100):
+    async with opened(wire.settings(), limit=100, fresh=True):
         with pytest.raises(OSError, match="another program uses the port") as caught:
-            Port(wire.settings(), limit=100)
+            open_serial(wire.device, 9600)
         assert caught.value.errno == errno.EBUSY
         with pytest.raises(serial.SerialException):
             serial.Serial(str(wire.device), exclusive=True)
-    with Port(wire.settings(), limit=100):
+        assert exclusive(wire)
+    assert not exclusive(wire)
+    async with opened(wire.settings(), limit=100, fresh=True):
         pass
 
 
@@ -112,7 +121,7 @@ async def test_a_second_program_is_kept_out_until_the_port_is_closed(wire: Wire)
 )
 async def test_a_port_that_cannot_be_opened_is_named(device: str, number: int) -> None:
     with pytest.raises(OSError, match=device) as caught:
-        Port(SerialPort(device=Path(device), speaks="console"), limit=100)
+        open_serial(Path(device), 9600)
     assert caught.value.errno == number
     assert type(caught.value) is not serial.SerialException
 
@@ -124,7 +133,7 @@ def open_descriptors() -> int:
 async def test_no_descriptor_is_left_open(wire: Wire) -> None:
     before = open_descriptors()
     for _ in range(3):
-        with Port(wire.settings(), limit=100) as port:
+        async with opened(wire.settings(), limit=100, fresh=True) as port:
             port.write(b"x")
     assert open_descriptors() == before
 
