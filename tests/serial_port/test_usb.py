@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pynmea2
@@ -10,7 +9,7 @@ import pytest
 from support.foreign import need_program
 from support.guest import run_in_guest
 
-PLUGS = 4
+PLUGS = 2
 GREETING = "\r\nActive Laser Target"
 
 
