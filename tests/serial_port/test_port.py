@@ -6,8 +6,10 @@ import asyncio
 import contextlib
 import errno
 import fcntl
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import serial
@@ -15,18 +17,19 @@ from support.foreign import need_program
 from support.wire import Wire
 
 from altd.config import SerialPort
-from altd.serial_port.opening import open_serial
+from altd.serial_port import port
+from altd.serial_port.opening import close_serial, open_serial
 from altd.serial_port.port import describe, opened, seconds_on_line
 
 GONE = "the port is gone"
 
 
 async def test_bytes_go_both_ways(wire: Wire) -> None:
-    async with opened(wire.settings(), limit=100, fresh=True) as port:
-        assert port.write(b"out")
+    async with opened(wire.settings(), limit=100, fresh=True) as line:
+        assert line.write(b"out")
         assert await wire.receive(lambda data: data == b"out")
         wire.send(b"in")
-        assert await port.read() == b"in"
+        assert await line.read() == b"in"
 
 
 async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
@@ -39,15 +42,15 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
             while not (far.exists() and near.exists()):  # noqa: ASYNC110  a foreign program makes them
                 await asyncio.sleep(0.005)
         settings = SerialPort(device=near, speaks="telegram", baud=115200, parity="even", stop_bits=2)
-        async with opened(settings, limit=100, fresh=True) as port:
+        async with opened(settings, limit=100, fresh=True) as line:
             with serial.Serial(str(far), 115200, timeout=1) as client:
-                port.write(b"$PALT\r\n")
+                line.write(b"$PALT\r\n")
                 assert await asyncio.to_thread(client.readline) == b"$PALT\r\n"
                 client.write(b"help\r")
-                assert await port.read() == b"help\r"
+                assert await line.read() == b"help\r"
                 socat.terminate()
                 with pytest.raises(OSError, match=GONE):
-                    await asyncio.wait_for(port.read(), 2.0)
+                    await asyncio.wait_for(line.read(), 2.0)
     finally:
         if socat.returncode is None:
             with contextlib.suppress(ProcessLookupError):
@@ -56,46 +59,46 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
 
 
 async def test_reading_ends_when_the_pause_is_over(wire: Wire) -> None:
-    async with opened(wire.settings(), limit=100, fresh=True) as port:
-        assert await port.read(until=asyncio.ensure_future(asyncio.sleep(0.01))) == b""
+    async with opened(wire.settings(), limit=100, fresh=True) as line:
+        assert await line.read(until=asyncio.ensure_future(asyncio.sleep(0.01))) == b""
 
 
 async def test_what_does_not_fit_is_refused_whole_and_never_blocks(wire: Wire) -> None:
     """Nobody reads: the kernel's buffer fills up, then one telegram waits, then all are refused."""
     telegram = b"x" * 98 + b"\r\n"
-    async with opened(wire.settings(), limit=150, fresh=True) as port:
+    async with opened(wire.settings(), limit=150, fresh=True) as line:
         accepted = 0
         slowest_s = 0.0
         for _ in range(2000):
             started = time.perf_counter()
-            accepted += port.write(telegram)
+            accepted += line.write(telegram)
             slowest_s = max(slowest_s, time.perf_counter() - started)
         assert accepted < 2000
         assert slowest_s < 0.1
         received = await wire.receive(lambda data: len(data) >= 100 * accepted)
         assert received == telegram * accepted
-        assert port.write(b"again\r\n")
+        assert line.write(b"again\r\n")
         assert await wire.receive(lambda data: data == b"again\r\n")
 
 
 async def test_a_hang_up_raises(wire: Wire) -> None:
-    async with opened(wire.settings(), limit=100, fresh=True) as port:
-        reading = asyncio.ensure_future(port.read())
+    async with opened(wire.settings(), limit=100, fresh=True) as line:
+        reading = asyncio.ensure_future(line.read())
         await asyncio.sleep(0.01)
         wire.hang_up()
         with pytest.raises(OSError, match=GONE):
             await reading
         with pytest.raises(OSError, match=GONE):
-            port.write(b"x")
+            line.write(b"x")
 
 
 async def test_a_hang_up_with_output_waiting_raises(wire: Wire) -> None:
-    async with opened(wire.settings(), limit=100_000, fresh=True) as port:
-        while port.write(b"x" * 1000):
+    async with opened(wire.settings(), limit=100_000, fresh=True) as line:
+        while line.write(b"x" * 1000):
             pass
         wire.hang_up()
         with pytest.raises(OSError, match=GONE):
-            await port.read()
+            await line.read()
 
 
 def exclusive(wire: Wire) -> bool:
@@ -133,12 +136,52 @@ def open_descriptors() -> int:
 async def test_no_descriptor_is_left_open(wire: Wire) -> None:
     before = open_descriptors()
     for _ in range(3):
-        async with opened(wire.settings(), limit=100, fresh=True) as port:
-            port.write(b"x")
+        async with opened(wire.settings(), limit=100, fresh=True) as line:
+            line.write(b"x")
     assert open_descriptors() == before
 
 
 def test_the_time_on_the_line_counts_start_parity_and_stop_bits() -> None:
-    port = SerialPort(device=Path("/dev/ttyS1"), speaks="telegram", parity="even", stop_bits=2)
-    assert seconds_on_line(port, 96) == pytest.approx(0.12)
-    assert describe(port) == "/dev/ttyS1, 9600 baud 8E2"
+    settings = SerialPort(device=Path("/dev/ttyS1"), speaks="telegram", parity="even", stop_bits=2)
+    assert seconds_on_line(settings, 96) == pytest.approx(0.12)
+    assert describe(settings) == "/dev/ttyS1, 9600 baud 8E2"
+
+
+class TestADeviceThatAnswersSlowly:
+    """An adapter that hangs is given five seconds for each question; the loop must not wait with it."""
+
+    async def test_opening_holds_nobody_and_what_nobody_wants_any_more_is_closed(
+        self, wire: Wire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        asked = threading.Event()
+
+        def slowly(*arguments: Any, **named: Any) -> serial.Serial:
+            asked.set()
+            time.sleep(0.3)
+            return open_serial(*arguments, **named)
+
+        monkeypatch.setattr(port, "open_serial", slowly)
+        opening = asyncio.ensure_future(opened(wire.settings(), limit=100, fresh=True).__aenter__())
+        await asyncio.sleep(0.05)
+        assert asked.is_set()
+        opening.cancel()
+        began = time.perf_counter()
+        with pytest.raises(asyncio.CancelledError):
+            await opening
+        assert time.perf_counter() - began < 0.2
+        await asyncio.sleep(0.5)
+        assert not exclusive(wire)
+
+    async def test_closing_is_left_to_itself(self, wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+        may_end = threading.Event()
+
+        def slowly(device: serial.Serial) -> None:
+            may_end.wait(5.0)
+            close_serial(device)
+
+        monkeypatch.setattr(port, "close_serial", slowly)
+        monkeypatch.setattr(port, "CLOSING_S", 0.1)
+        async with opened(wire.settings(), limit=100, fresh=True):
+            began = time.perf_counter()
+        assert 0.09 < time.perf_counter() - began < 1.0
+        may_end.set()
