@@ -1,4 +1,4 @@
-"""What a vivid camera does when it is asked for what it has not, is taken, breaks, goes away and comes back."""
+"""A vivid camera asked for what it has not, taken, broken, pulled out and put back elsewhere."""
 
 from __future__ import annotations
 
