@@ -79,17 +79,13 @@ class Stream:
                     self.events.append((time.monotonic(), json.loads(line[6:])))
 
 
-class Controller:
-    """A Modbus client that asks for the first registers, again and again: what each answer took, in s."""
+class Asking:
+    """Asks the daemon something again and again, in a thread; ``with`` begins and ends it."""
 
-    def __init__(self, every_s: float = 0.1) -> None:
-        self.took_s: list[float] = []
-        self.failures = 0
+    def __init__(self, every_s: float) -> None:
         self._every_s = every_s
-        self._client = ModbusTcpClient("127.0.0.1", port=502)
-        assert self._client.connect()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._ask)
+        self._thread = threading.Thread(target=self._ask_until_stopped)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -98,13 +94,34 @@ class Controller:
     def __exit__(self, *_: object) -> None:
         self._stop.set()
         self._thread.join()
+
+    def _ask_until_stopped(self) -> None:
+        while not self._stop.wait(self._every_s):
+            self.ask()
+
+    def ask(self) -> None:
+        """One question."""
+        raise NotImplementedError
+
+
+class Controller(Asking):
+    """A Modbus client that reads the input registers; what each answer took, in s."""
+
+    def __init__(self) -> None:
+        super().__init__(every_s=0.1)
+        self.took_s: list[float] = []
+        self.failures = 0
+        self._client = ModbusTcpClient("127.0.0.1", port=502)
+        assert self._client.connect()
+
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
         self._client.close()
 
-    def _ask(self) -> None:
-        while not self._stop.wait(self._every_s):
-            began_s = time.monotonic()
-            self.failures += self._client.read_input_registers(0, count=20).isError()
-            self.took_s.append(time.monotonic() - began_s)
+    def ask(self) -> None:
+        began_s = time.monotonic()
+        self.failures += self._client.read_input_registers(0, count=20).isError()
+        self.took_s.append(time.monotonic() - began_s)
 
 
 def processor_s(process: subprocess.Popen[bytes]) -> float:
