@@ -118,6 +118,8 @@ def _difference(asked: tuple[int, int, int], given: tuple[int, int, int]) -> str
 
 def _named(device: Path, number: int | None) -> OSError:
     """The error with its sentence. pyserial has no number for what is no serial port at all."""
-    number = {None: errno.ENOTTY, errno.EAGAIN: errno.EBUSY}.get(number, number)
-    assert number is not None  # noqa: S101
+    if number is None:
+        number = errno.ENOTTY
+    elif number == errno.EAGAIN:  # the lock is taken
+        number = errno.EBUSY
     return OSError(number, _SENTENCES.get(number, os.strerror(number)), str(device))
