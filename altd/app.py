@@ -169,6 +169,10 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
     """The driver behind a camera's table. Imported only when wanted."""
+    if isinstance(settings, V4l2Camera):
+        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
+
+        return Video4LinuxCamera(name, settings)
     raise NotImplementedError(f"{name}: {settings.driver}")
 
 

@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
         "locate": _locate,
         "map": _map,
         "check-config": _check_config,
+        "doctor": _doctor,
     }
     cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
@@ -284,6 +285,15 @@ def _check_config(options: argparse.Namespace) -> int:
     calibration_of(config, cameras_of(config, options.config))
     print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets")
     return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from altd.doctor.checks import examine
+    from altd.doctor.finding import Verdict, in_lines
+
+    findings = examine(options.config)
+    print("\n".join(in_lines(findings)))
+    return int(any(finding.verdict is Verdict.WRONG for finding in findings))
 
 
 def _progress(what: str) -> Callable[[int, int], None]:
