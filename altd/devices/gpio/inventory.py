@@ -87,10 +87,8 @@ def find_line(chip: GpioChip, wanted: str) -> GpioLine:
         fitting = [line for line in chip.lines if line.offset == int(wanted)]
     if not fitting:
         names = ", ".join(repr(line.name) for line in chip.lines if line.name)
-        there = (
-            f"its lines are {names}" if names else f"its {len(chip.lines)} lines have numbers only, from 0"
-        )
-        raise LampsError(f"{chip} has no line {wanted!r}: {there}")
+        there = names or f"{len(chip.lines)} without names, give the number, from 0"
+        raise LampsError(f"{chip} has no line {wanted!r}, its lines: {there}")
     return fitting[0]
 
 
@@ -114,7 +112,7 @@ def _group(path: Path) -> str:
     except OSError:
         return "others"
     if not status.st_mode & 0o060 or status.st_gid == 0:
-        return "root alone (see lamps.md: udev rule)"
+        return "root alone: see lamps.md"
     try:
         return f"group {grp.getgrgid(status.st_gid).gr_name}"
     except KeyError:

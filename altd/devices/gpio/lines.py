@@ -23,7 +23,7 @@ class OutputLines:
         self._chip = chip
         self._names = tuple(lines)
         self._active_low = active_low
-        self._place = chip
+        self._place = f"GPIO chip {chip!r}"
         self._offsets: dict[str, int] = {}
         self._request: gpiod.LineRequest | None = None
 
@@ -55,8 +55,8 @@ class OutputLines:
         try:
             self._request.set_values(values)
         except OSError as error:
-            gone = "is gone" if error.errno == errno.ENODEV else f": {error.strerror or error}"
-            raise LampsError(f"{self._place} {gone}") from error
+            why = " is gone" if error.errno == errno.ENODEV else f": {error.strerror or error}"
+            raise LampsError(f"{self._place}{why}") from error
 
     def close(self) -> None:
         """Darken the lines and let them go; harmless when they are not open."""
