@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,6 +22,21 @@ with gpiod.request_lines(chip, consumer=consumer, config={tuple(lines): settings
     print("held", flush=True)
     sys.stdin.read()
 """
+
+
+def levels_of(label: str, lines: Iterable[str]) -> list[int]:
+    """The levels of a chip's pins, as they are at this moment."""
+    place = _CONFIG / label
+    offsets = {
+        (line / "name").read_text().strip(): line.name for line in (place / "bank0").glob("line[0-9]*")
+    }
+    return [int((_pins(label) / f"sim_gpio{offsets[line][4:]}" / "value").read_text()) for line in lines]
+
+
+def _pins(label: str) -> Path:
+    place = _CONFIG / label
+    device, chip = ((place / name).read_text().strip() for name in ("dev_name", "bank0/chip_name"))
+    return Path(f"/sys/devices/platform/{device}/{chip}")
 
 
 class SimulatedChip:
@@ -60,16 +75,13 @@ class SimulatedChip:
 
     def levels(self, *lines: str) -> list[int]:
         """The levels of the pins."""
-        return [int((self._pin(line) / "value").read_text()) for line in lines]
+        return levels_of(self._place.name, lines)
 
     def pull_up(self, *lines: str) -> None:
         """From now on these are high when nobody drives them."""
         for line in lines:
-            (self._pin(line) / "pull").write_text("pull-up")
-
-    def _pin(self, line: str) -> Path:
-        device = (self._place / "dev_name").read_text().strip()
-        return Path(f"/sys/devices/platform/{device}/{self.name}/sim_gpio{self._lines.index(line)}")
+            pin = _pins(self._place.name) / f"sim_gpio{self._lines.index(line)}"
+            (pin / "pull").write_text("pull-up")
 
     @contextmanager
     def held(self, consumer: str, *lines: str) -> Iterator[subprocess.Popen[str]]:
