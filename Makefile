@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs
+.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -25,7 +25,7 @@ help:
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
 
-test: venv programs ## the tests
+test: venv programs kernel ## the tests
 	@exec $(python) -m pytest
 
 check: venv ## style, types, layers, generated pages
@@ -68,3 +68,6 @@ venv:
 
 programs: # foreign programs that tests use
 	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils
+
+kernel: # the kernel that drivers are tested in
+	@.ci/kernel >/dev/null
