@@ -59,6 +59,24 @@ class TestUnitFile:
         assert unit["Restart"] == "on-failure"
         assert unit["RestartPreventExitStatus"] == str(refused.status)
 
+    def test_the_lamps_are_left_in_a_way_that_altd_knows(self, config: Path) -> None:
+        unit = settings(UNIT.read_text())
+        program, *arguments, _ = unit["ExecStopPost"].removeprefix("-").split()
+        assert program == unit["ExecStart"].split()[0]
+        after = altd(*arguments, config)
+        assert (after.status, after.out, after.err) == (0, "", "")
+
+    def test_every_group_that_it_asks_for_is_made(self, tmp_path: Path) -> None:
+        program = shutil.which("systemd-sysusers") or ""
+        need(bool(program), "systemd-sysusers is not installed (Debian package systemd)")
+        (tmp_path / "etc").mkdir()
+        made = [program, f"--root={tmp_path}", "-"]
+        subprocess.run(
+            made, input=UNIT.with_suffix(".sysusers").read_bytes(), check=True, capture_output=True
+        )
+        groups = {line.split(":")[0] for line in (tmp_path / "etc" / "group").read_text().splitlines()}
+        assert set(settings(UNIT.read_text())["SupplementaryGroups"].split()) == groups
+
 
 def systemd_analyze() -> str:
     program = shutil.which("systemd-analyze") or ""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from support.guest import run_in_guest
+
+UNIT = Path(__file__).parents[2] / "systemd" / "altd.service"
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +108,11 @@ def test_the_inventory_names_chips_lines_and_who_holds_them(seen: dict[str, Any]
 )
 def test_what_cannot_be_had_is_said_in_a_sentence(seen: dict[str, Any], case: str, words: str) -> None:
     assert seen[case] == words
+
+
+def test_the_service_may_use_chips_by_the_name_that_the_kernel_gives_them(seen: dict[str, Any]) -> None:
+    assert "gpiochip" in seen["devices"]
+    assert "\nDeviceAllow=char-gpiochip rw\n" in UNIT.read_text()
 
 
 def test_a_chip_that_went_away_is_found_again_by_its_label(seen: dict[str, Any]) -> None:
