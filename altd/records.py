@@ -100,7 +100,8 @@ class Frame:
 
     ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
     ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
-    those too that were lost. ``exposure_ms`` and ``gain_db`` are None where the camera does not tell them.
+    those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
+    to, else None.
     ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
     """
 

@@ -13,7 +13,7 @@ from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
 from altd.mapping.tensor_map import TensorMap
 from altd.recording import open_recording
-from altd.records import Frame, Measurement, Origin
+from altd.records import Frame, Measurement, NoSpot, Origin, Spot
 from altd.service.chain import MeasuringChain, View
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
@@ -89,6 +89,56 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     front, rear = measured.seen().split("; ")
     assert front.startswith("front: spot at u 33")
     assert rear == "rear: spot_missing, nothing stands out of the background"
+
+
+@pytest.mark.parametrize("camera", ["left", "right"])
+@pytest.mark.parametrize("marked", [1, 2, 4])
+def test_no_mean_holds_exposures_from_before_and_after_a_change(
+    calibration: Calibration, camera: str, marked: int
+) -> None:
+    """Where the spot lies tells which exposure a frame had: x 10 mm before the change, 10.3 mm after it."""
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
+    frames = [replace(f, changing=f.camera == camera and 6 <= f.sequence < 6 + marked) for f in frames]
+    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
+    means = {sequence: m.beam.x_mm for sequence, m in after if m.beam is not None}
+    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
+    assert set(means) == {1, 2, 3, 4, 5, *range(6 + marked + 1, 16)}  # two of four exposures make a mean
+    invalid = {str(fault) for _, m in after[1:] if m.beam is None for fault in m.status}
+    assert invalid == {"front_exposure_changing" if camera == "left" else "rear_exposure_changing"}
+
+
+def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 4 + [(10.3, 5.0)] * 6)
+    frames = [
+        replace(f, changing=f.sequence == 4, t_ns=f.t_ns + (f.sequence == 4) * 20_000_000)
+        if f.camera == "left"
+        else f
+        for f in frames
+    ]
+    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
+    means = [m.beam.x_mm for sequence, m in after if m.beam is not None and sequence > 4]
+    assert means
+    assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
+
+
+def test_who_watches_is_shown_each_measured_frame_with_its_spot(calibration: Calibration) -> None:
+    seen: list[tuple[str, int, type]] = []
+    measured = MeasuringChain(
+        VIEWS,
+        calibration,
+        Measuring(window=4),
+        Installation(),
+        watch=lambda frame, spot: seen.append((frame.camera, frame.sequence, type(spot))),
+    )
+    frames = shots([(10.0, 5.0)] * 2)
+    frames.append(replace(frames[0], sequence=2, changing=True))
+    frames.append(replace(frames[0], sequence=3, leds_on=True))
+    for taken in frames:
+        measured.push(taken)
+    pairs = [(camera, number, Spot) for number in (0, 1) for camera in ("left", "right")]
+    assert seen == [*pairs, ("left", 2, NoSpot)]
 
 
 def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:

@@ -7,6 +7,7 @@ import errno
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from linuxpy.video.raw import BufferFlag, v4l2_buffer
 
@@ -19,7 +20,6 @@ from altd.devices.v4l2.node import Node
 from altd.devices.v4l2.stream import Stream, set_format, set_rate
 from altd.ports import (
     CameraBusyError,
-    CameraError,
     CameraLostError,
     CameraNotFoundError,
     CameraRefusedError,
@@ -31,6 +31,17 @@ from altd.records import Frame, Origin
 _TEST_DRIVERS = ("vivid", "v4l2 loopback")
 """Drivers of the kernel that make pictures up, or pass on those of another program."""
 _LARGEST_SEQUENCE = 2**32 - 1
+
+
+@dataclass(slots=True)
+class _Running:
+    """What an open camera consists of."""
+
+    node: Node
+    layout: Layout
+    stream: Stream
+    exposure: ExposureTime | None
+    exposure_ms: float | None
 
 
 class V4l2Camera:
@@ -89,3 +100,80 @@ class V4l2Camera:
         if running is not None:
             running.stream.close()
             running.node.close()
+
+    def _run(self, node: Node) -> _Running:
+        settings = self._settings
+        if not node.streams:
+            raise CameraRefusedError("is no camera: it streams no frames")
+        set_controls(node, settings.controls)  # first: with some cameras they decide what formats there are
+        layout = set_format(node, settings.width, settings.height, PIXEL_FORMATS[settings.pixel_format])
+        set_rate(node, settings.fps, layout)
+        exposure = ExposureTime.of(controls_of(node).values())
+        exposure_ms = exposure.now_ms(node) if exposure else None
+        return _Running(node, layout, Stream(node), exposure, exposure_ms)
+
+    def _open_camera(self) -> _Running:
+        if self._running is None:
+            raise CameraLostError(f"{self._settings.device}: is not open")
+        return self._running
+
+    def _frame(self, running: _Running, buffer: v4l2_buffer) -> Frame | None:
+        """The frame in a buffer; None when the driver says that it is damaged, or when it is too short."""
+        flags = BufferFlag(buffer.flags)
+        if BufferFlag.ERROR in flags or buffer.bytesused < running.layout.frame_bytes:
+            return None
+        monotonic = flags & BufferFlag.TIMESTAMP_MASK == BufferFlag.TIMESTAMP_MONOTONIC
+        begun = flags & BufferFlag.TSTAMP_SRC_MASK == BufferFlag.TSTAMP_SRC_SOE
+        t_ns = middle_of_exposure_ns(
+            buffer.timestamp.secs * 1_000_000_000 + buffer.timestamp.usecs * 1000,
+            "monotonic" if monotonic else "unknown",
+            Stamp.START_OF_EXPOSURE if begun else Stamp.END_OF_FRAME,
+            running.exposure_ms,
+            time.monotonic_ns(),
+        )
+        return Frame(
+            self.name,
+            self._counter.number(buffer.sequence),
+            t_ns,
+            running.layout.pixels(running.stream.memory(buffer)),
+            running.layout.pixel_format.bits,
+            exposure_ms=running.exposure_ms,
+        )
+
+    @contextlib.contextmanager
+    def _failing_to_open(self) -> Iterator[None]:
+        """Say which kind of failure an opening met, with the device in front."""
+        device = self._settings.device
+        try:
+            yield
+        except CameraRefusedError as error:
+            raise CameraRefusedError(f"{device}: {error}") from error
+        except OSError as error:
+            if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+                raise CameraNotFoundError(f"{device}: there is no such camera now") from error
+            if error.errno == errno.EBUSY:
+                raise CameraBusyError(f"{device}: another program uses the camera") from error
+            if error.errno in (errno.EACCES, errno.EPERM):
+                raise CameraRefusedError(f"{device}: no permission; it belongs to the group video") from error
+            if error.errno in (errno.ENOTTY, errno.EISDIR):
+                raise CameraRefusedError(f"{device}: is no Video4Linux device") from error
+            raise CameraLostError(f"{device}: {_why(error)}") from error
+
+    @contextlib.contextmanager
+    def _losing(self) -> Iterator[None]:
+        """Whatever an open camera fails with, it has to be opened again."""
+        device = self._settings.device
+        try:
+            yield
+        except CameraRefusedError as error:
+            raise CameraRefusedError(f"{device}: {error}") from error
+        except OSError as error:
+            raise CameraLostError(f"{device}: {_why(error)}") from error
+
+
+def _why(error: OSError) -> str:
+    if error.errno == errno.ENODEV:
+        return "the camera is gone"
+    if error.errno == errno.EIO:
+        return "the driver broke off the stream"
+    return os.strerror(error.errno) if error.errno else str(error)

@@ -1,14 +1,14 @@
-"""What a Video4Linux buffer means: grey values out of its bytes, an instant out of its stamp. No input, no output."""
+"""What a Video4Linux buffer holds, without input or output: grey values, an instant."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, auto
+from mmap import mmap
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from typing_extensions import Buffer
 
 from altd.records import PixelArray
 
@@ -56,7 +56,7 @@ class Layout:
         """What a whole frame takes; the last line may come without its padding."""
         return self.bytes_per_line * (self.height - 1) + self.width * self.pixel_format.bytes_per_pixel
 
-    def pixels(self, buffer: Buffer) -> PixelArray:
+    def pixels(self, buffer: bytes | memoryview | mmap) -> PixelArray:
         """The frame's grey values, (rows, columns), read-only.
 
         Copied, once: the driver gets the buffer back at once and fills it again, while a frame lives as long
@@ -74,7 +74,7 @@ class Layout:
 
 
 class Stamp(Enum):
-    """What a driver says that its time stamp is: when the exposure began, or when the last pixel was there."""
+    """What a driver stamps: the beginning of the exposure, or when the last pixel was there."""
 
     START_OF_EXPOSURE = auto()
     END_OF_FRAME = auto()

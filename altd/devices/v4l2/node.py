@@ -1,4 +1,4 @@
-"""An open Video4Linux device: its descriptor, what it calls itself, and the calls that everything is made of."""
+"""An open Video4Linux device: its descriptor, its own names, and the calls that all else is made of."""
 
 from __future__ import annotations
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import mmap
 import select
 import time
 from fractions import Fraction
+from mmap import mmap
 
 from linuxpy.video.raw import (
     IOC,
@@ -30,7 +30,7 @@ _BUFFERS = 4
 """One is filled while one is taken; the others bridge a thread that the machine lets wait."""
 _AGAIN_S = 0.001
 _SAME_RATE = 1e-4
-"""Rates that differ by less are the same one, as a fraction of the kernel's and as a decimal of the config."""
+"""Rates that differ by less are one: a fraction of the kernel's, a decimal of the config."""
 
 
 def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -> Layout:
@@ -49,12 +49,14 @@ def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -
         raise CameraRefusedError(f"has no frames of {width} × {height} in {pixel_format.name}; {nearest}")
     layout = Layout(width, height, taken.bytesperline or width * pixel_format.bytes_per_pixel, pixel_format)
     if layout.frame_bytes > taken.sizeimage:
-        raise CameraRefusedError(f"contradicts itself: frames of {layout.frame_bytes} bytes in {taken.sizeimage}")
+        raise CameraRefusedError(
+            f"promises {layout.frame_bytes} bytes a frame in buffers of {taken.sizeimage}"
+        )
     return layout
 
 
 def set_rate(node: Node, fps: float, layout: Layout) -> None:
-    """Have so many frames a second, where the camera has a rate to set; raises CameraRefusedError, OSError."""
+    """Have this rate, where the camera lets itself be set one; raises CameraRefusedError or OSError."""
     asked = v4l2_streamparm(type=BufType.VIDEO_CAPTURE)
     capture = asked.parm.capture
     try:
@@ -74,7 +76,7 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
     if abs(rate - fps) > _SAME_RATE * fps:
         there = offers.rates(node, layout.pixel_format.fourcc, layout.width, layout.height)
         listed = " of " + ", ".join(f"{rate:.6g}" for rate in there) if there else ""
-        raise CameraRefusedError(f"does not run at {fps:g} frames a second; the nearest is {rate:.6g}{listed}")
+        raise CameraRefusedError(f"does not run at {fps:g} frames/s; the nearest is {rate:.6g}{listed}")
 
 
 class Stream:
@@ -84,7 +86,7 @@ class Stream:
         self._node = node
         self._poll = select.poll()
         self._poll.register(node.descriptor, select.POLLIN)
-        self._maps: list[mmap.mmap] = []
+        self._maps: list[mmap] = []
         try:
             granted = node.call(
                 IOC.REQBUFS,
@@ -92,7 +94,7 @@ class Stream:
             )
             for index in range(granted.count):  # not always as many as were asked for
                 buffer = node.call(IOC.QUERYBUF, _buffer(index))
-                self._maps.append(mmap.mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
+                self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
                 node.call(IOC.QBUF, buffer)
             node.call(IOC.STREAMON, ctypes.c_int(BufType.VIDEO_CAPTURE))
         except OSError:
@@ -112,9 +114,9 @@ class Stream:
                     return None
                 time.sleep(_AGAIN_S)  # woken for nothing; a driver that does so for ever costs no processor
 
-    def memory(self, buffer: v4l2_buffer) -> mmap.mmap:
+    def memory(self, buffer: v4l2_buffer) -> mmap:
         """What the driver wrote; its own again after ``give_back``."""
-        return self._maps[buffer.index]
+        return self._maps[int(buffer.index)]
 
     def give_back(self, buffer: v4l2_buffer) -> None:
         """Let the driver fill it again."""
