@@ -64,7 +64,7 @@ def test_the_inventory_names_chips_lines_and_who_holds_them(seen: dict[str, Any]
 @pytest.mark.parametrize(
     ("case", "words"),
     [
-        ("taken", "line 'LED_B' of GPIO chip 'unit' (/dev/gpiochip0) is taken by 'blinker'"),
+        ("taken", "GPIO chip 'unit' (/dev/gpiochip0): 'LED_B' taken by 'blinker'"),
         (
             "no chip",
             "no GPIO chip 'units', those that can be looked at: 'unit' (gpiochip0), 'plain' (gpiochip1)",

@@ -19,7 +19,10 @@ LABEL, LINES = os.environ["PIN_CHIP"], os.environ["PIN_LINES"].split()
 
 
 def note(what: str) -> None:
-    levels = dict(zip(LINES, levels_of(LABEL, LINES), strict=True))
+    try:
+        levels = dict(zip(LINES, levels_of(LABEL, LINES), strict=True))
+    except FileNotFoundError:
+        return  # the chip is unplugged
     with NOTES.open("a") as notes:
         notes.write(json.dumps([what, levels]) + "\n")
 

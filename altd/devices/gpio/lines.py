@@ -64,21 +64,23 @@ class OutputLines:
             return
         with contextlib.suppress(LampsError):  # of a chip that is gone nothing can be darkened
             self.set(())
-        self._request.release()
-        self._request = None
+        request, self._request = self._request, None
+        request.release()
 
     def _why_not_ours(self, error: OSError) -> str:
         names = ", ".join(map(repr, self._names))
         if error.errno != errno.EBUSY:
             return f"{self._place}: {names} cannot be had as outputs: {error.strerror or error}"
         chip = find_chip(self._chip)
-        taken = [
-            f"line {name!r} of {chip} is taken by {_holder(line.used_by)}"
-            for name in self._names
-            if (line := find_line(chip, name)).used_by is not None
-        ]
-        return "; ".join(taken) or f"{self._place}: one of {names} was taken by another program"
+        taken: dict[str, list[str]] = {}
+        for name in self._names:
+            if (holder := find_line(chip, name).used_by) is not None:
+                taken.setdefault(holder, []).append(repr(name))
+        if not taken:
+            return f"{chip}: one of {names} was taken by another program"
+        each = (f"{', '.join(lines)} taken by {_known(holder)}" for holder, lines in taken.items())
+        return f"{chip}: {'; '.join(each)}"
 
 
-def _holder(consumer: str) -> str:
-    return f"{consumer!r}, the daemon or one of its commands" if consumer == CONSUMER else repr(consumer)
+def _known(holder: str) -> str:
+    return f"{holder!r}, the daemon or one of its commands" if holder == CONSUMER else repr(holder)
