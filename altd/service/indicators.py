@@ -85,7 +85,7 @@ class DataFlash:
 
 
 class IndicatorPanel:
-    """The lamps on the housing, following board and health. Their own failure they do not show."""
+    """The lamps on the housing, following board and health."""
 
     def __init__(
         self, indicators: Indicators, board: Board, health: Health, component: Component, clock: Clock
@@ -96,7 +96,6 @@ class IndicatorPanel:
         )
         self._board = board
         self._health = health
-        self._component = component
         self._clock = clock
         self._flash = DataFlash()
 
@@ -119,11 +118,11 @@ class IndicatorPanel:
     def _lit(self, now_ns: int, running_s: float) -> frozenset[Indicator]:
         components = list(self._health)
         standing = standing_of(self._board.read(), running_s)
-        failed = any(c.state is State.FAILED for c in components if c is not self._component)
+        failed = any(component.state is State.FAILED for component in components)
         lit = {
             Indicator.POWER: True,
             Indicator.OK: OK_LIGHT[standing].lit_at(now_ns),
             Indicator.ERROR: error_light(standing, failed).lit_at(now_ns),
-            Indicator.DATA: self._flash.lit(sum(c.data_given for c in components)),
+            Indicator.DATA: self._flash.lit(sum(component.data_given for component in components)),
         }
         return frozenset(indicator for indicator, shines in lit.items() if shines)
