@@ -34,9 +34,9 @@ class FedUnit:
     calibration: Path
     frames: Path
 
-    def config(self, fps: float, max_skew_ms: float) -> Path:
+    def config(self, fps: float) -> Path:
         path = self.folder / f"{fps:g}.toml"
-        return write_config(path, SEED, self.calibration, fps, max_skew_ms)
+        return write_config(path, SEED, self.calibration, fps)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
     run = run_in_guest(
         tmp_path_factory.mktemp("measuring"),
         "measuring.py",
-        unit.config(20, 10.0),
+        unit.config(20),
         unit.frames,
         20,
         seconds,
@@ -146,11 +146,11 @@ def test_figures(measured: Any, in_process: list[Measurement], capsys: pytest.Ca
 
 @pytest.fixture(scope="module")
 def failed(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Two vivid cameras that run freely, at any lag to each other; the beam rests, so it does no harm."""
+    """Two vivid cameras that run freely, at any lag to each other."""
     run = run_in_guest(
         tmp_path_factory.mktemp("failing"),
         "failing.py",
-        unit.config(25, 19.9),
+        unit.config(25),
         unit.frames,
         25,
         kernel_arguments=("vivid.n_devs=2",),
