@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-peers studies docs lock clean venv programs kernel
+.PHONY: help demo test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -41,6 +41,9 @@ check: venv ## style, types, layers, generated pages
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
+
+bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
+	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "measured or figures"
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers

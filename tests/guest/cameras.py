@@ -20,6 +20,14 @@ def nodes(name_contains: str) -> list[Path]:
     return [Path("/dev", node.name) for node in sorted(found, key=lambda node: int(node.name[5:]))]
 
 
+def plug_in(place: str, node: Path) -> Path:
+    """Name a node by the place where it is plugged in, as udev would; returns the stable path."""
+    path = Path("/dev/v4l/by-path", place)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.symlink_to(node)
+    return path
+
+
 def v4l2_ctl(device: Path, *arguments: str) -> str:
     """Run the foreign tool on a device; returns what it prints."""
     done = subprocess.run(["v4l2-ctl", "-d", device, *arguments], capture_output=True, text=True, check=True)
@@ -27,8 +35,11 @@ def v4l2_ctl(device: Path, *arguments: str) -> str:
 
 
 def camera(device: Path, **settings: object) -> V4l2Camera:
-    """A camera of vivid's or v4l2loopback's, 640 × 360 at 30 frames a second unless told otherwise."""
-    table = {"driver": "v4l2", "device": device, "width": 640, "height": 360, "fps": 30, **settings}
+    """A camera of vivid's or v4l2loopback's, 640 × 360 at 25 frames a second unless told otherwise.
+
+    vivid counts time in the guest's ticks of 10 ms: of other rates it makes steps of two lengths.
+    """
+    table = {"driver": "v4l2", "device": device, "width": 640, "height": 360, "fps": 25, **settings}
     return V4l2Camera("front", Settings.model_validate(table))
 
 

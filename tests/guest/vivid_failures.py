@@ -1,15 +1,14 @@
-"""What a vivid camera does when it is asked for what it has not, is taken, breaks, goes away and comes back."""
+"""A vivid camera asked for what it has not, taken, broken, pulled out and put back elsewhere."""
 
 from __future__ import annotations
 
 import threading
 from pathlib import Path
 
-from cameras import camera, nodes, outcome, v4l2_ctl
+from cameras import camera, nodes, outcome, plug_in, v4l2_ctl
 from support.guest import leave_results
 
 FIRST, SECOND = nodes("vid-cap")
-BY_PATH = Path("/dev/v4l/by-path/a-socket-of-this-pc")
 
 
 def main() -> None:
@@ -76,19 +75,18 @@ def broken() -> list[dict[str, object]]:
 
 def re_plugged() -> list[dict[str, object]]:
     """Pulled out while a frame is waited for; away; back under another number at the same place."""
-    BY_PATH.parent.mkdir(parents=True)
-    BY_PATH.symlink_to(FIRST)
-    one = camera(BY_PATH)
+    path = plug_in("a-socket-of-this-pc", FIRST)
+    one = camera(path)
     one.open()
     one.next_frame(1.0)
     pulling = threading.Timer(0.3, v4l2_ctl, (FIRST, "-c", "disconnect=1"))
     pulling.start()
     lost = outcome(lambda: [one.next_frame(2.0) for _ in range(300)])
     pulling.join()
-    BY_PATH.unlink()
+    path.unlink()
     one.close()
     away = outcome(one.open)
-    BY_PATH.symlink_to(SECOND)
+    plug_in("a-socket-of-this-pc", SECOND)
     back = outcome(lambda: (one.open(), one.next_frame(1.0)))
     one.close()
     return [lost, away, back]

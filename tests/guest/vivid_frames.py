@@ -50,9 +50,9 @@ def sequences(one: V4l2Camera, count: int) -> list[int]:
 
 
 def dropped() -> list[int]:
-    one = camera(DEVICE, fps=60, controls={"percentage_of_dropped_buffers": 20})
+    one = camera(DEVICE, width=320, height=180, fps=25, controls={"percentage_of_dropped_buffers": 20})
     one.open()
-    found = sequences(one, 200)
+    found = sequences(one, 120)
     one.close()
     v4l2_ctl(DEVICE, "-c", "percentage_of_dropped_buffers=0")
     return found
@@ -70,7 +70,7 @@ def damaged() -> list[int]:
 
 def wrapped() -> list[int]:
     """Over 2³² − 1: with this control vivid begins 128 before it."""
-    one = camera(DEVICE, fps=60, controls={"wrap_sequence_number": 1})
+    one = camera(DEVICE, width=320, height=180, fps=50, controls={"wrap_sequence_number": 1})
     one.open()
     found = sequences(one, 140)
     one.close()

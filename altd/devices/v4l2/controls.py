@@ -43,6 +43,9 @@ class Control:
 
     def set(self, node: Node, value: int) -> None:
         """Set it to exactly this; raises CameraRefusedError when the camera does not take it, or OSError."""
+        beyond = self.kind != "button" and not self.smallest <= value <= self.largest
+        if beyond or not self.writes:  # the kernel would take the nearest
+            raise CameraRefusedError(f"control {self.name} does not take {value}: {self}")
         try:
             taken = int(node.call(IOC.S_CTRL, v4l2_control(self.number, value)).value)
         except OSError as error:
