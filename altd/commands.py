@@ -234,6 +234,7 @@ def _lamps(options: argparse.Namespace) -> int:
         "test": by_hand.light_in_turn,
         "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
     }
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what is lit gets dark on the way out
     try:
         looks[options.look]()
     except LampsError as error:

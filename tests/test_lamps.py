@@ -107,6 +107,13 @@ class TestCommand:
         lit = [look for look, _ in itertools.groupby(looks) if look]
         assert lit == [("DATA",), ("ERROR",), ("POWER",), ("OK",), ("LED_A", "LED_B")]
 
+    def test_lights_all_until_it_is_ended(self, seen: dict[str, Any]) -> None:
+        assert seen["on"] == ["all are lit; Ctrl-C darkens them\n", [1] * 6]
+        assert seen["on, ended"] == 130
+        indicators, frame = [levels for what, levels in seen["notes, on"] if what == "let go"]
+        assert not any(indicators[line] for line in ("DATA", "ERROR", "POWER", "OK"))
+        assert not any(frame[line] for line in ("LED_A", "LED_B"))
+
     def test_is_refused_while_the_daemon_runs(self, seen: dict[str, Any]) -> None:
         out, complaint, status = seen["test while it runs"]
         assert (out, status) == ("", 1)

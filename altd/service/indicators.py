@@ -101,12 +101,9 @@ class IndicatorPanel:
 
     async def run(self) -> None:
         """Follow until cancelled; then all are dark."""
-        following = asyncio.create_task(self._follow(), name="indicator-tick")
-        try:
-            await self._keeper.run()
-        finally:
-            following.cancel()
-            await asyncio.gather(following, return_exceptions=True)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._keeper.run(), name="indicator-keeper")
+            await self._follow()
 
     async def _follow(self) -> None:
         started_ns = self._clock.monotonic_ns()

@@ -173,4 +173,12 @@ trial = altd(notes, "lamps", "test", "--config", CONFIG)
 results["test"] = [*trial.communicate(), trial.returncode]
 results["notes, test"] = noted(notes)
 
+notes = Path("on.notes").absolute()
+trial = altd(notes, "lamps", "on", "--config", CONFIG)
+assert trial.stdout is not None
+results["on"] = [trial.stdout.readline(), unit.levels(*LINES)]
+trial.terminate()
+results["on, ended"] = trial.wait()
+results["notes, on"] = noted(notes)
+
 leave_results(results)
