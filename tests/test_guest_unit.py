@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.fed_unit import POSE, calibrate, render, write_config
+from support.foreign import need_program
 from support.guest import run_in_guest
 
 from altd.calibration.file import load_calibration
@@ -88,13 +89,22 @@ def counted(measured: Any, component: str, counter: str) -> int:
     return int(after - before)
 
 
+def lost_frames(measured: Any) -> int:
+    """Of both cameras: lost by the driver, or overtaken before they were measured."""
+    by_driver = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
+    return by_driver + sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
+
+
 def test_no_pair_of_frames_is_lost(measured: Any) -> None:
     exposed = 20 * measured["seconds"]
-    lost = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
-    lost += sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
-    assert lost <= (0 if BENCH_S else 0.05 * exposed)
-    assert counted(measured, "measuring", "valid") == counted(measured, "measuring", "measurements")
-    assert counted(measured, "measuring", "measurements") >= 0.95 * exposed - 2
+    assert lost_frames(measured) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
+    measurements = counted(measured, "measuring", "measurements")
+    assert measurements == pytest.approx(exposed, abs=2 if BENCH_S else 0.05 * exposed)
+    assert counted(measured, "measuring", "valid") == measurements
+
+
+def test_what_a_driver_has_left_from_before_counts_neither_as_a_frame_nor_as_lost(measured: Any) -> None:
+    assert max(measured["before"][f"camera {camera}"].get("lost", 0) for camera in CAMERAS) < 10
 
 
 def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measured: Any) -> None:
@@ -130,8 +140,11 @@ def test_figures(measured: Any, in_process: list[Measurement], capsys: pytest.Ca
     intervals_ms = np.diff([at_s for at_s, _ in events]) * 1e3
     modbus_ms = np.array(measured["modbus_s"]) * 1e3
     with capsys.disabled():
-        print(f"\n{measured['seconds']:.1f} s, {len(events)} measurements, lost frames:", end=" ")
-        print({camera: counted(measured, f"camera {camera}", "lost") for camera in CAMERAS})
+        print(
+            f"\n{measured['seconds']:.1f} s, {counted(measured, 'measuring', 'measurements')} measurements,"
+        )
+        print(f"{lost_frames(measured)} frames lost; intervals in ms, smallest and largest:", end=" ")
+        print(f"{intervals_ms.min():.1f}, {intervals_ms.max():.1f}")
         print(f"interval off 50 ms, p99: {np.percentile(np.abs(intervals_ms - 50), 99):.1f} ms")
         print(f"processor of the daemon: {100 * measured['processor']:.1f} % of one")
         print(f"Modbus answer, p50 and p99: {np.percentile(modbus_ms, 50):.1f}, ", end="")
@@ -147,6 +160,7 @@ def test_figures(measured: Any, in_process: list[Measurement], capsys: pytest.Ca
 @pytest.fixture(scope="module")
 def failed(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Two vivid cameras that run freely, at any lag to each other."""
+    need_program("v4l2-ctl", "v4l-utils")
     run = run_in_guest(
         tmp_path_factory.mktemp("failing"),
         "failing.py",
