@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.foreign import need_program
 from support.guest import run_in_guest
 
 BY_PATH = "/dev/v4l/by-path/pci-0000:00:14.0-usb-0:2:1.0-video-index0"
@@ -11,6 +12,7 @@ BY_PATH = "/dev/v4l/by-path/pci-0000:00:14.0-usb-0:2:1.0-video-index0"
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    need_program("v4l2-ctl", "v4l-utils")
     drivers = ("vivid.n_devs=1", "v4l2loopback.devices=1")
     run = run_in_guest(tmp_path_factory.mktemp("inventory"), "inventory.py", kernel_arguments=drivers)
     return run.results
