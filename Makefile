@@ -43,7 +43,7 @@ bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
-	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "measured or figures"
+	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "pair or truth or figures"
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers
@@ -70,7 +70,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils
+	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils v4l2-ctl=v4l-utils
 
 kernel: # the kernel that drivers are tested in
 	@.ci/kernel >/dev/null

@@ -73,6 +73,15 @@ def _parser() -> argparse.ArgumentParser:
     scan.add_argument("--config", type=Path, required=True, metavar="FILE")
     scan.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
 
+    lamps = commands.add_parser("lamps", help="switch frame LEDs and indicators while the daemon is stopped")
+    lamps.add_argument(
+        "look",
+        choices=("off", "on", "test", "stopped"),
+        help="off: dark; on: all lit until Ctrl-C; test: each in turn, by name; "
+        "stopped: dark but for Error if the service has failed (for systemd, reads $SERVICE_RESULT)",
+    )
+    lamps.add_argument("--config", type=Path, required=True, metavar="FILE")
+
     locate = commands.add_parser(
         "locate", help="find the spot in images by two localisers; one JSON object an image"
     )

@@ -56,6 +56,8 @@ class TelegramPublisher:
         telegram = encode(self._board.read())
         sent = port.write(lead + telegram)
         self._component.count("telegrams_sent" if sent else "telegrams_dropped")
+        if sent:
+            self._component.gave_data()
         takes_s = seconds_on_line(settings, len(telegram))
         if takes_s > settings.interval_s:
             self._component.say(

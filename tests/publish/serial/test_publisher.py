@@ -65,6 +65,7 @@ class TestTelegram:
             stale = parse(await wire.receive(lines(2)))
             assert (stale.mode, stale.x_mm, stale.reasons) == ("V", None, ("stale",))
         assert component.counters == {"telegrams_sent": 4}
+        assert component.data_given == 4
         assert component.state is State.OK
 
     async def test_lost_time_is_not_made_up_by_a_burst(
