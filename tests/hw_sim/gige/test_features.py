@@ -144,8 +144,8 @@ def test_an_exposure_comes_with_each_software_trigger_and_without_one_none(unit_
 
 @pytest.mark.parametrize(
     ("register", "value"),
-    [(0x100, 0x10000), (0x104, 481), (0x130, 1), (0x128, 0xDEAD0007)],
-    ids=["width", "height", "offset", "format"],
+    [(0x100, 0x10000), (0x104, 481), (0x100, 0), (0x130, 1), (0x130, 0x80000000), (0x128, 0xDEAD0007)],
+    ids=["width", "height", "no width", "offset", "negative offset", "format"],
 )
 def test_registers_that_no_chip_can_follow_send_nothing_and_harm_nothing(
     unit_at_rest: Served, register: int, value: int

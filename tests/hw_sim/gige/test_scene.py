@@ -110,7 +110,12 @@ def test_a_cameras_output_lights_the_leds_around_its_own_target_in_the_next_expo
         own.start()
         for on in (True, False, True):
             assert leds_after(driven_unit, own, camera, UserOutputValue=on) == (6 if on else 0)
-        assert bright_leds(driven_unit, other, others.take(1)[0].pixels) == 0
+        others.start()
+        others.frame()
+        own.frame()
+        for _ in range(20):
+            assert bright_leds(driven_unit, camera, own.frame().pixels) == 6
+            assert bright_leds(driven_unit, other, others.frame().pixels) == 0
         own.set(LineSelector="Line1")
         assert leds_after(driven_unit, own, camera, LineMode="Input") == 0
         assert leds_after(driven_unit, own, camera, LineMode="Output") == 6
