@@ -60,13 +60,14 @@ class ExposureControl(Table):
     ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
     to set is left alone, and its health says so."""
     exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
-    """Where ``auto`` begins, or what is ``fixed``."""
+    """Where ``auto`` begins, or what is ``fixed``. `altd record` and `altd scan` hold it in both cases."""
     gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
     """The same for the gain."""
     shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
     """``auto`` goes no lower, nor lower than the camera can."""
     longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
-    """``auto`` goes no higher. A long exposure smears vibration; it must fit between two frames."""
+    """``auto`` goes no higher, nor to more than nine tenths of the time between two frames. A long exposure
+    smears vibration."""
     largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
     """``auto`` adds gain only once ``longest_ms`` does not suffice, and no more than this."""
 

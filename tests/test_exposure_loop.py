@@ -1,4 +1,4 @@
-"""Exposure control on simulated cameras in their own time: chain, keeper and setter as the daemon has them."""
+"""Exposure control on simulated cameras in their own time: chain, keeper and setter as in the daemon."""
 
 from __future__ import annotations
 
