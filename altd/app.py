@@ -16,11 +16,13 @@ from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError, bare
 from altd.ports import Camera, Clock, Lamps, Stage
 from altd.recording import Kind, Recording, UnitHeader, open_recording, refuse_used_folder
+from altd.records import Frame, NoSpot, Spot
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
+from altd.service.exposing import ExposureKeeper, ExposureSetter
 from altd.service.grabbing import grab
-from altd.service.health import Health, State
+from altd.service.health import Component, Health, State
 from altd.service.inbox import Inbox
 from altd.service.manager import ServiceManager
 from altd.service.pipeline import Pipeline
@@ -59,7 +61,15 @@ class Daemon:
             config.installation,
             lambda: (camera.origin for camera in self._cameras.values()),
             self.clock.utc,
+            self._watch,
         )
+        self._keepers = {
+            name: ExposureKeeper(
+                settings.exposure, settings.fps, config.measuring.window, self._camera_health(name)
+            )
+            for name, settings in config.cameras.items()
+            if name in self._cameras and isinstance(settings, LiveCamera)
+        }
 
     async def run(self) -> None:
         """Measure and publish until cancelled.
@@ -80,8 +90,11 @@ class Daemon:
                     tasks.create_task(face, name=place)
                 await _all_of(tried)
                 for name, camera in self._cameras.items():
-                    component = self.health.component(f"camera {name}")
-                    tasks.create_task(grab(camera, inbox, component), name=f"camera {name}")
+                    keeper = self._keepers.get(name)
+                    grabbing = grab(
+                        camera, inbox, self._camera_health(name), keeper.setter if keeper else None
+                    )
+                    tasks.create_task(grabbing, name=f"camera {name}")
                 pipeline = Pipeline(
                     inbox,
                     self.chain,
@@ -97,6 +110,13 @@ class Daemon:
             if refused is None:
                 raise
             raise refused from None
+
+    def _camera_health(self, name: str) -> Component:
+        return self.health.component(f"camera {name}")
+
+    def _watch(self, frame: Frame, spot: Spot | NoSpot) -> None:
+        if (keeper := self._keepers.get(frame.camera)) is not None:
+            keeper.see(frame, spot)
 
     def _publishers(self) -> Iterator[tuple[str, Publisher]]:
         """The faces that the config asks for, with their places in it. Imported only when wanted."""
@@ -149,13 +169,15 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
     """The driver behind a camera's table. Imported only when wanted."""
-    if isinstance(settings, AravisCamera):
-        try:
-            from altd.devices.aravis import driver as aravis
-        except ImportError as error:
-            raise BadInputError(f"cameras.{name}", str(error)) from error
-        return aravis.AravisCamera(name, settings)
-    raise NotImplementedError(f"{name}: {settings.driver}")
+    if isinstance(settings, V4l2Camera):
+        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
+
+        return Video4LinuxCamera(name, settings)
+    try:
+        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
+    except ImportError as error:
+        raise BadInputError(f"cameras.{name}", str(error)) from error
+    return GigeVisionCamera(name, settings)
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
@@ -195,8 +217,25 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float, k
     distance_mm = max(target.z_mm for target in config.targets) - min(t.z_mm for t in config.targets)
     unit = UnitHeader(serial=config.unit.serial, target_distance_mm=distance_mm)
     return await record(
-        list(cameras.values()), folder, unit, config.measuring, Health(clock), clock.utc, seconds, kind
+        list(cameras.values()),
+        folder,
+        unit,
+        config.measuring,
+        Health(clock),
+        clock.utc,
+        seconds,
+        kind,
+        setters=setters_of(config),
     )
+
+
+def setters_of(config: Config) -> dict[str, ExposureSetter]:
+    """For a recording or a scan: each live camera gets its exposure from the config once, and keeps it."""
+    return {
+        name: ExposureSetter(settings.exposure, settings.fps)
+        for name, settings in config.cameras.items()
+        if isinstance(settings, LiveCamera) and settings.exposure.control != "camera"
+    }
 
 
 def stage_of(config: Config, place: Path) -> Stage:
@@ -222,7 +261,8 @@ def scanner_of(
     """
     stage = stage_of(config, place)
     cameras = cameras_of(config, place) if cameras is None else cameras
-    return Scanner(config, folder, list(cameras.values()), stage, lamps, SystemClock(), teller)
+    clock, setters = SystemClock(), setters_of(config)
+    return Scanner(config, folder, list(cameras.values()), stage, lamps, clock, teller, setters)
 
 
 async def _all_of(tried: Sequence[asyncio.Event]) -> None:

@@ -60,13 +60,14 @@ class ExposureControl(Table):
     ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
     to set is left alone, and its health says so."""
     exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
-    """Where ``auto`` begins, or what is ``fixed``."""
+    """Where ``auto`` begins, or what is ``fixed``. `altd record` and `altd scan` hold it in both cases."""
     gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
     """The same for the gain."""
     shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
     """``auto`` goes no lower, nor lower than the camera can."""
     longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
-    """``auto`` goes no higher. A long exposure smears vibration; it must fit between two frames."""
+    """``auto`` goes no higher, nor to more than nine tenths of the time between two frames. A long exposure
+    smears vibration."""
     largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
     """``auto`` adds gain only once ``longest_ms`` does not suffice, and no more than this."""
 
@@ -187,8 +188,19 @@ class Measuring(Table):
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
     """Largest difference in time between the frames of one exposure. By time, a steady lag of one camera
     behind another is measured and taken off first."""
-    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 25.0
-    """Largest steady lag: free-running cameras expose up to half a period apart."""
+    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0
+    """Largest steady lag: free-running cameras expose up to half a period apart, 25 ms at 20 a second."""
+
+    @property
+    def max_skew_ns(self) -> int:
+        """``max_skew_ms`` in the unit of the frames' times."""
+        return round(self.max_skew_ms * 1e6)
+
+    @property
+    def max_lag_ns(self) -> int:
+        """``max_lag_ms`` in the unit of the frames' times."""
+        return round(self.max_lag_ms * 1e6)
+
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
@@ -100,7 +100,8 @@ class Frame:
 
     ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
     ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
-    those too that were lost. ``exposure_ms`` and ``gain_db`` are None where the camera does not tell them.
+    those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
+    to, else None.
     ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
     """
 
@@ -147,12 +148,14 @@ class NoSpot:
 class Exposure:
     """What the cameras saw at one instant: a spot, or the reason why there is none, per target.
 
-    ``t_ns`` is the mean of the frames' times.
+    ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
+    another so much later.
     """
 
     sequence: int
     t_ns: int
     spots: Mapping[str, Spot | NoSpot]
+    behind_ns: Mapping[str, int] = field(default_factory=dict)
 
     def faults(self) -> tuple[Fault, ...]:
         """Why this exposure cannot be used; empty when every target has its spot."""

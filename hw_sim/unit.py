@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -179,7 +180,7 @@ class Unit:
         ``exact`` draws every photon (a recording, 20 times slower); otherwise noise comes from a pool.
         The same unit, beam, sequence and time give the same frame, bit for bit.
         """
-        faults, leds_on = self._faults, self.leds_on
+        faults, leds_on, settings = self._faults, self.leds_on, self.eyes[camera].settings
         if faults & ALL_PIXELS:
             pixels = self._without_picture(faults, camera, sequence)
         else:
@@ -192,7 +193,16 @@ class Unit:
                 key = sequence * len(CAMERAS) + CAMERAS.index(camera)
                 pixels = eye.sketch(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
         pixels.flags.writeable = False
-        return Frame(camera, sequence, t_ns, pixels, self.config.bits, leds_on)
+        return Frame(
+            camera,
+            sequence,
+            t_ns,
+            pixels,
+            self.config.bits,
+            leds_on,
+            exposure_ms=settings.exposure_ms,
+            gain_db=20.0 * math.log10(settings.gain),
+        )
 
     def _displaced(self, t_ns: int) -> BeamPose:
         """The beam of the laser, unless a fault takes it elsewhere."""

@@ -11,7 +11,11 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support.cli import altd
 from support.foreign import need
+
+from altd.calibration.file import load_calibration
+from altd.calibration.model import Calibration
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -21,6 +25,15 @@ def shared_data() -> Path:
     """The recordings and photographs that this project did not make."""
     need(SHARED_DATA.is_dir(), "../shared/data is not there")
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def calibration_of_unit_3(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    """The calibration of the simulated unit with seed 3, from a scan as a technician makes it."""
+    folder = tmp_path_factory.mktemp("unit-3")
+    assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
+    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
+    return load_calibration(folder / "cal.json")
 
 
 @pytest.fixture(autouse=True)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
-from support.cli import altd
 
-from altd.calibration.file import load_calibration
 from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
 from altd.measurement_json import as_line
@@ -26,11 +23,8 @@ NUMBERS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg", "yaw_mm_per_m", "pitch_mm_per
 
 
 @pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    folder = tmp_path_factory.mktemp("sim")
-    assert altd("scan", "-o", folder / "scan", "--seed", SEED, module="hw_sim").status == 0
-    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
-    return load_calibration(Path(folder / "cal.json"))
+def calibration(calibration_of_unit_3: Calibration) -> Calibration:
+    return calibration_of_unit_3
 
 
 def measure(unit: Unit, calibration: Calibration, exposures: int = 12) -> list[Measurement]:

@@ -31,6 +31,14 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 
 
 @dataclass(frozen=True, slots=True)
+class _Found:
+    """What a frame holds, and how many frames of its camera, up to it, were exposed during a change."""
+
+    spot: Spot | NoSpot
+    changes: int
+
+
+@dataclass(frozen=True, slots=True)
 class View:
     """A target and the camera that looks at it."""
 
@@ -42,6 +50,7 @@ class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
+    ``watch`` is shown each frame that is measured, with what was found in it.
     """
 
     def __init__(
@@ -52,6 +61,7 @@ class MeasuringChain:
         installation: Installation,
         origins: Callable[[], Iterable[Origin]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
+        watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -59,16 +69,21 @@ class MeasuringChain:
         self._measuring = measuring
         self._installation = installation
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
-        self._pairer: Pairer[Spot | NoSpot] = Pairer(
+        self._pairer: Pairer[_Found] = Pairer(
             tuple(self._views),
             measuring.pair_by,
-            max_skew_ns=round(measuring.max_skew_ms * 1e6),
+            measuring.max_skew_ns,
+            measuring.max_lag_ns,
         )
         self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
         self._origins = origins
         self._utc = utc
+        self._watch = watch
+        self._changes = dict.fromkeys(self._views, 0)
+        self._changes_in_window = dict(self._changes)
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
+        self._last_skew_ns = 0
 
     @property
     def late_frames(self) -> int:
@@ -80,15 +95,26 @@ class MeasuringChain:
         seen = self._last_spots
         return "; ".join(f"{target}: {_in_words(seen[target])}" for target in self._targets if target in seen)
 
+    def step(self) -> dict[str, float]:
+        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms."""
+        lags = {
+            f"lag_{camera}_ms": round(lag_ns * 1e-6, 2)
+            for camera, lag_ns in list(self._pairer.lags_ns.items())[1:]
+        }
+        return {"skew_ms": round(self._last_skew_ns * 1e-6, 2), **lags}
+
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
             return []
         view = self._views[frame.camera]
         target = self._calibration[view.target]
+        self._changes[frame.camera] += frame.changing
         spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat)
+        self._watch(frame, spot)
         self._last_spots[view.target] = spot
-        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, spot)
+        found = _Found(spot, self._changes[frame.camera])
+        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
         return self._measure(pairs)
 
     def flush(self) -> list[Measurement]:
@@ -103,19 +129,27 @@ class MeasuringChain:
         self._last_spots = dict.fromkeys(self._targets, silent)
         return self._invalid(sequence, t_ns, tuple(silent.fault(target) for target in self._targets))
 
-    def _measure(self, pairs: Sequence[Pair[Spot | NoSpot]]) -> list[Measurement]:
+    def _measure(self, pairs: Sequence[Pair[_Found]]) -> list[Measurement]:
         measurements = (self._after(self._exposure(pair)) for pair in pairs)
         return [measurement for measurement in measurements if measurement is not None]
 
-    def _exposure(self, pair: Pair[Spot | NoSpot]) -> Exposure:
+    def _exposure(self, pair: Pair[_Found]) -> Exposure:
+        """The spots of one instant; forgets the window when one was exposed otherwise than those before."""
         spots: dict[str, Spot | NoSpot] = {}
+        self._last_skew_ns = pair.skew_ns
         for camera, view in self._views.items():
             if camera in pair.items:
-                spots[view.target] = pair.items[camera]
+                found = pair.items[camera]
+                spots[view.target] = found.spot
+                if found.changes != self._changes_in_window[camera]:
+                    self._changes_in_window[camera] = found.changes
+                    self._window.forget()
             else:
-                missing = NoSpot(pair.missing[camera], f"skew {pair.skew_ns * 1e-6:.1f} ms")
+                step = ", ".join(f"{name} {value:g}" for name, value in self.step().items())
+                missing = NoSpot(pair.missing[camera], step)
                 spots[view.target] = self._last_spots[view.target] = missing
-        return Exposure(pair.sequence, pair.t_ns, spots)
+        behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
+        return Exposure(pair.sequence, pair.t_ns, spots, behind_ns)
 
     def _after(self, exposure: Exposure) -> Measurement | None:
         last = self._last_exposure

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 from altd.config import Measuring
 from altd.pairing import Pair, Pairer
 from altd.ports import Camera, CameraError
 from altd.records import Frame
+from altd.service.exposing import ExposureSetter
 from altd.service.grabbing import grab
 from altd.service.health import Health, State
 from altd.service.inbox import Inbox
@@ -19,10 +20,20 @@ PATIENCE_S = 5.0
 
 
 class Exposures:
-    """``async with``: the cameras deliver; what nobody asks for is dropped."""
+    """``async with``: the cameras deliver; what nobody asks for is dropped.
 
-    def __init__(self, cameras: Sequence[Camera], measuring: Measuring, health: Health) -> None:
+    Their exposure is set by ``setters`` when they are opened, and holds still.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        measuring: Measuring,
+        health: Health,
+        setters: Mapping[str, ExposureSetter] | None = None,
+    ) -> None:
         self._cameras = cameras
+        self._setters = setters or {}
         self._measuring = measuring
         self._health = health
         self._grabbers: list[asyncio.Task[None]] = []
@@ -30,10 +41,19 @@ class Exposures:
     async def __aenter__(self) -> Self:
         names = tuple(camera.name for camera in self._cameras)
         self._inbox = Inbox(names)
-        max_skew_ns = round(self._measuring.max_skew_ms * 1e6)
-        self._pairer: Pairer[Frame] = Pairer(names, self._measuring.pair_by, max_skew_ns)
+        settings = self._measuring
+        self._pairer: Pairer[Frame] = Pairer(
+            names, settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
+        )
         self._grabbers = [
-            asyncio.create_task(grab(camera, self._inbox, self._health.component(f"camera {camera.name}")))
+            asyncio.create_task(
+                grab(
+                    camera,
+                    self._inbox,
+                    self._health.component(f"camera {camera.name}"),
+                    self._setters.get(camera.name),
+                )
+            )
             for camera in self._cameras
         ]
         for grabber in self._grabbers:
@@ -51,12 +71,14 @@ class Exposures:
         A frame carries the middle of its exposure, so the first one behind ``t_ns`` may have begun before
         it. It is passed over: a camera begins no exposure before the one before has ended. Raises
         CameraError when a camera is at its end or when none come for PATIENCE_S, and a driver's own failure.
+        Exposures during which a camera was being set are passed over too.
         """
         found: list[Pair[Frame]] = []
         under_way = True
         while len(found) < count:
             for pair in await self._next():
-                if min(frame.t_ns for frame in pair.items.values()) <= t_ns:
+                frames = pair.items.values()
+                if min(frame.t_ns for frame in frames) <= t_ns or any(frame.changing for frame in frames):
                     continue
                 if under_way:
                     under_way = False

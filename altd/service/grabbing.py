@@ -5,30 +5,63 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
-from altd.ports import Camera, CameraEndedError, CameraError, CameraTimeoutError
+from altd.ports import (
+    Camera,
+    CameraBusyError,
+    CameraEndedError,
+    CameraError,
+    CameraLostError,
+    CameraNotFoundError,
+    CameraRefusedError,
+    CameraTimeoutError,
+)
+from altd.service.exposing import ExposureSetter
 from altd.service.health import Component, State
 from altd.service.inbox import Inbox
 
 log = logging.getLogger("altd")
 
 GRAB_TIMEOUT_S = 0.25
+_LOOK_EVERY_S = 0.25
+_HELD_AFTER_S = 0.6
+"""A driver that has neither delivered nor timed out for so long is held in a call."""
+_LOSSES_FOR_S = 1.0
+"""A lost frame is spoken of for so long."""
 _FIRST_RETRY_S = 0.2
-_LONGEST_RETRY_S = 5.0
+_LONGEST_RETRY_S = 0.5
+"""A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
+_NEWS_AFTER_S = 10.0
+"""A failure goes to the journal once, and again when the camera has delivered for so long."""
 _FAREWELL_S = 3.0
+"""The service manager kills after 10 s, and the faces say farewell too."""
+
+_KINDS: tuple[tuple[type[CameraError], str], ...] = (
+    (CameraNotFoundError, "not found"),
+    (CameraBusyError, "busy"),
+    (CameraLostError, "lost"),
+    (CameraRefusedError, "refused"),
+)
 
 
-async def grab(camera: Camera, inbox: Inbox, component: Component) -> None:
+async def grab(
+    camera: Camera, inbox: Inbox, component: Component, setter: ExposureSetter | None = None
+) -> None:
     """Deliver a camera's frames to the inbox until cancelled or until the source is at its end.
 
-    A camera that fails is closed and opened again, more and more rarely, for ever.
+    A camera that fails is closed and opened again, for ever. Without a ``setter`` its exposure is left alone.
     """
-    grabber = _Grabber(camera, inbox, component, asyncio.get_running_loop())
+    report = _Report(component)
+    grabber = _Grabber(camera, inbox, report, setter, asyncio.get_running_loop())
     thread = threading.Thread(target=grabber.run, name=f"camera-{camera.name}", daemon=True)
     thread.start()
     try:
-        await grabber.done.wait()
+        while not await _set_within(grabber.done, _LOOK_EVERY_S):
+            report.look(time.monotonic())
     finally:
         grabber.stop.set()
         if not grabber.done.is_set():
@@ -39,72 +72,174 @@ async def grab(camera: Camera, inbox: Inbox, component: Component) -> None:
         raise grabber.failure
 
 
+async def _set_within(event: asyncio.Event, seconds: float) -> bool:
+    """Whether an event is set before ``seconds`` are over."""
+    try:
+        async with asyncio.timeout(seconds):
+            await event.wait()
+    except TimeoutError:
+        return False
+    return True
+
+
+def _in_words(error: CameraError) -> str:
+    kind = next((word for known, word in _KINDS if isinstance(error, known)), "")
+    return f"{kind}: {error}" if kind else str(error)
+
+
+@dataclass(slots=True)
+class _Report:
+    """What the thread has to tell, as the camera's health; in the loop only.
+
+    ``now_s`` is the thread's time.monotonic() of the event.
+    """
+
+    component: Component
+    _open: bool = False
+    _late: bool = False
+    _heard_s: float = 0.0
+    _losses: deque[tuple[float, int]] = field(default_factory=deque)
+    _refusal: str = ""
+    _logged_refusal: str = ""
+
+    def opened(self, now_s: float) -> None:
+        """The camera was opened; it is well with its first frame."""
+        self._open, self._late, self._heard_s = True, True, now_s
+        self._refusal = ""
+
+    def frame(self, now_s: float, lost: int) -> None:
+        """A frame came, and ``lost`` before it did not."""
+        self._late, self._heard_s = False, now_s
+        self.component.count("frames")
+        if lost:
+            self.component.count("lost", lost)
+            self._losses.append((now_s, lost))
+        self._say(now_s)
+
+    def timeout(self, now_s: float) -> None:
+        """No frame came in time; the driver is well."""
+        self._late, self._heard_s = True, now_s
+        self.component.say(State.DEGRADED, f"no frame for {GRAB_TIMEOUT_S} s")
+
+    def refused(self, refusal: str) -> None:
+        """The camera does not take an exposure; it goes on with what it has. Empty: it took the next one."""
+        if refusal:
+            self.component.count("refused_exposures")
+            if refusal != self._logged_refusal:
+                self._logged_refusal = refusal
+                log.warning("%s: exposure refused: %s", self.component.name, refusal)
+        self._refusal = refusal
+
+    def failed(self, sentence: str) -> None:
+        """The camera was closed, or never open."""
+        self._open = False
+        self._losses.clear()
+        self.component.say(State.FAILED, f"{sentence}; trying again")
+        self.component.count("failures")
+
+    def ended(self, sentence: str) -> None:
+        """The source is at its end."""
+        self._open = False
+        self.component.say(State.ENDED, sentence)
+
+    def look(self, now_s: float) -> None:
+        """Time has passed: losses are forgotten, and a driver that is held in a call is seen."""
+        if not self._open:
+            return
+        if now_s - self._heard_s > _HELD_AFTER_S:
+            self._late = True
+            self.component.say(State.DEGRADED, f"the driver does not return; no frame for {_HELD_AFTER_S} s")
+        elif not self._late:
+            self._say(now_s)
+
+    def _say(self, now_s: float) -> None:
+        while self._losses and now_s - self._losses[0][0] > _LOSSES_FOR_S:
+            self._losses.popleft()
+        complaints = []
+        if self._losses:
+            complaints.append(f"{sum(lost for _, lost in self._losses)} frames lost in the last second")
+        if self._refusal:
+            complaints.append(f"exposure refused: {self._refusal}")
+        self.component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
+
+
 class _Grabber:
     """The thread's side; it speaks to the loop only through ``call_soon_threadsafe``."""
 
     def __init__(
-        self, camera: Camera, inbox: Inbox, component: Component, loop: asyncio.AbstractEventLoop
+        self,
+        camera: Camera,
+        inbox: Inbox,
+        report: _Report,
+        setter: ExposureSetter | None,
+        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self.stop = threading.Event()
         self.done = asyncio.Event()
         self.failure: BaseException | None = None
         self._camera = camera
         self._inbox = inbox
-        self._component = component
+        self._report = report
+        self._setter = setter
         self._loop = loop
+        self._delivered = False
 
     def run(self) -> None:
         try:
             self._grab_for_ever()
         except CameraEndedError as error:
-            self._say(State.ENDED, str(error))
+            self._call(self._report.ended, str(error))
         except BaseException as error:
             self.failure = error
         finally:
             self._call(self.done.set)
 
     def _grab_for_ever(self) -> None:
-        retry_s, told = _FIRST_RETRY_S, ""
+        retry_s, failed_s, told = _FIRST_RETRY_S, time.monotonic(), set[str]()
         while not self.stop.is_set():
+            self._delivered = False
             try:
                 self._camera.open()
+                self._call(self._report.opened, time.monotonic())
                 self._deliver()
             except CameraEndedError:
                 raise
             except CameraError as error:
-                if str(error) != told:
-                    told = str(error)
-                    log.warning("camera %s: %s; trying again", self._camera.name, error)
-                self._say(State.FAILED, f"{error}; trying again")
-                self._count("failures")
-                self.stop.wait(retry_s)
-                retry_s = min(2 * retry_s, _LONGEST_RETRY_S)
-            else:
-                retry_s = _FIRST_RETRY_S
+                sentence = _in_words(error)
+                now_s = time.monotonic()
+                if now_s - failed_s > _NEWS_AFTER_S and self._delivered:
+                    told.clear()
+                if sentence not in told:
+                    told.add(sentence)
+                    log.warning("camera %s: %s; trying again", self._camera.name, sentence)
+                self._call(self._report.failed, sentence)
             finally:
                 self._camera.close()
+            if self._delivered:
+                retry_s = _FIRST_RETRY_S
+            failed_s = time.monotonic()
+            self.stop.wait(retry_s)
+            retry_s = min(2 * retry_s, _LONGEST_RETRY_S)
 
     def _deliver(self) -> None:
-        well = False
+        last: int | None = None
+        if self._setter is not None:
+            self._setter.opened(self._camera)
         while not self.stop.is_set():
+            if self._setter is not None and (refusal := self._setter.set(self._camera)) is not None:
+                self._call(self._report.refused, refusal)
             try:
                 frame = self._camera.next_frame(GRAB_TIMEOUT_S)
             except CameraTimeoutError:
-                if well:
-                    self._say(State.DEGRADED, f"no frame for {GRAB_TIMEOUT_S} s")
-                well = False
+                self._call(self._report.timeout, time.monotonic())
                 continue
-            if not well:
-                self._say(State.OK)
-            well = True
-            self._count("frames")
+            if self._setter is not None:
+                frame = self._setter.marked(frame)
+            lost = 0 if last is None else max(frame.sequence - last - 1, 0)
+            last = frame.sequence
+            self._delivered = True
+            self._call(self._report.frame, time.monotonic(), lost)
             self._inbox.put(frame, wait=self._camera.waits)
-
-    def _say(self, state: State, message: str = "") -> None:
-        self._call(self._component.say, state, message)
-
-    def _count(self, counter: str) -> None:
-        self._call(self._component.count, counter)
 
     def _call(self, function: Callable[..., object], *arguments: object) -> None:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Iterable
+from dataclasses import replace
 
 from altd.records import Frame
 
@@ -22,14 +23,19 @@ class Inbox:
         """Frames per camera that nobody took in time."""
 
     def put(self, frame: Frame, wait: bool) -> None:
-        """Fill a camera's slot, from its thread; with ``wait`` only when the slot is empty."""
+        """Fill a camera's slot, from its thread; with ``wait`` only when the slot is empty.
+
+        The mark of a change of exposure is not lost with the frame that bore it.
+        """
         with self._taken:
             while wait and frame.camera in self._slots and not self._closed:
                 self._taken.wait()
             if self._closed:
                 return
-            if frame.camera in self._slots:
+            if (untaken := self._slots.get(frame.camera)) is not None:
                 self.dropped[frame.camera] += 1
+                if untaken.changing:
+                    frame = replace(frame, changing=True)
             self._slots[frame.camera] = frame
             self._loop.call_soon_threadsafe(self._ready.set)
 

@@ -50,9 +50,13 @@ class Pipeline:
             await asyncio.gather(ticking, return_exceptions=True)
 
     async def _tick(self) -> None:
+        """Wake the reader when nothing was heard for ``silent_after_s``, and no sooner."""
         while True:
-            await self._clock.sleep(self._silent_after_s / 2)
-            self._inbox.tick()
+            left_s = self._silent_after_s - (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
+            if left_s <= 0:
+                self._inbox.tick()
+                left_s = self._silent_after_s
+            await self._clock.sleep(left_s)
 
     def _measure(self, frames: Sequence[Frame]) -> None:
         now_ns = self._clock.monotonic_ns()
@@ -64,6 +68,7 @@ class Pipeline:
                 self._put_up(measurement)
         if not frames:
             self._put_up(self._chain.silence(now_ns))
+        self._component.figures |= self._chain.step()
         self._component.counters["late_frames"] = self._chain.late_frames
         for camera, dropped in self._inbox.dropped.items():
             self._component.counters[f"dropped_{camera}"] = dropped

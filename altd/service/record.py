@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from altd.pairing import Pair, Pairer
 from altd.ports import Camera
 from altd.recording import CameraHeader, Kind, RecordingHeader, RecordingWriter, UnitHeader
 from altd.records import Frame, Origin
+from altd.service.exposing import ExposureSetter
 from altd.service.grabbing import grab
 from altd.service.health import Health
 from altd.service.inbox import Inbox
@@ -27,20 +28,23 @@ async def record(
     seconds: float,
     kind: Kind = "measurement",
     fps: float = 20.0,
+    setters: Mapping[str, ExposureSetter] | None = None,
 ) -> int:
     """Write a recording of a kind; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
-    written until then is whole. Raises BadInputError when the folder cannot be used, and a driver's own
-    failure; a camera that is merely lost is waited for.
+    written until then is whole. Exposure is set by ``setters`` when a camera is opened, and holds still; what
+    was exposed while it was being set is not kept. Raises BadInputError when the folder cannot be used, and
+    a driver's own failure; a camera that is merely lost is waited for.
     """
     names = tuple(camera.name for camera in cameras)
     inbox = Inbox(names)
-    max_skew_ns = round(measuring.max_skew_ms * 1e6)
-    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, max_skew_ns)
+    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns)
     sink = _Sink(path, unit, cameras, kind, fps, utc)
     grabbers = [
-        asyncio.create_task(grab(camera, inbox, health.component(f"camera {camera.name}")))
+        asyncio.create_task(
+            grab(camera, inbox, health.component(f"camera {camera.name}"), (setters or {}).get(camera.name))
+        )
         for camera in cameras
     ]
     sources = asyncio.gather(*grabbers)
@@ -49,7 +53,8 @@ async def record(
         while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
             for frame in await inbox.take():
                 for pair in pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
-                    if sink.length_s < seconds:
+                    changing = any(taken.changing for taken in pair.items.values())
+                    if sink.length_s < seconds and not changing:
                         sink.write(pair)
         if sources.done():
             sources.result()  # a source that failed, not one at its end

@@ -16,6 +16,7 @@ from altd.pairing import Pair
 from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
 from altd.recording import UnitHeader
 from altd.records import Frame, Origin
+from altd.service.exposing import ExposureSetter
 from altd.service.exposures import Exposures
 from altd.service.health import Health
 from altd.service.scan_folder import DoneNode, ScanFolder
@@ -52,7 +53,10 @@ class Teller(Protocol):
 
 
 class Scanner:
-    """One scan. ``cameras``, ``stage`` and ``lamps`` stand behind their ports; the caller chooses them."""
+    """One scan. ``cameras``, ``stage`` and ``lamps`` stand behind their ports; the caller chooses them.
+
+    Exposure is set by ``setters`` when a camera is opened, and holds still from node to node.
+    """
 
     def __init__(
         self,
@@ -63,6 +67,7 @@ class Scanner:
         lamps: Lamps | None,
         clock: Clock,
         teller: Teller,
+        setters: Mapping[str, ExposureSetter] | None = None,
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
@@ -76,7 +81,7 @@ class Scanner:
         origins = ", ".join(sorted({camera.origin for camera in cameras} - {Origin.CAMERA}))
         self._note = f"altd scan, {origins}" if origins else "altd scan"
         self._folder = ScanFolder(output, fingerprint(config) | {"origin": origins or "camera"}, clock.utc)
-        self._exposures = Exposures(cameras, config.measuring, Health(clock))
+        self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
         self._doing = "getting ready"
 
     async def run(self) -> ScanResult:

@@ -11,7 +11,7 @@ from altd.ports import Camera, CameraError, CameraTimeoutError
 from altd.records import Frame, Origin
 from hw_sim.camera import SimulatedCamera, make_cameras
 from hw_sim.faults import Fault
-from hw_sim.unit import FRONT, REAR, Unit
+from hw_sim.unit import EXPOSURES_MS, FRONT, REAR, Unit
 
 PERIOD_NS = 20_000_000
 """Of the unit in these tests, 50 exposures a second."""
@@ -39,6 +39,16 @@ def test_without_a_clock_every_exposure_waits_to_be_taken(unit: Unit) -> None:
     others = [rear.next_frame(1.0) for _ in range(4)]
     assert [(f.sequence, f.t_ns) for f in taken] == [(k, k * PERIOD_NS) for k in range(4)]
     assert [(f.sequence, f.t_ns) for f in others] == [(f.sequence, f.t_ns) for f in taken]
+
+
+def test_a_frame_tells_what_it_was_exposed_with(unit: Unit) -> None:
+    front, rear = opened(unit, real_time=False)
+    front.set_exposure(0.8, 6.0)
+    frames = front.next_frame(1.0), rear.next_frame(1.0)
+    told = [(taken.exposure_ms, pytest.approx(taken.gain_db)) for taken in frames]
+    assert told == [(0.8, 6.0), (EXPOSURES_MS[REAR], 0.0)]
+    counts = [float(taken.pixels.max()) for taken in frames]
+    assert min(counts) > 0
 
 
 def test_two_readers_in_threads_share_sequence_and_time(unit: Unit) -> None:

@@ -13,7 +13,7 @@ from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
 from altd.mapping.tensor_map import TensorMap
 from altd.recording import open_recording
-from altd.records import Frame, Measurement, Origin
+from altd.records import Frame, Measurement, NoSpot, Origin, Spot
 from altd.service.chain import MeasuringChain, View
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
@@ -91,6 +91,56 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     assert rear == "rear: spot_missing, nothing stands out of the background"
 
 
+@pytest.mark.parametrize("camera", ["left", "right"])
+@pytest.mark.parametrize("marked", [1, 2, 4])
+def test_no_mean_holds_exposures_from_before_and_after_a_change(
+    calibration: Calibration, camera: str, marked: int
+) -> None:
+    """Where the spot lies tells which exposure a frame had: x 10 mm before the change, 10.3 mm after it."""
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
+    frames = [replace(f, changing=f.camera == camera and 6 <= f.sequence < 6 + marked) for f in frames]
+    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
+    means = {sequence: m.beam.x_mm for sequence, m in after if m.beam is not None}
+    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
+    assert set(means) == {1, 2, 3, 4, 5, *range(6 + marked + 1, 16)}  # two of four exposures make a mean
+    invalid = {str(fault) for _, m in after[1:] if m.beam is None for fault in m.status}
+    assert invalid == {"front_exposure_changing" if camera == "left" else "rear_exposure_changing"}
+
+
+def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 4 + [(10.3, 5.0)] * 6)
+    frames = [
+        replace(f, changing=f.sequence == 4, t_ns=f.t_ns + (f.sequence == 4) * 20_000_000)
+        if f.camera == "left"
+        else f
+        for f in frames
+    ]
+    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
+    means = [m.beam.x_mm for sequence, m in after if m.beam is not None and sequence > 4]
+    assert means
+    assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
+
+
+def test_who_watches_is_shown_each_measured_frame_with_its_spot(calibration: Calibration) -> None:
+    seen: list[tuple[str, int, type]] = []
+    measured = MeasuringChain(
+        VIEWS,
+        calibration,
+        Measuring(window=4),
+        Installation(),
+        watch=lambda frame, spot: seen.append((frame.camera, frame.sequence, type(spot))),
+    )
+    frames = shots([(10.0, 5.0)] * 2)
+    frames.append(replace(frames[0], sequence=2, changing=True))
+    frames.append(replace(frames[0], sequence=3, leds_on=True))
+    for taken in frames:
+        measured.push(taken)
+    pairs = [(camera, number, Spot) for number in (0, 1) for camera in ("left", "right")]
+    assert seen == [*pairs, ("left", 2, NoSpot)]
+
+
 def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:
     measured = chain(calibration)
     assert [m for frame in shots([(10.0, 5.0)] * 4, leds_on=True) for m in measured.push(frame)] == []
@@ -145,6 +195,28 @@ def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> 
     assert [str(f) for f in measurements[0].status] == ["warming_up"]
     assert measurements[1].beam is not None
     assert measurements[1].beam.x_mm == pytest.approx(20.0, abs=0.05)
+
+
+@pytest.mark.parametrize("silent", ["left", "right"])
+@pytest.mark.parametrize("pair_by", ["sequence", "time"])
+def test_one_silent_camera_makes_it_invalid_within_0_4_s(
+    calibration: Calibration, silent: str, pair_by: str
+) -> None:
+    measuring = Measuring.model_validate({"window": 20, "pair_by": pair_by})
+    measured = MeasuringChain(VIEWS, calibration, measuring, Installation())
+    frames = shots([(10.0, 5.0)] * 40)
+    heard_ns = 0
+    validity: list[tuple[float, bool]] = []
+    for taken in frames:
+        if taken.camera == silent and taken.sequence >= 20:
+            continue
+        if taken.camera == silent:
+            heard_ns = taken.t_ns
+        validity += [((taken.t_ns - heard_ns) * 1e-9, m.valid) for m in measured.push(taken)]
+    last_valid_s = max(since_s for since_s, valid in validity if valid)
+    first_invalid_s = min(since_s for since_s, valid in validity if not valid and since_s > last_valid_s)
+    assert first_invalid_s <= 0.4
+    assert last_valid_s < first_invalid_s
 
 
 def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibration: Calibration) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock, settle, stop
@@ -39,6 +40,9 @@ class Chain:
 
     def seen(self) -> str:
         return "front: spot_missing"
+
+    def step(self) -> dict[str, float]:
+        return {"skew_ms": 0.25}
 
 
 class Bench:
@@ -84,6 +88,7 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     await settle()
     await bench.clock.advance(2.1)
     assert bench.board.published == 5
+    assert bench.component.figures == {"skew_ms": 0.25}
     latest = bench.board.read()
     assert latest is not None
     assert [str(fault) for fault in latest.status] == ["camera_silent"]
@@ -93,6 +98,44 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     await bench.clock.advance(0.01)
     assert bench.component.state is State.OK
     await stop(bench.task)
+
+
+@pytest.mark.parametrize("moment_s", [0.0, 0.01, 0.1, 0.199, 0.2, 0.201, 0.3, 0.399])
+async def test_silence_is_said_at_its_deadline_whenever_the_last_frame_came(moment_s: float) -> None:
+    bench = Bench()
+    await bench.clock.advance(moment_s)
+    bench.inbox.put(shot("front", 1), wait=False)
+    await bench.clock.advance(0.399)
+    assert bench.board.published == 0
+    await bench.clock.advance(0.002)
+    assert bench.board.published == 1
+    await stop(bench.task)
+
+
+async def test_nobody_is_woken_before_the_deadline() -> None:
+    bench = Bench()
+    slept: list[float] = []
+    sleep = bench.clock.sleep
+
+    async def counted(seconds: float) -> None:
+        slept.append(seconds)
+        await sleep(seconds)
+
+    bench.clock.sleep = counted  # type: ignore[method-assign]
+    for number in range(200):
+        bench.inbox.put(shot("front", number), wait=False)
+        await bench.clock.advance(0.05)
+    assert len(slept) <= 200 * 0.05 / 0.3
+    await stop(bench.task)
+
+
+async def test_the_mark_of_a_change_of_exposure_is_not_lost_with_its_frame() -> None:
+    inbox = Inbox(("front",))
+    for sequence, changing in ((1, False), (2, True), (3, False), (4, False)):
+        inbox.put(replace(shot("front", sequence), changing=changing), wait=False)
+    assert [(f.sequence, f.changing) for f in await inbox.take()] == [(4, True)]
+    inbox.put(shot("front", 5), wait=False)
+    assert [(f.sequence, f.changing) for f in await inbox.take()] == [(5, False)]
 
 
 async def test_a_defect_in_the_chain_ends_the_pipeline() -> None:

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.config import Measuring
-from altd.ports import CameraEndedError
+from altd.config import ExposureControl, Measuring
+from altd.ports import CameraEndedError, ExposureRange
 from altd.recording import Kind, UnitHeader, open_recording
 from altd.records import Frame, Origin
 from altd.service.clock import SystemClock
+from altd.service.exposing import MARKED_FRAMES, ExposureSetter
 from altd.service.health import Health
 from altd.service.record import record
 
@@ -57,6 +58,31 @@ async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:
 async def test_a_recording_says_of_what_kind_it_is(kind: Kind, tmp_path: Path) -> None:
     await kept(tmp_path / "rec", CameraEndedError("the end"), kind)
     assert open_recording(tmp_path / "rec").header.kind == kind
+
+
+class SettableSource(Source):
+    """A source with an exposure to set."""
+
+    def __init__(self, name: str, frames: int, end: Exception) -> None:
+        super().__init__(name, frames, end)
+        self.exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
+        self.asked: list[float] = []
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        self.asked.append(exposure_ms)
+
+
+async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(tmp_path: Path) -> None:
+    sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
+    clock = SystemClock()
+    unit = UnitHeader(serial="A", target_distance_mm=280.0)
+    setters = {"front": ExposureSetter(ExposureControl(exposure_ms=3.0), 20.0)}
+    health = Health(clock)
+    kept = await record(
+        sources, tmp_path / "rec", unit, Measuring(), health, clock.utc, 60.0, setters=setters
+    )
+    assert [source.asked for source in sources] == [[3.0], []]
+    assert kept == 12 - MARKED_FRAMES
 
 
 async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:

@@ -1,0 +1,212 @@
+"""How bright a spot was, and what exposure and gain its camera should have next (docs/exposure.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.config import ExposureControl
+from altd.ports import ExposureRange
+from altd.records import Frame, NoSpot, PixelArray, Reason, Spot
+
+LOW, HIGH = 0.35, 0.8
+"""The band of levels, shares of full scale, in which exposure is left alone."""
+TARGET = math.sqrt(LOW * HIGH)
+"""Where it is brought: as far, in light, from one edge of the band as from the other."""
+
+CLIPPED_FROM = 0.995
+"""Share of full scale from which a pixel counts as clipped."""
+
+_PERCENTILE = 0.98
+_CELL_PX = 8
+_CLIPPED_CELL = 0.1
+"""Share of a cell's pixels: the dots of a window cover a fifth of it, a hot pixel a sixty-fourth."""
+
+_QUICK = 3
+"""Exposures that must agree while nothing valid is measured: one may be a flash."""
+_HOLD_WINDOWS = 2
+"""A spot that is gone is waited for so long; most come back as they were."""
+_SEARCH_FACTOR = 4.0
+_OVEREXPOSED_FACTOR = 1 / 4
+"""``saturated`` is said from twofold over-exposure on, so this leaves half a full scale at least."""
+_CLIPPED_FACTOR = HIGH / 2
+"""A clipped spot that is found is over-exposed up to twofold: this brings it to 0.4 to 0.8."""
+_LARGEST_BACKGROUND = 0.5
+"""A search makes no background brighter than this."""
+_DARKEST = 0.01
+"""Level that is taken for the least, so that a black frame does not ask for infinitely more."""
+_WORTH = 1.05
+"""A change by less is none."""
+_READOUT_SHARE = 0.1
+"""Of the time between two frames, what a camera may need beside the exposure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Exposure and gain of a camera."""
+
+    exposure_ms: float
+    gain_db: float
+
+    @property
+    def light(self) -> float:
+        """What the grey values go with: the exposure that without gain would do the same, ms."""
+        return self.exposure_ms * _factor(self.gain_db)
+
+
+class Seen(Enum):
+    """What a frame shows to who sets the exposure."""
+
+    SPOT = auto()
+    OVEREXPOSED = auto()
+    """Saturated, or something else that is no spot and is clipped."""
+    NOTHING = auto()
+    """Laser off or spot too dark."""
+    OTHER = auto()
+    """Something that is no usable spot for a reason that exposure does not mend."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What was seen of one frame.
+
+    ``level`` is a share of full scale, the background in it: that of the spot, or of the brightest place.
+    """
+
+    seen: Seen
+    level: float
+
+
+def look(frame: Frame, spot: Spot | NoSpot) -> Sight:
+    """What a frame, with what the localiser made of it, tells about its exposure.
+
+    The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter: a Gaussian fades
+    there to 0.78 at the corners, so on a plate as on the dots of a window (a fifth of the area) that is the
+    peak, and neither a hot pixel nor a grain of speckle is.
+    """
+    pixels, full = frame.pixels, frame.full_scale
+    if isinstance(spot, Spot):
+        half = max(round(spot.diameter_px / 4), 2)
+        u, v = round(spot.u_px), round(spot.v_px)
+        around = pixels[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].ravel()
+        place = int(_PERCENTILE * (around.size - 1))
+        return Sight(Seen.SPOT, float(np.partition(around, place)[place]) / full)
+    if spot.reason is Reason.SATURATED or _is_clipped_somewhere(pixels, full):
+        return Sight(Seen.OVEREXPOSED, 1.0)
+    seen = Seen.NOTHING if spot.reason is Reason.SPOT_MISSING else Seen.OTHER
+    return Sight(seen, float(_cells(pixels).max()) / full)
+
+
+def limits_of(control: ExposureControl, camera: ExposureRange, fps: float) -> ExposureRange:
+    """What the config allows, the camera can do, and the time between two frames leaves."""
+    longest_ms = min(control.longest_ms, camera.longest_ms, (1 - _READOUT_SHARE) * 1000 / fps)
+    return ExposureRange(
+        shortest_ms=min(max(control.shortest_ms, camera.shortest_ms), longest_ms),
+        longest_ms=longest_ms,
+        smallest_gain_db=camera.smallest_gain_db,
+        largest_gain_db=max(min(control.largest_gain_db, camera.largest_gain_db), camera.smallest_gain_db),
+    )
+
+
+def setting_for(light: float, limits: ExposureRange) -> Setting:
+    """Exposure first, gain only where the longest exposure does not do; as near as the limits allow."""
+    exposure_ms = light / _factor(limits.smallest_gain_db)
+    exposure_ms = min(max(exposure_ms, limits.shortest_ms), limits.longest_ms)
+    gain_db = 20 * math.log10(light / exposure_ms)
+    return Setting(exposure_ms, min(max(gain_db, limits.smallest_gain_db), limits.largest_gain_db))
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """Light that would do better, and for how many exposures in a row more, or less, must be wanted."""
+
+    light: float
+    patience: int
+
+
+class ExposureRule:
+    """One camera's rule: sights in, settings out.
+
+    ``window`` is the number of exposures that one measurement averages. While all is well a change needs
+    that many exposures out of the band, so it disturbs no more than one window of several. Until the level
+    has once been in the band again nothing valid is lost, and three do.
+    """
+
+    def __init__(self, limits: ExposureRange, window: int) -> None:
+        self._limits = limits
+        self._window = window
+        self._settled = False
+        self._good_light: float | None = None
+        self._brighter = False
+        self._count = 0
+
+    def next(self, sight: Sight, present: Setting) -> Setting | None:
+        """What to set now that a frame exposed with ``present`` shows ``sight``; None: leave it."""
+        wish = self._wish(sight, present.light)
+        if wish is None:
+            self._count = 0
+            return None
+        brighter = wish.light > present.light
+        self._count = self._count + 1 if brighter is self._brighter else 1
+        self._brighter = brighter
+        if self._count < wish.patience:
+            return None
+        setting = setting_for(wish.light, self._limits)
+        if 1 / _WORTH < setting.light / present.light < _WORTH:
+            return None  # as far as it goes
+        self._count, self._settled = 0, False
+        return setting
+
+    def _wish(self, sight: Sight, light: float) -> _Wish | None:
+        match sight.seen:
+            case Seen.OVEREXPOSED:
+                return self._darker(light)
+            case Seen.NOTHING:
+                return self._searched(light, sight.level)
+            case Seen.OTHER:
+                return None
+        patience = max(self._window, _QUICK) if self._settled else _QUICK
+        if sight.level >= CLIPPED_FROM:
+            return _Wish(light * _CLIPPED_FACTOR, patience)
+        if not LOW <= sight.level <= HIGH:
+            return _Wish(light * TARGET / max(sight.level, _DARKEST), patience)
+        self._settled, self._good_light = True, light
+        return None
+
+    def _darker(self, light: float) -> _Wish:
+        """Back to where the spot was good, when that is darker: a search ends with a spot far too bright."""
+        good = self._good_light
+        if good is not None and good * _WORTH < light:
+            return _Wish(good, _QUICK)
+        return _Wish(light * _OVEREXPOSED_FACTOR, _QUICK)
+
+    def _searched(self, light: float, level: float) -> _Wish:
+        """Up only, for a spot too bright would be seen; and to rest where the limits or the background end.
+
+        A spot that was good is waited for first.
+        """
+        most = light * _LARGEST_BACKGROUND / max(level, _DARKEST)
+        patience = max(_HOLD_WINDOWS * self._window, _QUICK) if self._settled else _QUICK
+        return _Wish(max(min(light * _SEARCH_FACTOR, most), light), patience)
+
+
+def _factor(gain_db: float) -> float:
+    return float(10 ** (gain_db / 20))
+
+
+def _is_clipped_somewhere(pixels: PixelArray, full: int) -> bool:
+    """Whether more is clipped than hot pixels."""
+    _, clipped = cv2.threshold(pixels, math.ceil(CLIPPED_FROM * full) - 1, 255, cv2.THRESH_BINARY)
+    return bool(_cells(np.asarray(clipped)).max() >= _CLIPPED_CELL * 255)
+
+
+def _cells(pixels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Means over cells of 8 × 8 px."""
+    size = max(pixels.shape[1] // _CELL_PX, 1), max(pixels.shape[0] // _CELL_PX, 1)
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
