@@ -169,13 +169,15 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
 
 def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
     """The driver behind a camera's table. Imported only when wanted."""
-    if isinstance(settings, AravisCamera):
-        try:
-            from altd.devices.aravis import driver as aravis
-        except ImportError as error:
-            raise BadInputError(f"cameras.{name}", str(error)) from error
-        return aravis.AravisCamera(name, settings)
-    raise NotImplementedError(f"{name}: {settings.driver}")
+    if isinstance(settings, V4l2Camera):
+        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
+
+        return Video4LinuxCamera(name, settings)
+    try:
+        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
+    except ImportError as error:
+        raise BadInputError(f"cameras.{name}", str(error)) from error
+    return GigeVisionCamera(name, settings)
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:

@@ -57,7 +57,8 @@ def mean_spots(
     An exposure is usable when every target has its spot. At least half a window must be usable, and the
     last three must not all be bad. An exposure that lies six robust sigmas off the median in any
     coordinate counts for none; when that is true of more than 30 %, or when the exposures fall into two
-    places, the beam moved: ``unsteady``.
+    places, the beam moved: ``unsteady``. Where one camera exposes behind another, the mean spots are those of
+    one instant all the same: steady motion between the two is taken off.
     """
     usable = [exposure for exposure in exposures if not exposure.faults()]
     gone = len(exposures) >= _GONE_AFTER and all(e.faults() for e in exposures[-_GONE_AFTER:])
@@ -70,14 +71,15 @@ def mean_spots(
     too_many = np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable)
     if too_many or _has_two_places(px[kept], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
-    times_ns = [exposure.t_ns for exposure, near in zip(usable, kept, strict=True) if near]
-    middle_ns = _middle_ns(times_ns)
-    since_middle_ns = np.array([t_ns - middle_ns for t_ns in times_ns], dtype=np.float64)
+    counted = [exposure for exposure, near in zip(usable, kept, strict=True) if near]
+    middle_ns = _middle_ns([exposure.t_ns for exposure in counted])
+    since_middle_ns = np.array([exposure.t_ns - middle_ns for exposure in counted], dtype=np.float64)
     mean = px[kept].mean(axis=0)
+    speed = _speed_px_per_ns(px[kept] - mean, since_middle_ns)
     return MeanSpots(
         targets=targets,
-        px=mean.reshape(len(targets), 2),
-        covariance_px2=_covariance_of_mean(px[kept] - mean, since_middle_ns, typical_noise),
+        px=(mean - speed * np.repeat(_behind_ns(counted, targets), 2)).reshape(len(targets), 2),
+        covariance_px2=_covariance_of_mean(px[kept] - mean, speed, since_middle_ns, typical_noise),
         t_ns=middle_ns,
         frames=int(np.count_nonzero(kept)),
         lost=len(exposures) - len(usable),
@@ -136,7 +138,24 @@ def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
     return False
 
 
-def _covariance_of_mean(deviations: FloatArray, since_middle_ns: FloatArray, noise: FloatArray) -> FloatArray:
+def _behind_ns(exposures: Sequence[Exposure], targets: tuple[str, ...]) -> FloatArray:
+    """How far behind its exposure's time each target was exposed, on the mean, (targets,)."""
+    behind_ns = np.array([[e.behind_ns.get(t, 0) for t in targets] for e in exposures], dtype=np.float64)
+    mean: FloatArray = behind_ns.mean(axis=0)
+    return mean
+
+
+def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> FloatArray:
+    """Steady motion in each coordinate of (n, coordinates); none in a window too short to tell."""
+    if len(deviations) < _FEWEST_FOR_MOTION:
+        return np.zeros(deviations.shape[1])
+    speed: FloatArray = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
+    return speed
+
+
+def _covariance_of_mean(
+    deviations: FloatArray, speed: FloatArray, since_middle_ns: FloatArray, noise: FloatArray
+) -> FloatArray:
     """Observed scatter of n exposures over n, drawn towards the spots' own noise while n is small.
 
     Steady motion is taken out first: it moves no mean that is given for the middle of its exposures.
@@ -144,7 +163,6 @@ def _covariance_of_mean(deviations: FloatArray, since_middle_ns: FloatArray, noi
     count = len(deviations)
     freedom = count - 1.0
     if count >= _FEWEST_FOR_MOTION:
-        speed = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
         deviations = deviations - since_middle_ns[:, None] * speed
         freedom -= 1
     scatter = deviations.T @ deviations + _PRIOR_EXPOSURES * np.diag(np.square(noise))

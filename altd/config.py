@@ -111,7 +111,7 @@ class AravisCamera(LiveCamera):
 
     driver: Literal["aravis"]
     device: Annotated[str, Field(min_length=1, max_length=128)]
-    """The camera's serial number, IP address, id or the name that its user gave it, as `altd devices` shows it."""
+    """The camera's serial number, IP address, id or user-defined name, as `altd devices` shows it."""
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
     """What the camera sends: 8, 10, 12 or 16 bits of grey."""
     offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
@@ -188,8 +188,19 @@ class Measuring(Table):
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
     """Largest difference in time between the frames of one exposure. By time, a steady lag of one camera
     behind another is measured and taken off first."""
-    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 25.0
-    """Largest steady lag: free-running cameras expose up to half a period apart."""
+    max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0
+    """Largest steady lag: free-running cameras expose up to half a period apart, 25 ms at 20 a second."""
+
+    @property
+    def max_skew_ns(self) -> int:
+        """``max_skew_ms`` in the unit of the frames' times."""
+        return round(self.max_skew_ms * 1e6)
+
+    @property
+    def max_lag_ns(self) -> int:
+        """``max_lag_ms`` in the unit of the frames' times."""
+        return round(self.max_lag_ms * 1e6)
+
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import median
 from typing import Generic, Literal, TypeVar
 
 from altd.records import Reason
@@ -14,13 +16,22 @@ _PATIENCE = 4
 """A frame waits for its partner until its own camera has delivered this many more."""
 _RESTART = 1000
 """A sequence that falls back by more than this was started anew."""
+_REMEMBERED = 8
+"""Frames of a camera whose times are compared: a frame may be delivered later than those that follow it."""
+_SAMPLES = 15
+_HALF_A_PERIOD = 0.55
+"""A little more than half: a lag that lies just there must not change its side with every tremble."""
+_BREAK_NS = 500_000_000
+"""A camera from which nothing came for so long may have been started anew."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair(Generic[Item]):
     """What belongs to one exposure. ``missing`` says, for a camera without an item, why.
 
-    ``skew_ns`` is the largest difference in time between the items.
+    ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
+    steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
+    behind ``t_ns``.
     """
 
     sequence: int
@@ -28,22 +39,84 @@ class Pair(Generic[Item]):
     skew_ns: int
     items: Mapping[str, Item]
     missing: Mapping[str, Reason]
+    behind_ns: Mapping[str, int]
 
 
 @dataclass(slots=True)
 class _Waiting(Generic[Item]):
+    camera: str
     sequence: int
     t_ns: int
+    aligned_ns: int
+    """The time less the camera's lag."""
     item: Item
+
+
+class Lags:
+    """How far each camera exposes behind the first, learnt from their times.
+
+    Free-running cameras keep a lag of up to half a period either way, which creeps as their crystals differ.
+    A frame is compared with the nearest of the first camera's frames, seen from the lag that is known; the
+    median over the last ones is the lag. One that has crept well past half a period is a period too many.
+    """
+
+    def __init__(self, cameras: tuple[str, ...]) -> None:
+        self._first, *others = cameras
+        self._firsts_ns: deque[int] = deque(maxlen=_REMEMBERED)
+        self._open_ns: dict[str, deque[int]] = {camera: deque(maxlen=_REMEMBERED) for camera in others}
+        self._samples_ns: dict[str, deque[int]] = {camera: deque(maxlen=_SAMPLES) for camera in others}
+        self.ns = dict.fromkeys(cameras, 0)
+        """The lag of each camera; 0 for the first, and for one of which nothing is known yet."""
+
+    def see(self, camera: str, t_ns: int) -> None:
+        """Learn from the time of one frame."""
+        times_ns = self._firsts_ns if camera == self._first else self._open_ns[camera]
+        if times_ns and t_ns - times_ns[-1] > _BREAK_NS:
+            self._forget(camera)
+        times_ns.append(t_ns)
+        period_ns = self._period_ns()
+        if period_ns is not None:
+            for other in self._open_ns if camera == self._first else (camera,):
+                self._learn(other, period_ns)
+
+    def _forget(self, camera: str) -> None:
+        """After a break nobody knows the lag: the camera may have been started anew."""
+        if camera == self._first:
+            self._firsts_ns.clear()
+        for other in self._open_ns if camera == self._first else (camera,):
+            self._open_ns[other].clear()
+            self._samples_ns[other].clear()
+            self.ns[other] = 0
+
+    def _period_ns(self) -> float | None:
+        firsts_ns = self._firsts_ns
+        if len(firsts_ns) < 2:
+            return None
+        return median(firsts_ns[n] - firsts_ns[n - 1] for n in range(1, len(firsts_ns)))
+
+    def _learn(self, camera: str, period_ns: float) -> None:
+        """Compare those frames around which the first camera's are all there."""
+        open_ns, samples_ns = self._open_ns[camera], self._samples_ns[camera]
+        while open_ns and open_ns[0] + period_ns / 2 <= self._firsts_ns[-1]:
+            t_ns = open_ns.popleft()
+            samples_ns.append(self._behind_nearest(t_ns, self.ns[camera]))
+            lag_ns = round(median(samples_ns))
+            if abs(lag_ns) > _HALF_A_PERIOD * period_ns:
+                samples_ns.clear()
+                samples_ns.append(lag_ns := self._behind_nearest(t_ns, 0))
+            self.ns[camera] = lag_ns
+
+    def _behind_nearest(self, t_ns: int, lag_ns: int) -> int:
+        return t_ns - min(self._firsts_ns, key=lambda first_ns: abs(t_ns - lag_ns - first_ns))
 
 
 class Pairer(Generic[Item]):
     """Pairs the items of cameras; what cannot be paired comes out too, with the reason.
 
     By sequence: items of one exposure carry one number, and times no further apart than ``max_skew_ns``.
-    By time: items whose times are no further apart than that belong together; the number is the first
-    camera's. A camera from which nothing came since is silent; one that delivers, but nothing that fits, is
-    out of step.
+    By time: items whose times, each less its camera's lag, are no further apart than that belong together
+    unless a lag is larger than ``max_lag_ns``; the number is the first camera's. A camera from which nothing
+    came since is silent; one that delivers, but nothing that fits, is out of step.
     """
 
     def __init__(
@@ -51,20 +124,30 @@ class Pairer(Generic[Item]):
         cameras: tuple[str, ...],
         by: Literal["sequence", "time"],
         max_skew_ns: int,
+        max_lag_ns: int,
     ) -> None:
         self._cameras = cameras
-        self._by_time = by == "time"
+        self._lags = Lags(cameras) if by == "time" else None
         self._max_skew_ns = max_skew_ns
+        self._max_lag_ns = max_lag_ns
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
-        self._last_t_ns: dict[str, int] = {}
+        self._last_ns: dict[str, int] = {}
         self._last_out: int | None = None
         self.late = 0
         """Items that came after their exposure was given up."""
 
+    @property
+    def lags_ns(self) -> Mapping[str, int]:
+        """How far each camera exposes behind the first; empty where pairing is by sequence."""
+        return self._lags.ns if self._lags else {}
+
     def add(self, camera: str, sequence: int, t_ns: int, item: Item) -> list[Pair[Item]]:
         """Take one item; returns the exposures that are now settled, oldest first."""
-        self._last_t_ns[camera] = t_ns
-        new = _Waiting(sequence, t_ns, item)
+        if self._lags:
+            self._lags.see(camera, t_ns)
+        aligned_ns = t_ns - self.lags_ns.get(camera, 0)
+        self._last_ns[camera] = aligned_ns
+        new = _Waiting(camera, sequence, t_ns, aligned_ns, item)
         if self._is_late(new):
             self.late += 1
             return []
@@ -86,13 +169,13 @@ class Pairer(Generic[Item]):
         return settled
 
     def _order(self, waiting: _Waiting[Item]) -> int:
-        return waiting.t_ns if self._by_time else waiting.sequence
+        return waiting.aligned_ns if self._lags else waiting.sequence
 
     def _is_late(self, new: _Waiting[Item]) -> bool:
         order = self._order(new)
         if self._last_out is None or order > self._last_out:
             return False
-        if not self._by_time and order < self._last_out - _RESTART:
+        if not self._lags and order < self._last_out - _RESTART:
             self._last_out = None
             return False
         return True
@@ -108,9 +191,13 @@ class Pairer(Generic[Item]):
         return group
 
     def _together(self, one: _Waiting[Item], other: _Waiting[Item]) -> bool:
-        if self._by_time:
-            return abs(one.t_ns - other.t_ns) <= self._max_skew_ns
-        return one.sequence == other.sequence
+        if not self._lags:
+            return one.sequence == other.sequence
+        if one is other:
+            return True
+        lag_ns = self._lags.ns[one.camera] - self._lags.ns[other.camera]
+        near = abs(one.aligned_ns - other.aligned_ns) <= self._max_skew_ns
+        return near and abs(lag_ns) <= self._max_lag_ns
 
     def _give_up_before(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
         """Settle, incomplete as they are, the exposures older than a complete one."""
@@ -129,13 +216,16 @@ class Pairer(Generic[Item]):
         t_ns = sum(times) // len(times)
         self._last_out = max(self._order(waiting) for waiting in group.values())
         sequence = next(group[camera].sequence for camera in self._cameras if camera in group)
-        skew_ns = max(times) - min(times)
+        aligned = [waiting.aligned_ns for waiting in group.values()]
+        skew_ns = max(aligned) - min(aligned)
         if skew_ns > self._max_skew_ns:
-            return Pair(sequence, t_ns, skew_ns, {}, dict.fromkeys(self._cameras, Reason.OUT_OF_STEP))
-        missing = {c: self._why_missing(c, t_ns) for c in self._cameras if c not in group}
-        return Pair(sequence, t_ns, skew_ns, {c: w.item for c, w in group.items()}, missing)
+            return Pair(sequence, t_ns, skew_ns, {}, dict.fromkeys(self._cameras, Reason.OUT_OF_STEP), {})
+        missing = {c: self._why_missing(c, min(aligned)) for c in self._cameras if c not in group}
+        items = {camera: waiting.item for camera, waiting in group.items()}
+        behind_ns = {camera: waiting.t_ns - t_ns for camera, waiting in group.items()}
+        return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns)
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
-        last_ns = self._last_t_ns.get(camera)
+        last_ns = self._last_ns.get(camera)
         alive = last_ns is not None and last_ns >= t_ns - self._max_skew_ns
         return Reason.OUT_OF_STEP if alive else Reason.CAMERA_SILENT

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 
@@ -148,12 +148,14 @@ class NoSpot:
 class Exposure:
     """What the cameras saw at one instant: a spot, or the reason why there is none, per target.
 
-    ``t_ns`` is the mean of the frames' times.
+    ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
+    another so much later.
     """
 
     sequence: int
     t_ns: int
     spots: Mapping[str, Spot | NoSpot]
+    behind_ns: Mapping[str, int] = field(default_factory=dict)
 
     def faults(self) -> tuple[Fault, ...]:
         """Why this exposure cannot be used; empty when every target has its spot."""

@@ -190,7 +190,7 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
         Exposure(pair[0].sequence, pair[0].t_ns, {f.camera: spots[id(f.pixels)] for f in pair})
         for pair in run
     ]
-    pairer: Pairer[Spot] = Pairer(CAMERAS, "sequence", 10_000_000)
+    pairer: Pairer[Spot] = Pairer(CAMERAS, "time", 10_000_000, 30_000_000)
     window = ExposureWindow(CAMERAS, WINDOW, 1)
     chain = _chain(material)
     to_pair, to_average, to_chain = iter(run), iter(exposures), iter(run)

@@ -144,3 +144,24 @@ def test_back_to_back_windows_share_no_exposure() -> None:
     outcomes = [window.add(exposure(n, front=(300.0 + n // 4, 200.0))) for n in range(12)]
     means = [outcome for outcome in outcomes if outcome is not None]
     assert [mean.px[0, 0] for mean in means] == [300.0, 301.0, 302.0]
+
+
+@pytest.mark.parametrize("lag_ms", [-25, 25])
+def test_steady_motion_between_two_cameras_that_lag_is_taken_off(lag_ms: int) -> None:
+    """The beam wanders by 20 px/s over both targets; the rear camera is late."""
+
+    def at(t_ns: int) -> tuple[float, float]:
+        return 300.0 + 20e-9 * t_ns, 200.0 - 8e-9 * t_ns
+
+    half_ns = lag_ms * 500_000
+    exposures = [
+        Exposure(
+            n,
+            t_ns := n * PERIOD_NS,
+            {"front": spot(*at(t_ns - half_ns)), "rear": spot(*at(t_ns + half_ns))},
+            {"front": -half_ns, "rear": half_ns},
+        )
+        for n in range(20)
+    ]
+    mean = mean_of(exposures)
+    assert mean.px == pytest.approx(np.array([at(mean.t_ns)] * 2), abs=1e-9)

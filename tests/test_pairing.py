@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
 from altd.pairing import Pair, Pairer
 from altd.records import Reason
 
@@ -8,7 +13,7 @@ PERIOD = 50 * MS
 
 
 def pairer(by="sequence", cameras=("front", "rear")) -> Pairer[str]:
-    return Pairer(cameras, by, max_skew_ns=10 * MS)
+    return Pairer(cameras, by, max_skew_ns=10 * MS, max_lag_ns=30 * MS)
 
 
 def sequences(pairs: list[Pair[str]]) -> list[tuple[int, bool]]:
@@ -21,6 +26,7 @@ def test_items_of_one_sequence_become_one_exposure_whichever_comes_first() -> No
     [pair] = p.add("rear", 7, 2 * MS, "r7")
     assert (pair.sequence, pair.t_ns, pair.skew_ns) == (7, MS, 2 * MS)
     assert pair.items == {"front": "f7", "rear": "r7"}
+    assert pair.behind_ns == {"front": -MS, "rear": MS}
     assert p.add("rear", 8, PERIOD, "r8") == []
     assert sequences(p.add("front", 8, PERIOD, "f8")) == [(8, True)]
 
@@ -75,14 +81,66 @@ def test_by_time_the_nearest_frames_pair_whatever_their_numbers() -> None:
     assert [pair.sequence for pair in out] == list(range(5))
 
 
-def test_by_time_a_constant_lag_beyond_the_skew_is_out_of_step() -> None:
+def free_running(
+    p: Pairer[int], lag_ms: Callable[[int], float], period_ms: float = 50.0, count: int = 60, first: int = 0
+) -> list[Pair[int]]:
+    """The pairs of two cameras, the rear one behind by ``lag_ms`` in exposure n, as they are delivered."""
+    rng = np.random.default_rng(3)
+    frames = []
+    for n in range(first, first + count):
+        t_ms = n * period_ms
+        for camera, at_ms in (("front", t_ms), ("rear", t_ms + lag_ms(n))):
+            exposed_ns = round((at_ms + rng.normal(0, 0.3)) * MS)
+            delivered_ns = exposed_ns + round(rng.uniform(5, 30) * MS)
+            frames.append((delivered_ns, camera, n, exposed_ns))
+    return [pair for _, camera, n, t_ns in sorted(frames) for pair in p.add(camera, n, t_ns, n)]
+
+
+def whole(pairs: list[Pair[int]]) -> list[bool]:
+    return [not pair.missing for pair in pairs]
+
+
+@pytest.mark.parametrize("lag_ms", [-24.0, -15.0, 0.0, 11.0, 24.0, 25.0])
+def test_by_time_a_steady_lag_is_learnt_and_taken_off(lag_ms: float) -> None:
     p = pairer("time")
-    out = []
-    for n in range(12):
-        out += p.add("front", n, n * PERIOD, "f")
-        out += p.add("rear", n, n * PERIOD + 25 * MS, "r")
-    assert out
-    assert {reason for pair in out for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
+    pairs = free_running(p, lambda n: lag_ms)
+    assert all(whole(pairs)[6:])
+    assert p.lags_ns["rear"] == pytest.approx(lag_ms * MS, abs=0.5 * MS)
+    assert max(pair.skew_ns for pair in pairs[6:]) < 3 * MS
+    assert {pair.items["rear"] - pair.items["front"] for pair in pairs[6:]} == {0}
+
+
+def test_by_time_a_lag_that_creeps_past_half_a_period_costs_two_exposures_each_time() -> None:
+    pairs = free_running(pairer("time"), lambda n: n * 0.2, count=1000)  # four periods in the end
+    slips = {pair.items["rear"] - pair.items["front"] for pair in pairs if not pair.missing}
+    assert slips == {0, -1, -2, -3, -4}
+    assert whole(pairs[6:]).count(False) <= 4 * 3
+
+
+def test_by_time_a_camera_that_is_started_anew_has_a_lag_of_its_own() -> None:
+    p = pairer("time")
+    free_running(p, lambda n: 20.0)
+    pairs = free_running(p, lambda n: -20.0, first=80)
+    assert all(whole(pairs)[8:])
+    assert p.lags_ns["rear"] == pytest.approx(-20 * MS, abs=0.5 * MS)
+
+
+def test_by_time_a_lag_beyond_what_is_allowed_is_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: 40.0, period_ms=100.0)
+    assert pairs
+    assert {reason for pair in pairs for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
+    assert not any(whole(pairs))
+
+
+def test_by_time_a_frame_off_the_steady_lag_is_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: 20.0 + (12.0 if n == 30 else 0.0))
+    bad = [pair for pair in pairs[6:] if pair.missing]
+    assert {next(iter(pair.items.values())) for pair in bad} == {30}
+
+
+def test_by_time_cameras_of_unlike_rates_are_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: n * 25.0)
+    assert whole(pairs[6:]).count(True) < len(pairs) / 2
 
 
 def test_a_frame_that_comes_after_its_exposure_was_given_up_is_counted() -> None:

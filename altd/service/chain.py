@@ -72,7 +72,8 @@ class MeasuringChain:
         self._pairer: Pairer[_Found] = Pairer(
             tuple(self._views),
             measuring.pair_by,
-            max_skew_ns=round(measuring.max_skew_ms * 1e6),
+            measuring.max_skew_ns,
+            measuring.max_lag_ns,
         )
         self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
         self._origins = origins
@@ -82,6 +83,7 @@ class MeasuringChain:
         self._changes_in_window = dict(self._changes)
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
+        self._last_skew_ns = 0
 
     @property
     def late_frames(self) -> int:
@@ -92,6 +94,14 @@ class MeasuringChain:
         """What each camera saw last, in words: for the technician who aims the beam."""
         seen = self._last_spots
         return "; ".join(f"{target}: {_in_words(seen[target])}" for target in self._targets if target in seen)
+
+    def step(self) -> dict[str, float]:
+        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms."""
+        lags = {
+            f"lag_{camera}_ms": round(lag_ns * 1e-6, 2)
+            for camera, lag_ns in list(self._pairer.lags_ns.items())[1:]
+        }
+        return {"skew_ms": round(self._last_skew_ns * 1e-6, 2), **lags}
 
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
@@ -126,6 +136,7 @@ class MeasuringChain:
     def _exposure(self, pair: Pair[_Found]) -> Exposure:
         """The spots of one instant; forgets the window when one was exposed otherwise than those before."""
         spots: dict[str, Spot | NoSpot] = {}
+        self._last_skew_ns = pair.skew_ns
         for camera, view in self._views.items():
             if camera in pair.items:
                 found = pair.items[camera]
@@ -134,9 +145,11 @@ class MeasuringChain:
                     self._changes_in_window[camera] = found.changes
                     self._window.forget()
             else:
-                missing = NoSpot(pair.missing[camera], f"skew {pair.skew_ns * 1e-6:.1f} ms")
+                step = ", ".join(f"{name} {value:g}" for name, value in self.step().items())
+                missing = NoSpot(pair.missing[camera], step)
                 spots[view.target] = self._last_spots[view.target] = missing
-        return Exposure(pair.sequence, pair.t_ns, spots)
+        behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
+        return Exposure(pair.sequence, pair.t_ns, spots, behind_ns)
 
     def _after(self, exposure: Exposure) -> Measurement | None:
         last = self._last_exposure

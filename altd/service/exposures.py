@@ -41,8 +41,10 @@ class Exposures:
     async def __aenter__(self) -> Self:
         names = tuple(camera.name for camera in self._cameras)
         self._inbox = Inbox(names)
-        max_skew_ns = round(self._measuring.max_skew_ms * 1e6)
-        self._pairer: Pairer[Frame] = Pairer(names, self._measuring.pair_by, max_skew_ns)
+        settings = self._measuring
+        self._pairer: Pairer[Frame] = Pairer(
+            names, settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
+        )
         self._grabbers = [
             asyncio.create_task(
                 grab(

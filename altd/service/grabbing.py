@@ -118,9 +118,8 @@ class _Report:
 
     def timeout(self, now_s: float) -> None:
         """No frame came in time; the driver is well."""
-        if not self._late:
-            self.component.say(State.DEGRADED, f"no frame for {GRAB_TIMEOUT_S} s")
         self._late, self._heard_s = True, now_s
+        self.component.say(State.DEGRADED, f"no frame for {GRAB_TIMEOUT_S} s")
 
     def refused(self, refusal: str) -> None:
         """The camera does not take an exposure; it goes on with what it has. Empty: it took the next one."""

@@ -39,8 +39,7 @@ async def record(
     """
     names = tuple(camera.name for camera in cameras)
     inbox = Inbox(names)
-    max_skew_ns = round(measuring.max_skew_ms * 1e6)
-    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, max_skew_ns)
+    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns)
     sink = _Sink(path, unit, cameras, kind, fps, utc)
     grabbers = [
         asyncio.create_task(

@@ -41,6 +41,9 @@ class Chain:
     def seen(self) -> str:
         return "front: spot_missing"
 
+    def step(self) -> dict[str, float]:
+        return {"skew_ms": 0.25}
+
 
 class Bench:
     """A pipeline with its surroundings."""
@@ -85,6 +88,7 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     await settle()
     await bench.clock.advance(2.1)
     assert bench.board.published == 5
+    assert bench.component.figures == {"skew_ms": 0.25}
     latest = bench.board.read()
     assert latest is not None
     assert [str(fault) for fault in latest.status] == ["camera_silent"]

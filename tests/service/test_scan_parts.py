@@ -30,7 +30,7 @@ def pair(front: Frame, rear: Frame, sequence: int = 0) -> Pair[Frame]:
         name: Frame(name, sequence, sequence * 50_000_000, f.pixels)
         for name, f in (("front", front), ("rear", rear))
     }
-    return Pair(sequence, sequence * 50_000_000, 0, items, {})
+    return Pair(sequence, sequence * 50_000_000, 0, items, {}, {})
 
 
 def spot(u_px: float, v_px: float, peak: float = 150.0) -> Frame:
