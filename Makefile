@@ -25,6 +25,9 @@ help:
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
 
+demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
+	@exec $(python) -m hw_sim demo --gige
+
 test: programs venv kernel ## the tests
 	@exec $(python) -m pytest
 
