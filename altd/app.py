@@ -203,7 +203,11 @@ def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
         from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
 
         return Video4LinuxCamera(name, settings)
-    raise NotImplementedError(f"{name}: {settings.driver}")
+    try:
+        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
+    except ImportError as error:
+        raise BadInputError(f"cameras.{name}", str(error)) from error
+    return GigeVisionCamera(name, settings)
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:

@@ -108,11 +108,11 @@ class V4l2Camera(LiveCamera):
 
 
 class AravisCamera(LiveCamera):
-    """A GigE Vision (or USB3 Vision) camera through Aravis."""
+    """A GigE Vision camera through Aravis."""
 
     driver: Literal["aravis"]
     device: Annotated[str, Field(min_length=1, max_length=128)]
-    """The camera's serial number, IP address or id, as `altd devices` shows it."""
+    """The camera's serial number, IP address, id or user-defined name, as `altd devices` shows it."""
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
     """What the camera sends: 8, 10, 12 or 16 bits of grey."""
     offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
