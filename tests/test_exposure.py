@@ -96,6 +96,13 @@ def test_one_exposure_back_in_the_band_begins_the_count_anew() -> None:
             assert one.next(sight, HERE) is None
 
 
+def test_a_spot_that_is_now_too_bright_and_now_too_dark_is_left_alone() -> None:
+    one = settled()
+    for _ in range(10):
+        for level in (0.9, 0.2):
+            assert all(one.next(Sight(Seen.SPOT, level), HERE) is None for _ in range(WINDOW - 1))
+
+
 @pytest.mark.parametrize("seen", [Sight(Seen.SPOT, 0.1), Sight(Seen.SPOT, 1.0), Sight(Seen.OVEREXPOSED, 1.0)])
 def test_until_the_level_was_in_the_band_three_exposures_do(seen: Sight) -> None:
     assert asked(rule(), seen)[0] == 3

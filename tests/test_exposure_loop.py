@@ -1,4 +1,4 @@
-"""Exposure control on simulated cameras in their own time: chain, keeper and setter as the daemon has them."""
+"""Exposure control on simulated cameras in their own time: chain, keeper and setter as in the daemon."""
 
 from __future__ import annotations
 
@@ -44,11 +44,12 @@ class Loop:
         bits: int = 8,
         start_ms: float = 2.0,
         tells: bool = True,
+        longest_ms: float = 20.0,
     ) -> None:
         self.unit = Unit(UnitConfig(seed=3, lux=lux, bits=bits, laser=Laser(power_mw=power_mw)))
         self.unit.place(POSE)
         self.health = Health(SystemClock())
-        control = ExposureControl(exposure_ms=start_ms)
+        control = ExposureControl(exposure_ms=start_ms, longest_ms=longest_ms)
         self.keepers = {
             name: ExposureKeeper(control, 20.0, WINDOW, self.health.component(name)) for name in CAMERAS
         }
@@ -162,6 +163,22 @@ def test_a_camera_that_tells_nothing_and_lags_settles_too(calibration_of_unit_3:
     loop.run(60)
     assert loop.changes() == settled
     loop.check_well(since=45)
+
+
+def test_where_the_exposure_may_not_be_longer_gain_does_it_and_goes_first(
+    calibration_of_unit_3: Calibration,
+) -> None:
+    loop = Loop(calibration_of_unit_3, power_mw=1.0, start_ms=1.0, longest_ms=1.0)
+    loop.run(60)
+    loop.check_well(since=40)
+    dim = [loop.setters[name].wish for name in CAMERAS]
+    assert [setting.exposure_ms for setting in dim] == [1.0, 1.0]
+    assert all(6.0 < setting.gain_db < 12.0 for setting in dim)
+    loop.set_power(5.0)
+    loop.run(100)
+    loop.check_well(since=140)
+    bright = [loop.setters[name].wish for name in CAMERAS]
+    assert all(setting.gain_db == 0.0 and setting.exposure_ms < 1.0 for setting in bright)
 
 
 @pytest.mark.parametrize(("before_mw", "after_mw"), [(1.0, 5.0), (5.0, 1.0), (3.0, 1.0), (2.0, 5.0)])

@@ -119,8 +119,8 @@ class ExposureKeeper:
             return
         if self._rule is None or setter.limits != self._limits:
             self._limits, self._rule = setter.limits, ExposureRule(setter.limits, self._window)
-        if frame.exposure_ms is None:
-            return
+        if frame.exposure_ms is None or not frame.exposure_ms > 0:
+            return  # a camera that tells nonsense
         setting = self._rule.next(sight, Setting(frame.exposure_ms, frame.gain_db or 0.0))
         if setting is not None:
             setter.wish = setting

@@ -93,7 +93,8 @@ class GigeCamera:
         bits = _BITS.get(shot.pixel_format)
         columns = slice(shot.x_px, shot.x_px + shot.width_px)
         rows = slice(shot.y_px, shot.y_px + shot.height_px)
-        if bits is None or columns.stop > WIDTH_PX or rows.stop > HEIGHT_PX:
+        on_chip = 0 <= columns.start < columns.stop <= WIDTH_PX and 0 <= rows.start < rows.stop <= HEIGHT_PX
+        if bits is None or not on_chip:
             self._camera.lose(1.0)  # no chip can do that, whoever wrote it into the registers
             return
         exposure_us = self._possible(_EXPOSURE_US, shot.exposure_us, _EXPOSURES_US)

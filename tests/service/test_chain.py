@@ -197,6 +197,28 @@ def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> 
     assert measurements[1].beam.x_mm == pytest.approx(20.0, abs=0.05)
 
 
+@pytest.mark.parametrize("silent", ["left", "right"])
+@pytest.mark.parametrize("pair_by", ["sequence", "time"])
+def test_one_silent_camera_makes_it_invalid_within_0_4_s(
+    calibration: Calibration, silent: str, pair_by: str
+) -> None:
+    measuring = Measuring.model_validate({"window": 20, "pair_by": pair_by})
+    measured = MeasuringChain(VIEWS, calibration, measuring, Installation())
+    frames = shots([(10.0, 5.0)] * 40)
+    heard_ns = 0
+    validity: list[tuple[float, bool]] = []
+    for taken in frames:
+        if taken.camera == silent and taken.sequence >= 20:
+            continue
+        if taken.camera == silent:
+            heard_ns = taken.t_ns
+        validity += [((taken.t_ns - heard_ns) * 1e-9, m.valid) for m in measured.push(taken)]
+    last_valid_s = max(since_s for since_s, valid in validity if valid)
+    first_invalid_s = min(since_s for since_s, valid in validity if not valid and since_s > last_valid_s)
+    assert first_invalid_s <= 0.4
+    assert last_valid_s < first_invalid_s
+
+
 def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibration: Calibration) -> None:
     measured = chain(calibration)
     last(measured, shots([(10.0, 5.0)] * 4))

@@ -6,11 +6,12 @@ import time
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.config import Measuring
-from altd.ports import CameraEndedError, CameraError
+from altd.config import ExposureControl, Measuring
+from altd.ports import CameraEndedError, CameraError, ExposureRange
 from altd.records import Frame, Origin
 from altd.service import exposures
 from altd.service.clock import SystemClock
+from altd.service.exposing import MARKED_FRAMES, ExposureSetter
 from altd.service.exposures import Exposures
 from altd.service.health import Health
 
@@ -85,6 +86,25 @@ async def test_an_exposure_during_which_a_camera_was_being_set_is_left_out() -> 
     async with of(front, rear) as cameras:
         taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
     assert [pair.sequence for pair in taken] == [6, 8, 9]
+
+
+async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_on() -> None:
+    asked: list[tuple[float, float]] = []
+
+    class Settable(Camera):
+        exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
+
+        def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+            asked.append((exposure_ms, gain_db))
+
+    front, rear = Settable("front"), Camera("rear")
+    front.start_ns = rear.start_ns = time.monotonic_ns()
+    setters = {"front": ExposureSetter(ExposureControl(exposure_ms=3.0), 20.0)}
+    async with Exposures((front, rear), Measuring(), Health(SystemClock()), setters) as cameras:
+        taken = await cameras.after(front.start_ns - PERIOD_NS, 3)
+    assert asked == [(3.0, 0.0)]
+    assert taken[0].sequence > MARKED_FRAMES
+    assert {pair.items["front"].exposure_ms for pair in taken} == {3.0}
 
 
 async def test_a_camera_at_its_end_is_named() -> None:

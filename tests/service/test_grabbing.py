@@ -120,6 +120,19 @@ async def test_a_camera_that_times_out_stays_open_and_is_said_to(component: Comp
     await stop(task)
 
 
+async def test_a_camera_that_is_back_but_delivers_nothing_is_no_longer_said_to_have_failed(
+    component: Component,
+) -> None:
+    camera = ScriptedCamera("frame", CameraLostError("unplugged"), CameraTimeoutError("late"), "hang")
+    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    await until(lambda: component.state is State.FAILED)
+    await until(lambda: component.state is State.DEGRADED)
+    assert component.message == "no frame for 0.25 s"
+    camera.hang.set()
+    await until(lambda: component.state is State.OK)
+    await stop(task)
+
+
 async def test_a_source_at_its_end_ends_quietly(component: Component) -> None:
     camera = ScriptedCamera("frame", "frame", CameraEndedError("the recording is at its end"))
     inbox = Inbox(["front"])
@@ -169,6 +182,20 @@ async def test_a_driver_that_is_held_in_a_call_is_said_to_within_a_second(
     assert component.message == "the driver does not return; no frame for 0.6 s"
     camera.hang.set()
     await until(lambda: component.state is State.OK)
+    await stop(task)
+
+
+async def test_a_source_whose_frames_nobody_takes_is_well(
+    component: Component, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grabbing, "_HELD_AFTER_S", 0.1)
+    camera = ScriptedCamera()
+    camera.waits = True
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component))
+    await until(lambda: component.counters.get("frames") == 2)
+    await asyncio.sleep(0.6)
+    assert component.state is State.OK
     await stop(task)
 
 

@@ -12,12 +12,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from altd.config import AravisCamera as Settings
-from altd.devices.aravis.driver import AravisCamera
 from altd.ports import CameraError, CameraTimeoutError
 from altd.records import Frame
+
+if TYPE_CHECKING:
+    from altd.devices.aravis.driver import AravisCamera
 
 HOME = "127.0.0.1"
 Result = TypeVar("Result")
@@ -27,6 +29,8 @@ _LONGEST_RETRY_S = 0.5
 
 def driver(name: str = "front", device: str = HOME, **settings: object) -> AravisCamera:
     """The driver with the config's defaults but for ``settings``."""
+    from altd.devices.aravis.driver import AravisCamera  # which a bare machine cannot import
+
     return AravisCamera(name, Settings.model_validate({"driver": "aravis", "device": device, **settings}))
 
 

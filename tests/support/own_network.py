@@ -1,8 +1,8 @@
 """Tests in a network of their own: GigE Vision's port is fixed, and links are pulled there.
 
-Such a test, marked ``own_network``, runs in a pytest of its own inside a fresh user and network namespace, where
-it may do to the network what it likes; several at once do not meet. Its fixtures are set up outside, too, and must
-do nothing before they are asked to.
+Such a test, marked ``own_network``, runs in a pytest of its own inside a fresh user and network namespace,
+where it may do to the network what it likes; several at once do not meet. Its fixtures are set up outside,
+too, and must do nothing before they are asked to.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import subprocess
 import sys
 
 import pytest
+
 from support.foreign import need, need_program
 
 _MARK = "ALTD_OWN_NETWORK"

@@ -1,7 +1,7 @@
 """Aravis behind types: the one file that knows PyGObject, which has none.
 
-What Aravis raises comes out as CameraError or one of its kinds. A camera that does not answer blocks each call
-for 2.5 s. Nothing here is for two threads at once, but for ``Stream.pop`` beside one of the others.
+What Aravis raises comes out as CameraError or one of its kinds. A camera that does not answer blocks each
+call for 2.5 s. Nothing here is for two threads at once, but for ``Stream.pop`` beside one of the others.
 """
 
 from __future__ import annotations
@@ -79,6 +79,10 @@ class Stream:
         self._stream = stream
         self._chunk_parser = chunk_parser
 
+    def close(self) -> None:
+        """Let go of it. Whoever still holds this object, in a traceback for instance, holds nothing."""
+        self._stream = self._chunk_parser = None
+
     def pop(self, timeout_s: float) -> Block | None:
         """The oldest block not yet taken; None when none came in time. Its data are a copy."""
         buffer = self._stream.timeout_pop_buffer(max(0, round(timeout_s * 1e6)))
@@ -129,6 +133,10 @@ class Device:
             self._camera = Aravis.Camera.new_with_device(self._device)
         self._camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
         self._camera.set_access_check_policy(Aravis.AccessCheckPolicy.ENABLE)
+
+    def close(self) -> None:
+        """Give control back and let go; with a camera that does not answer that takes seven seconds."""
+        self._camera = self._device = None
 
     @property
     def controlled(self) -> bool:
@@ -282,7 +290,9 @@ class Device:
         with _typed("packet size"):
             return int(self._camera.gv_get_packet_size())
 
-    def stream(self, buffers: int, packet_bytes: int, resend: bool, retention_s: float, chunks: bool) -> Stream:
+    def stream(
+        self, buffers: int, packet_bytes: int, resend: bool, retention_s: float, chunks: bool
+    ) -> Stream:
         """Start acquisition; ``packet_bytes`` 0 finds the largest packet that gets through.
 
         A frame with lost packets is given up ``retention_s`` after its last packet.

@@ -27,8 +27,8 @@ class DeviceClock:
     followed within 0.5 ms. A frame that comes late, from a camera that was held up for instance, does not
     move the envelope and keeps its true time.
 
-    A clock that stands still, that goes back again and again, or that runs more than 1 % off is not plausible:
-    then the receive time itself is the answer, until the clock has run well for some seconds.
+    A clock that stands still, that goes back again and again, or that runs more than 1 % slow is not
+    plausible: then the receive time itself is the answer, until the clock has run well for some seconds.
     """
 
     def __init__(self) -> None:

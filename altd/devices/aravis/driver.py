@@ -9,6 +9,7 @@ open, for as long as it may still hold us for its controller, because then frame
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from contextlib import suppress
 
@@ -84,13 +85,17 @@ class AravisCamera:
         except OSError as error:
             raise CameraNotFoundError(f"{greeting.address}: {error.strerror}") from None
         device = Device(own_address, greeting.address)
-        if not device.controlled:
-            raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
+        ours = device.controlled
+        try:
+            if not ours:
+                raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
+            self.origin = _origin(greeting, device)
+            self._opened = set_up(device, self._settings)
+        except BaseException:
+            let_go(device, None, threading.Lock(), stop=False, wait=ours)
+            raise
         self._address = greeting.address
-        self.origin = _origin(greeting, device)
         self._heartbeat_s = gvcp.heartbeat_s(greeting.address, _ANSWER_S) or _HEARTBEAT_S
-        self._opened = set_up(device, self._settings)
-        del device
         for line, on in self._outputs.items():
             self._opened.switch_output(line, on)
         self._counter.reopened()
@@ -144,11 +149,10 @@ class AravisCamera:
 
     def close(self) -> None:
         """Stop and let go; at most a second, also for a camera that is dead."""
-        if self._opened is None:
-            return
-        ours = self._answers and self._opened.device.controlled
-        opened, self._opened = [self._opened], None
-        let_go(opened.pop(), stop=ours, wait=ours)
+        opened, self._opened = self._opened, None
+        if opened is not None:
+            ours = self._answers and opened.device.controlled
+            let_go(opened.device, opened.stream, opened.lock, stop=ours, wait=ours)
 
     def _still_open(self) -> Opened:
         opened = self._opened
@@ -229,9 +233,9 @@ class AravisCamera:
         )
 
     def _middle_ns(self, block: Block, exposure_ns: int) -> int:
-        """The camera stamps the start of the exposure; the first packet leaves at its end (GigE Vision 2.0, 23.3).
+        """The camera stamps the start of the exposure, and its first packet leaves at the end.
 
-        One that stamps another instant is mapped as well, for only the end's arrival says where that lies.
+        One that stamps another instant is mapped as well: only the arrival says where its clock lies.
         """
         trusted = self._clock.trusted
         start_ns = self._clock.host_ns(block.device_ns, _monotonic_ns(block.realtime_ns) - exposure_ns)

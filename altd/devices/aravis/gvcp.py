@@ -1,7 +1,7 @@
 """Small questions to GigE Vision cameras over their control protocol (GVCP), answered in milliseconds.
 
-Aravis waits 2.5 s for a camera that does not answer, and finding one takes it a second, in which no other camera
-can be opened. These questions need neither control of the camera nor Aravis. GigE Vision 2.0, sections 14-16, 28.
+Aravis waits 2.5 s for a camera that does not answer, and finding one takes it a second, in which no other
+camera can be opened. These questions need neither control of the camera nor Aravis.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def _answer(packet: bytes, command: int) -> bytes | None:
 
 
 def _greeting(ack: bytes) -> Greeting | None:
-    """Offsets are those of the bootstrap registers (table 28-1)."""
+    """Offsets are those of GigE Vision's bootstrap registers."""
     if len(ack) < _DISCOVERY_BYTES:
         return None
     return Greeting(

@@ -32,7 +32,7 @@ class FoundCamera:
 
 
 def find_cameras() -> list[FoundCamera]:
-    """All cameras that answer within half a second, by address; one that nobody controls is opened shortly."""
+    """All cameras that answer in half a second, by address; one that nobody controls is opened shortly."""
     return [_look_at(greeting) for greeting in gvcp.discover(_DISCOVERY_S)]
 
 
@@ -42,7 +42,10 @@ def _look_at(greeting: gvcp.Greeting) -> FoundCamera:
     if not in_use:
         with suppress(CameraError, OSError):
             device = Device(gvcp.own_address_towards(greeting.address), greeting.address)
-            formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
+            try:
+                formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
+            finally:
+                device.close()
     return FoundCamera(
         greeting.id, greeting.vendor, greeting.model, greeting.serial, greeting.address, in_use, formats
     )

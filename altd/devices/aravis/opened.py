@@ -1,4 +1,4 @@
-"""One GigE Vision camera while it is open: set up as the config says, its output line, and how it is let go."""
+"""One GigE Vision camera while it is open: its set-up, its output line, and how it is let go."""
 
 from __future__ import annotations
 
@@ -80,27 +80,26 @@ def set_up(device: Device, settings: Settings) -> Opened:
     )
 
 
-def let_go(opened: Opened, stop: bool, wait: bool) -> None:
-    """Release the camera in a thread of its own: one that does not answer takes about seven seconds to release.
+def let_go(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
+    """Release a camera in a thread of its own, for one that does not answer takes seven seconds to release.
 
-    ``opened`` must be the last reference but the caller's argument. Releasing gives control back, in vain when
-    it is no longer ours: a controller is known by its port. ``wait`` allows a live camera to have done so.
+    This gives control back, in vain when it is no longer ours: a controller is known by its port. ``wait``
+    allows a camera that answers to have got it.
     """
-    held = [opened]
-    del opened
-    thread = threading.Thread(target=_release, args=(held, stop), name="aravis-release", daemon=True)
+
+    def release() -> None:
+        with lock:
+            if stop:
+                with suppress(CameraError):
+                    device.stop()
+            if stream is not None:
+                stream.close()
+            device.close()
+
+    thread = threading.Thread(target=release, name="aravis-release", daemon=True)
     thread.start()
     if wait:
         thread.join(_RELEASE_S)
-
-
-def _release(held: list[Opened], stop: bool) -> None:
-    opened = held.pop()
-    with opened.lock:
-        if stop:
-            with suppress(CameraError):
-                opened.device.stop()
-    del opened  # the last reference: Aravis closes the device here, in this thread
 
 
 def _set_format(device: Device, wanted: str) -> None:
@@ -123,9 +122,10 @@ def _set_region(device: Device, settings: Settings) -> None:
     if refused:
         device.set_region(0, 0, 0, 0)  # offsets back to zero: the bounds of the size depend on them
         (w_min, w_max), (h_min, h_max) = device.bounds("Width"), device.bounds("Height")
+        size = f"{settings.width} x {settings.height} at {settings.offset_x_px}, {settings.offset_y_px}"
         raise CameraRefusedError(
-            f"{settings.width} x {settings.height} at {settings.offset_x_px}, {settings.offset_y_px}: the camera "
-            f"offers {w_min} to {w_max} x {h_min} to {h_max}, offset included, in its own steps"
+            f"{size}: the camera offers {w_min} to {w_max} x {h_min} to {h_max}, "
+            "offset included, in its own steps"
         )
 
 
@@ -181,9 +181,11 @@ def _switch_output(device: Device, line: str, on: bool) -> None:
 def _user_output(offered: tuple[str, ...], line: str) -> str:
     """The user output with the line's number, else the first one."""
     outputs = [name for name in offered if name.startswith("UserOutput")]
-    number = line.lstrip("Line")
+    number = line.removeprefix("Line")
     if not outputs:
-        raise CameraRefusedError(f"{line}: the camera offers no user output, but {', '.join(offered) or 'none'}")
+        raise CameraRefusedError(
+            f"{line}: the camera offers no user output, but {', '.join(offered) or 'none'}"
+        )
     return f"UserOutput{number}" if f"UserOutput{number}" in outputs else outputs[0]
 
 

@@ -22,7 +22,7 @@ def exposures(seconds: float, fps: float = 20.0) -> Iterator[int]:
 def run(
     clock: DeviceClock, device: Callable[[int], int], seconds: float = 20.0, seed: int = 1
 ) -> list[tuple[int, int, int]]:
-    """(true, received, mapped): packets are at least 1 ms under way, mostly little more, and 30 ms at times."""
+    """(true, received, mapped): packets are 1 ms under way, mostly little more, and 30 ms at times."""
     random = np.random.default_rng(seed)
     rows = []
     for true in exposures(seconds):

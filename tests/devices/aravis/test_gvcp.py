@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
-from support.gige import HOME, Cameras, register
+from support.gige import HOME, Cameras, register, wait_for
 
 from altd.devices.aravis import gvcp
 
@@ -73,7 +73,9 @@ class TestQuestions:
             assert time.monotonic() - began_s < 1.0
 
     def test_the_answer_is_found_behind_noise(self) -> None:
-        with answering(lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]):
+        with answering(
+            lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]
+        ):
             assert gvcp.privilege(ELSEWHERE, 1.0) == 2
 
     def test_a_name_is_text_whatever_the_camera_says(self) -> None:
@@ -98,7 +100,12 @@ class TestCameras:
         cameras.start("127.0.0.2", "T2")
         first, second = gvcp.discover(0.3)
         assert (first.address, first.serial) == (HOME, "T1")
-        assert (second.address, second.serial, second.vendor, second.model) == ("127.0.0.2", "T2", "Aravis", "Fake")
+        assert (second.address, second.serial, second.vendor, second.model) == (
+            "127.0.0.2",
+            "T2",
+            "Aravis",
+            "Fake",
+        )
         assert second.is_called("Aravis-Fake-T2")
         assert not second.is_called("T1")
         assert not second.is_called("")
@@ -110,4 +117,4 @@ class TestCameras:
         register(HOME, 0xA00, 2)
         assert gvcp.privilege(HOME, 0.5) == 2
         cameras.stop()
-        assert gvcp.privilege(HOME, 0.1) is None
+        wait_for(lambda: gvcp.privilege(HOME, 0.1) is None)

@@ -21,7 +21,7 @@ CALL_S = 1.3
 
 
 class TestKilledAndStartedAgain:
-    @pytest.mark.parametrize("away_s", [0.0, 1.0, 5.0])
+    @pytest.mark.parametrize("away_s", [0.0, 5.0])
     def test_it_is_back_soon(self, cameras: Cameras, away_s: float) -> None:
         cameras.start()
         with Grabbed(driver()) as grabbed:
@@ -68,7 +68,7 @@ class TestKilledAndStartedAgain:
 
 
 class TestHeldUp:
-    @pytest.mark.parametrize("for_s", [0.3, 1.5, 5.0])
+    @pytest.mark.parametrize("for_s", [0.3, 5.0])
     def test_it_is_back_soon(self, cameras: Cameras, for_s: float) -> None:
         cameras.start()
         with Grabbed(driver()) as grabbed:
@@ -81,10 +81,8 @@ class TestHeldUp:
             grabbed.await_frames(10)
             assert all(at - frame.t_ns < 300_000_000 for at, frame in grabbed.frames)
             assert grabbed.longest_call_s < CALL_S
-            assert (for_s < 1) == (not grabbed.errors)
 
-    def test_with_a_stream_that_goes_on_nothing_is_opened_anew(self, cameras: Cameras) -> None:
-        """Within the heartbeat's time the camera still holds us for its controller."""
+    def test_shorter_than_a_heartbeat_it_is_not_opened_anew(self, cameras: Cameras) -> None:
         cameras.start()
         with Grabbed(driver()) as grabbed:
             grabbed.await_frames(5)

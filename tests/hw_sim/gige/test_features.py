@@ -136,7 +136,7 @@ def test_an_exposure_comes_with_each_software_trigger_and_without_one_none(unit_
             before_ns = time.time_ns()
             front.execute("TriggerSoftware")
             frame = front.frame()
-            assert before_ns - 1_000_000 < frame.timestamp_ns < before_ns + 100_000_000
+            assert before_ns - 1_000_000 < frame.timestamp_ns < before_ns + 500_000_000
             assert front.next(within_us=100_000) is None
         front.stop()
         front.set(TriggerMode="Off")
@@ -144,8 +144,8 @@ def test_an_exposure_comes_with_each_software_trigger_and_without_one_none(unit_
 
 @pytest.mark.parametrize(
     ("register", "value"),
-    [(0x100, 0x10000), (0x104, 481), (0x130, 1), (0x128, 0xDEAD0007)],
-    ids=["width", "height", "offset", "format"],
+    [(0x100, 0x10000), (0x104, 481), (0x100, 0), (0x130, 1), (0x130, 0x80000000), (0x128, 0xDEAD0007)],
+    ids=["width", "height", "no width", "offset", "negative offset", "format"],
 )
 def test_registers_that_no_chip_can_follow_send_nothing_and_harm_nothing(
     unit_at_rest: Served, register: int, value: int

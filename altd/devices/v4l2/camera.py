@@ -1,0 +1,194 @@
+"""A Video4Linux camera behind the camera port."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from linuxpy.video.raw import BufferFlag, v4l2_buffer
+
+from altd.config import V4l2Camera as Settings
+from altd.devices.counting import FrameCounter
+from altd.devices.v4l2.controls import controls_of, set_controls
+from altd.devices.v4l2.exposure import ExposureTime
+from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
+from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.stream import BUFFERS, Stream, set_format, set_rate
+from altd.ports import (
+    CameraBusyError,
+    CameraLostError,
+    CameraNotFoundError,
+    CameraRefusedError,
+    CameraTimeoutError,
+    ExposureRange,
+)
+from altd.records import Frame, Origin
+
+_TEST_DRIVERS = ("vivid", "v4l2 loopback")
+"""Drivers of the kernel that make pictures up, or pass on those of another program."""
+_LARGEST_SEQUENCE = 2**32 - 1
+
+
+@dataclass(slots=True)
+class _Running:
+    """What an open camera consists of."""
+
+    node: Node
+    layout: Layout
+    stream: Stream
+    began_ns: int
+    exposure: ExposureTime | None
+    exposure_ms: float | None
+    stale_left: int = BUFFERS
+    """So many frames at most are older than the stream; a camera whose clock is wrong has to be heard."""
+
+
+class V4l2Camera:
+    """One camera; see ``altd.ports.Camera``. Its path is followed anew at each opening."""
+
+    def __init__(self, name: str, settings: Settings) -> None:
+        self.name = name
+        self.origin = Origin.CAMERA
+        self.waits = False
+        self._settings = settings
+        self._counter = FrameCounter(0, _LARGEST_SEQUENCE)
+        self._running: _Running | None = None
+
+    @property
+    def exposure_range(self) -> ExposureRange | None:
+        """What the exposure can be set to, where the camera counts it in a unit of time; never a gain."""
+        exposure = self._running.exposure if self._running else None
+        return exposure.range if exposure else None
+
+    def open(self) -> None:
+        """Take hold of the camera and let it run in the config's format, rate and controls."""
+        self.close()
+        with self._failing_to_open():
+            node = Node(self._settings.device)
+            try:
+                self._running = self._run(node)
+            except BaseException:
+                node.close()
+                raise
+        self.origin = Origin.SIMULATED if node.driver in _TEST_DRIVERS else Origin.CAMERA
+        self._counter.reopened()
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """The next whole frame; one that came damaged shows as a gap in the numbers."""
+        running = self._open_camera()
+        deadline_s = time.monotonic() + timeout_s
+        with self._losing():
+            while buffer := running.stream.take(deadline_s):
+                frame = self._frame(running, buffer)
+                running.stream.give_back(buffer)
+                if frame is not None:
+                    return frame
+                if time.monotonic() >= deadline_s:  # a driver may have one damaged frame after the other
+                    break
+        raise CameraTimeoutError(f"{self._settings.device}: no frame within {timeout_s:g} s")
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Expose so long; the gain is left alone, for the kernel's has no unit."""
+        running = self._open_camera()
+        if running.exposure is None:
+            raise CameraRefusedError(f"{self._settings.device}: has no exposure in a unit of time")
+        with self._losing():
+            running.exposure_ms = running.exposure.set(running.node, exposure_ms)
+
+    def close(self) -> None:
+        """Let go of the camera; the kernel ends the stream."""
+        running, self._running = self._running, None
+        if running is not None:
+            running.stream.close()
+            running.node.close()
+
+    def _run(self, node: Node) -> _Running:
+        settings = self._settings
+        if not node.streams:
+            raise CameraRefusedError("is no camera: it streams no frames")
+        set_controls(node, settings.controls)  # first: with some cameras they decide what formats there are
+        layout = set_format(node, settings.width, settings.height, PIXEL_FORMATS[settings.pixel_format])
+        set_rate(node, settings.fps, layout)
+        exposure = ExposureTime.of(controls_of(node).values())
+        exposure_ms = exposure.now_ms(node) if exposure else None
+        began_ns = time.monotonic_ns()
+        return _Running(node, layout, Stream(node), began_ns, exposure, exposure_ms)
+
+    def _open_camera(self) -> _Running:
+        if self._running is None:
+            raise CameraLostError(f"{self._settings.device}: is not open")
+        return self._running
+
+    def _frame(self, running: _Running, buffer: v4l2_buffer) -> Frame | None:
+        """The frame in a buffer.
+
+        None when the driver says that it is damaged, when it is too short, or when it is older than the
+        stream: v4l2loopback begins with a frame that was left from before.
+        """
+        flags = BufferFlag(buffer.flags)
+        memory = running.stream.memory(buffer)
+        if BufferFlag.ERROR in flags or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
+            return None
+        monotonic = flags & BufferFlag.TIMESTAMP_MASK == BufferFlag.TIMESTAMP_MONOTONIC
+        begun = flags & BufferFlag.TSTAMP_SRC_MASK == BufferFlag.TSTAMP_SRC_SOE
+        t_ns = middle_of_exposure_ns(
+            buffer.timestamp.secs * 1_000_000_000 + buffer.timestamp.usecs * 1000,
+            "monotonic" if monotonic else "unknown",
+            Stamp.START_OF_EXPOSURE if begun else Stamp.END_OF_FRAME,
+            running.exposure_ms,
+            time.monotonic_ns(),
+        )
+        if t_ns < running.began_ns and running.stale_left:
+            running.stale_left -= 1
+            return None
+        running.stale_left = 0
+        return Frame(
+            self.name,
+            self._counter.number(buffer.sequence),
+            t_ns,
+            running.layout.pixels(memory),
+            running.layout.pixel_format.bits,
+            exposure_ms=running.exposure_ms,
+        )
+
+    @contextlib.contextmanager
+    def _failing_to_open(self) -> Iterator[None]:
+        """Say which kind of failure an opening met, with the device in front."""
+        device = self._settings.device
+        try:
+            yield
+        except CameraRefusedError as error:
+            raise CameraRefusedError(f"{device}: {error}") from error
+        except OSError as error:
+            if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+                raise CameraNotFoundError(f"{device}: there is no such camera now") from error
+            if error.errno == errno.EBUSY:
+                raise CameraBusyError(f"{device}: another program uses the camera") from error
+            if error.errno in (errno.EACCES, errno.EPERM):
+                raise CameraRefusedError(f"{device}: no permission; it belongs to the group video") from error
+            if error.errno in (errno.ENOTTY, errno.EISDIR):
+                raise CameraRefusedError(f"{device}: is no Video4Linux device") from error
+            raise CameraLostError(f"{device}: {_why(error)}") from error
+
+    @contextlib.contextmanager
+    def _losing(self) -> Iterator[None]:
+        """Whatever an open camera fails with, it has to be opened again."""
+        device = self._settings.device
+        try:
+            yield
+        except CameraRefusedError as error:
+            raise CameraRefusedError(f"{device}: {error}") from error
+        except OSError as error:
+            raise CameraLostError(f"{device}: {_why(error)}") from error
+
+
+def _why(error: OSError) -> str:
+    if error.errno == errno.ENODEV:
+        return "the camera is gone"
+    if error.errno == errno.EIO:
+        return "the driver broke off the stream"
+    return os.strerror(error.errno) if error.errno else str(error)

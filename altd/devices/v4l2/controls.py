@@ -1,0 +1,111 @@
+"""The controls of a camera by name, such as ``gain`` or ``trigger_mode``."""
+
+from __future__ import annotations
+
+import errno
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from linuxpy.video.raw import IOC, ControlFlag, CtrlType, v4l2_control, v4l2_query_ext_ctrl
+
+from altd.devices.v4l2.node import Node, text
+from altd.ports import CameraRefusedError
+
+_KINDS = {
+    CtrlType.INTEGER: "integer",
+    CtrlType.BOOLEAN: "boolean",
+    CtrlType.MENU: "menu",
+    CtrlType.INTEGER_MENU: "menu",
+    CtrlType.BITMASK: "bits",
+    CtrlType.BUTTON: "button",
+}
+"""Those that one number of 32 bits sets."""
+
+
+@dataclass(frozen=True, slots=True)
+class Control:
+    """One control as the driver describes it; a menu's values are those from ``smallest`` to ``largest``."""
+
+    number: int
+    name: str
+    kind: str
+    smallest: int
+    largest: int
+    step: int
+    default: int
+    reads: bool
+    writes: bool
+
+    def value(self, node: Node) -> int:
+        """What it is set to; raises OSError."""
+        return int(node.call(IOC.G_CTRL, v4l2_control(self.number)).value)
+
+    def set(self, node: Node, value: int) -> None:
+        """Set it to exactly this; raises CameraRefusedError when the camera does not take it, or OSError."""
+        beyond = self.kind != "button" and not self.smallest <= value <= self.largest
+        if beyond or not self.writes:  # the kernel would take the nearest
+            raise CameraRefusedError(f"control {self.name} does not take {value}: {self}")
+        try:
+            taken = int(node.call(IOC.S_CTRL, v4l2_control(self.number, value)).value)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ERANGE, errno.EACCES):
+                raise CameraRefusedError(f"control {self.name} does not take {value}: {self}") from error
+            if error.errno == errno.EBUSY:
+                raise CameraRefusedError(f"control {self.name} cannot be set now") from error
+            raise
+        if self.reads and taken != value:
+            raise CameraRefusedError(f"control {self.name} makes {taken} of {value}: {self}")
+
+    def __str__(self) -> str:
+        if not self.writes:
+            return "it can only be read"
+        step = f" in steps of {self.step}" if self.step > 1 else ""
+        return f"it takes {self.smallest} to {self.largest}{step}"
+
+
+def controls_of(node: Node) -> dict[str, Control]:
+    """The camera's controls by name, in its own order; those that take no simple number are left out."""
+    return {control.name: control for control in _controls(node)}
+
+
+def set_controls(node: Node, wanted: Mapping[str, int]) -> None:
+    """Set controls one after the other; raises CameraRefusedError that names the one, or OSError."""
+    if not wanted:
+        return
+    controls = controls_of(node)
+    for name, value in wanted.items():
+        if name not in controls:
+            raise CameraRefusedError(f"has no control {name}; it has {', '.join(controls) or 'none'}")
+        controls[name].set(node, value)
+
+
+def _controls(node: Node) -> Iterator[Control]:
+    query = v4l2_query_ext_ctrl(id=ControlFlag.NEXT_CTRL)
+    while True:
+        try:
+            node.call(IOC.QUERY_EXT_CTRL, query)
+        except OSError as error:
+            if error.errno in (errno.EINVAL, errno.ENOTTY):  # that was the last one, or it has none at all
+                return
+            raise
+        flags = ControlFlag(query.flags)
+        if query.type in _KINDS and ControlFlag.DISABLED not in flags:
+            button = query.type == CtrlType.BUTTON
+            yield Control(
+                number=query.id,
+                name=_spelled(text(query.name)),
+                kind=_KINDS[CtrlType(query.type)],
+                smallest=query.minimum,
+                largest=query.maximum,
+                step=query.step,
+                default=query.default_value,
+                reads=not button and ControlFlag.WRITE_ONLY not in flags,
+                writes=ControlFlag.READ_ONLY not in flags,
+            )
+        query.id |= ControlFlag.NEXT_CTRL
+
+
+def _spelled(name: str) -> str:
+    """The driver's words as one, the same as ``v4l2-ctl`` makes of them."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

@@ -1,0 +1,76 @@
+"""What frames a camera offers: pixel formats, sizes, rates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from linuxpy.video.raw import (
+    IOC,
+    BufType,
+    Frmivaltypes,
+    Frmsizetypes,
+    v4l2_fmtdesc,
+    v4l2_fourcc,
+    v4l2_frmivalenum,
+    v4l2_frmsizeenum,
+)
+
+from altd.devices.v4l2.node import Node
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Columns × rows, or a whole range of them."""
+
+    width: int
+    height: int
+    largest_width: int
+    largest_height: int
+
+    def __str__(self) -> str:
+        smallest = f"{self.width} × {self.height}"
+        if (self.width, self.height) == (self.largest_width, self.largest_height):
+            return smallest
+        return f"{smallest} to {self.largest_width} × {self.largest_height}"
+
+
+def fourccs(node: Node) -> list[str]:
+    """The camera's pixel formats by their four characters; raises OSError."""
+    asked = v4l2_fmtdesc(type=BufType.VIDEO_CAPTURE)
+    return [_characters(entry.pixelformat) for entry in node.entries(IOC.ENUM_FMT, asked)]
+
+
+def sizes(node: Node, fourcc: str) -> list[Size]:
+    """The sizes of frames in a format; raises OSError."""
+    asked = v4l2_frmsizeenum(pixel_format=v4l2_fourcc(*fourcc))
+    return [_size(entry) for entry in node.entries(IOC.ENUM_FRAMESIZES, asked)]
+
+
+def rates(node: Node, fourcc: str, width: int, height: int) -> list[float]:
+    """The rates of such frames, frames a second, or the ends of their range; raises OSError."""
+    asked = v4l2_frmivalenum(pixel_format=v4l2_fourcc(*fourcc), width=width, height=height)
+    found = [rate for entry in node.entries(IOC.ENUM_FRAMEINTERVALS, asked) for rate in _rates(entry)]
+    return sorted(set(found))
+
+
+def _size(entry: v4l2_frmsizeenum) -> Size:
+    if entry.type == Frmsizetypes.DISCRETE:
+        only = entry.discrete
+        return Size(only.width, only.height, only.width, only.height)
+    range_ = entry.stepwise
+    return Size(range_.min_width, range_.min_height, range_.max_width, range_.max_height)
+
+
+def _rates(entry: v4l2_frmivalenum) -> Iterator[float]:
+    discrete = entry.type == Frmivaltypes.DISCRETE
+    periods = (entry.discrete,) if discrete else (entry.stepwise.min, entry.stepwise.max)
+    for period in periods:
+        if period.numerator:
+            yield period.denominator / period.numerator
+
+
+def _characters(number: int) -> str:
+    """A fourcc as text; its highest bit says big-endian."""
+    plain = (number & 0x7FFFFFFF).to_bytes(4, "little").decode("latin-1")
+    return plain + ("-BE" if number >> 31 else "")

@@ -1,0 +1,101 @@
+"""Feeds frames to video outputs, in step: ``feeding.py FRAMES FPS DEVICE...``, for ever.
+
+A device that is gone is opened again until it is back.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+import time
+from mmap import mmap
+from pathlib import Path
+
+import numpy as np
+from linuxpy.video.raw import (
+    IOC,
+    BufType,
+    Field,
+    Memory,
+    v4l2_buffer,
+    v4l2_format,
+    v4l2_fourcc,
+    v4l2_requestbuffers,
+)
+
+from altd.devices.v4l2.node import Node
+
+
+class Output:
+    """One device that frames are shown on."""
+
+    def __init__(self, device: Path, rows: int, columns: int) -> None:
+        self._device = device
+        self._rows = rows
+        self._columns = columns
+        self._node: Node | None = None
+        self._maps: list[mmap] = []
+        self._free: list[int] = []
+
+    def show(self, picture: bytes) -> None:
+        try:
+            if self._node is None:
+                self._open()
+            self._show(picture)
+        except BlockingIOError:
+            pass  # all buffers wait to be shown: this frame is left out
+        except OSError:
+            self._close()
+
+    def _show(self, picture: bytes) -> None:
+        assert self._node is not None
+        begins = len(self._free) == len(self._maps)
+        index = self._free.pop() if self._free else self._node.call(IOC.DQBUF, _buffer(0)).index
+        self._maps[index][: len(picture)] = picture
+        filled = _buffer(index)
+        filled.bytesused, filled.field = len(picture), Field.NONE
+        self._node.call(IOC.QBUF, filled)
+        if begins:
+            self._node.call(IOC.STREAMON, ctypes.c_int(BufType.VIDEO_OUTPUT))
+
+    def _open(self) -> None:
+        self._node = node = Node(self._device)
+        wanted = v4l2_format(type=BufType.VIDEO_OUTPUT)
+        wanted.fmt.pix.width, wanted.fmt.pix.height = self._columns, self._rows
+        wanted.fmt.pix.pixelformat = v4l2_fourcc(*"GREY")
+        node.call(IOC.S_FMT, wanted)
+        asked = v4l2_requestbuffers(count=3, type=BufType.VIDEO_OUTPUT, memory=Memory.MMAP)
+        for index in range(node.call(IOC.REQBUFS, asked).count):
+            buffer = node.call(IOC.QUERYBUF, _buffer(index))
+            self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
+        self._free = list(range(len(self._maps)))
+
+    def _close(self) -> None:
+        while self._maps:
+            self._maps.pop().close()
+        if self._node is not None:
+            self._node.close()
+        self._node = None
+
+
+def _buffer(index: int) -> v4l2_buffer:
+    return v4l2_buffer(index=index, type=BufType.VIDEO_OUTPUT, memory=Memory.MMAP)
+
+
+def main(frames: Path, fps: float, devices: list[Path]) -> None:
+    exposures = np.load(frames)
+    outputs = [Output(device, *exposures.shape[2:]) for device in devices]
+    pictures = [[picture.tobytes() for picture in exposure] for exposure in exposures]
+    del exposures
+    number, began_s = 0, time.monotonic()
+    while True:
+        for output, picture in zip(outputs, pictures[number % len(pictures)], strict=True):
+            output.show(picture)
+        if number == 0:
+            print("feeding", flush=True)
+        number += 1
+        time.sleep(max(0.0, began_s + number / fps - time.monotonic()))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), float(sys.argv[2]), [Path(device) for device in sys.argv[3:]])

@@ -1,0 +1,118 @@
+"""Programs in a Linux with real test drivers: vivid, v4l2loopback, gpio-sim, a USB serial port (dummy_hcd).
+
+The guest is a User-Mode Linux that ``.ci/kernel`` builds: a process of this machine, no root needed. Its root
+is this machine's tree, read-only; a program of ``tests/guest/`` runs there as root with the tests' Python, in
+a folder that it may write to. No udev runs there: who wants the names under /dev/v4l/by-path makes them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import random
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from support.foreign import need
+
+_PROJECT = Path(__file__).resolve().parents[2]
+_GUEST = _PROJECT / "tests" / "guest"
+_MEMORY = "768M"
+RESULTS = "results.json"
+
+
+@dataclass(frozen=True)
+class GuestRun:
+    """What became of a program in the guest: its exit status, all it printed, and the folder it wrote to."""
+
+    status: int
+    out: str
+    folder: Path
+
+    @property
+    def results(self) -> Any:
+        """What the program left with ``leave_results``; it must have ended well."""
+        assert self.status == 0, f"the program in the guest ended with status {self.status}:\n{self.out}"
+        return json.loads((self.folder / RESULTS).read_text())
+
+
+def run_in_guest(
+    folder: Path,
+    program: str,
+    *arguments: object,
+    kernel_arguments: tuple[str, ...] = (),
+    timeout_s: float = 60.0,
+) -> GuestRun:
+    """Run a program of ``tests/guest/`` in a guest of its own, in ``folder``, an empty one that stays.
+
+    ``kernel_arguments`` set the drivers up, such as ``vivid.n_devs=1`` or ``v4l2loopback.devices=2``; without
+    them vivid and v4l2loopback make one device each. Without the kernel the test is skipped, in CI it fails.
+    Raises TimeoutError with what was printed when the guest is not done in ``timeout_s``.
+    """
+    kernel, why_not = _kernel()
+    need(bool(kernel), why_not)
+    folder = folder.resolve()
+    words = ["env", f"PYTHONPATH={_PROJECT}:{_PROJECT / 'tests'}", "PYTHONUNBUFFERED=1"]
+    words += [sys.executable, str(_GUEST / program), *map(str, arguments)]
+    (folder / "command").write_text(f"exec {shlex.join(words)}\n")
+    try:
+        _boot(kernel, folder, kernel_arguments, timeout_s)
+    except subprocess.TimeoutExpired:
+        raise TimeoutError(f"the guest was not done in {timeout_s:g} s:\n{_said(folder)}") from None
+    status = folder / "status"
+    assert status.exists(), f"the guest died:\n{_said(folder)}"
+    return GuestRun(int(status.read_text()), (folder / "output").read_text(errors="replace"), folder)
+
+
+def leave_results(results: object) -> None:
+    """For a program in the guest: leave this, plain JSON types, as ``GuestRun.results``."""
+    Path(RESULTS).write_text(json.dumps(results))
+
+
+def _boot(kernel: str, folder: Path, kernel_arguments: tuple[str, ...], timeout_s: float) -> None:
+    """Let the machine run until it switches itself off; raises subprocess.TimeoutExpired."""
+    with tempfile.TemporaryDirectory(prefix="uml-") as sockets, (folder / "console").open("wb") as console:
+        processor = random.choice(sorted(os.sched_getaffinity(0)))
+        machine = ["taskset", "-c", str(processor)]  # four times as fast: see docs/decisions/test-kernel.md
+        machine += [kernel, f"mem={_MEMORY}", f"uml_dir={sockets}/", "con=null", "con0=fd:0,fd:1", "quiet"]
+        machine += ["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro", f"init={_GUEST / 'init'}"]
+        machine += [f"guest_folder={folder}", *kernel_arguments]
+        process = subprocess.Popen(
+            machine,
+            stdin=subprocess.DEVNULL,
+            stdout=console,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # the guest's processes are processes here: as a group they can be ended
+        )
+        try:
+            process.wait(timeout_s)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def _said(folder: Path) -> str:
+    """What the kernel and the program printed so far."""
+    texts = [folder / name for name in ("console", "output")]
+    return "".join(text.read_text(errors="replace")[-4000:] for text in texts if text.exists())
+
+
+@functools.cache
+def _kernel() -> tuple[str, str]:
+    """The path of the kernel, or an empty string and why there is none."""
+    environment = {
+        name: value for name, value in os.environ.items() if name != "CI"
+    }  # asks, and may be told no
+    found = subprocess.run(
+        [_PROJECT / ".ci" / "kernel", "find"], capture_output=True, text=True, check=False, env=environment
+    )
+    return found.stdout.strip(), found.stderr.strip()

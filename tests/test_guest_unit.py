@@ -1,0 +1,227 @@
+"""The whole daemon with two cameras of the kernel's test drivers, in a guest.
+
+``make bench-guest`` runs the first of it for a minute and prints the figures.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.fed_unit import POSE, calibrate, render, write_config
+from support.foreign import need_program
+from support.guest import run_in_guest
+
+from altd.calibration.file import load_calibration
+from altd.config import Installation, Measuring
+from altd.records import Frame, Measurement, Origin
+from altd.service.chain import MeasuringChain, View
+from hw_sim.unit import CAMERAS
+
+SEED = 1
+EXPOSURES = 100
+BENCH_S = os.environ.get("ALTD_BENCH_GUEST_S")
+"""Measure for so long on a quiet machine, where nothing at all may be lost."""
+QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+
+
+@dataclass(frozen=True)
+class FedUnit:
+    folder: Path
+    calibration: Path
+    frames: Path
+
+    def config(self, fps: float) -> Path:
+        path = self.folder / f"{fps:g}.toml"
+        return write_config(path, SEED, self.calibration, fps)
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> FedUnit:
+    folder = tmp_path_factory.mktemp("unit")
+    return FedUnit(folder, calibrate(SEED, folder), render(SEED, folder, EXPOSURES))
+
+
+@pytest.fixture(scope="module")
+def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Two v4l2loopback cameras of 752 × 480 at 20 frames a second."""
+    seconds = float(BENCH_S or 8)
+    run = run_in_guest(
+        tmp_path_factory.mktemp("measuring"),
+        "measuring.py",
+        unit.config(20),
+        unit.frames,
+        20,
+        seconds,
+        kernel_arguments=("v4l2loopback.devices=2", "v4l2loopback.max_buffers=8"),
+        timeout_s=seconds + 90,
+    )
+    return run.results
+
+
+@pytest.fixture(scope="module")
+def in_process(unit: FedUnit) -> list[Measurement]:
+    """What the measuring chain makes of the same frames without cameras, drivers and daemon, twice round."""
+    chain = MeasuringChain(
+        [View(camera, camera) for camera in CAMERAS],
+        load_calibration(unit.calibration),
+        Measuring(pair_by="time"),
+        Installation(),
+        lambda: [Origin.SIMULATED],
+        lambda _: None,
+    )
+    exposures = np.load(unit.frames)
+    measurements: list[Measurement] = []
+    for number in range(2 * EXPOSURES):
+        for index, camera in enumerate(CAMERAS):
+            pixels = exposures[number % EXPOSURES, index]
+            measurements += chain.push(Frame(camera, number, number * 50_000_000, pixels))
+    return [measurement for measurement in measurements if measurement.valid][-EXPOSURES:]
+
+
+def counted(measured: Any, component: str, counter: str) -> int:
+    """How far a counter went on while it was measured."""
+    before, after = (measured[when][component].get(counter, 0) for when in ("before", "after"))
+    return int(after - before)
+
+
+def lost_frames(measured: Any) -> int:
+    """Of both cameras: lost by the driver, or overtaken before they were measured."""
+    by_driver = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
+    return by_driver + sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
+
+
+def test_no_pair_of_frames_is_lost(measured: Any) -> None:
+    exposed = 20 * measured["seconds"]
+    assert lost_frames(measured) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
+    measurements = counted(measured, "measuring", "measurements")
+    assert measurements == pytest.approx(exposed, abs=2 if BENCH_S else 0.05 * exposed)
+    assert counted(measured, "measuring", "valid") == measurements
+
+
+def test_what_a_driver_has_left_from_before_counts_neither_as_a_frame_nor_as_lost(measured: Any) -> None:
+    assert max(measured["before"][f"camera {camera}"].get("lost", 0) for camera in CAMERAS) < 10
+
+
+def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measured: Any) -> None:
+    events = [event for _, event in measured["events"]]
+    assert len(events) > 100
+    for event in events:
+        assert event["valid"]
+        assert "simulated" in event["status"]
+        assert set(event["status"]) <= {"simulated", "exposures_lost"}
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+def test_measurements_lie_about_the_truth_as_those_of_the_chain_alone(
+    measured: Any, in_process: list[Measurement], quantity: str
+) -> None:
+    events = [event for _, event in measured["events"]]
+    here = np.array([event[quantity] for event in events]) - getattr(POSE, quantity)
+    alone = np.array([getattr(one.beam, quantity) for one in in_process]) - getattr(POSE, quantity)
+    rms_here, rms_alone = np.sqrt(np.mean(here**2)), np.sqrt(np.mean(alone**2))
+    assert rms_here < 1.2 * rms_alone + 1e-4, "the values have four decimals on the wire"
+    assert rms_here < 3 * np.mean([event["sigma"][quantity] for event in events])
+
+
+def test_modbus_answers_meanwhile(measured: Any) -> None:
+    assert measured["modbus_failures"] == 0
+    assert len(measured["modbus_s"]) > 20
+    assert np.median(measured["modbus_s"]) < 0.05
+
+
+if BENCH_S:  # figures of a busy machine say nothing
+
+    def test_figures(
+        measured: Any, in_process: list[Measurement], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        events = measured["events"]
+        intervals_ms = np.diff([at_s for at_s, _ in events]) * 1e3
+        modbus_ms = np.array(measured["modbus_s"]) * 1e3
+        with capsys.disabled():
+            measurements = counted(measured, "measuring", "measurements")
+            print(f"\n{measured['seconds']:.1f} s, {measurements} measurements,", end=" ")
+            print(f"{lost_frames(measured)} frames lost; intervals in ms, smallest and largest:", end=" ")
+            print(f"{intervals_ms.min():.1f}, {intervals_ms.max():.1f}")
+            print(f"interval off 50 ms, p99: {np.percentile(np.abs(intervals_ms - 50), 99):.1f} ms")
+            print(f"processor of the daemon: {100 * measured['processor']:.1f} % of one")
+            print(f"Modbus answer, p50 and p99: {np.percentile(modbus_ms, 50):.1f}, ", end="")
+            print(f"{np.percentile(modbus_ms, 99):.1f} ms")
+            for quantity in QUANTITIES:
+                truth = getattr(POSE, quantity)
+                here = np.array([event[quantity] for _, event in events]) - truth
+                alone = np.array([getattr(one.beam, quantity) for one in in_process]) - truth
+                print(f"{quantity}: error {here.mean():+.4f} ± {here.std():.4f}", end=", ")
+                print(f"in process {alone.mean():+.4f} ± {alone.std():.4f}")
+
+
+@pytest.fixture(scope="module")
+def failed(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Two vivid cameras that run freely, at any lag to each other."""
+    need_program("v4l2-ctl", "v4l-utils")
+    run = run_in_guest(
+        tmp_path_factory.mktemp("failing"),
+        "failing.py",
+        unit.config(25),
+        unit.frames,
+        25,
+        kernel_arguments=("vivid.n_devs=2",),
+        timeout_s=120,
+    )
+    return run.results
+
+
+def first(said: list[list[Any]], fits: Any) -> float:
+    """When something was first said, in seconds since the fault; infinity when it never was."""
+    return next((at_s for at_s, *what in said if fits(*what)), float("inf"))
+
+
+def test_dropped_buffers_are_counted_and_told_within_a_second(failed: Any) -> None:
+    dropping = failed["dropping"]
+    lost_before = dropping["before"].get("lost", 0)
+    told_s = first(dropping["camera"], lambda camera: camera["state"] == "degraded")
+    assert told_s < 1.0
+    last = dropping["camera"][-1][1]
+    assert 3 <= last["lost"] - lost_before <= 25, "a fifth of 50"
+    ended_s = dropping["ended_s"]
+    assert any(camera["state"] == "ok" for at_s, camera in dropping["camera"] if at_s > ended_s)
+    assert any(valid for at_s, valid, _ in dropping["measured"] if at_s > ended_s)
+
+
+def test_a_stream_that_breaks_off_is_told_within_a_second_and_runs_again(failed: Any) -> None:
+    breaking = failed["breaking"]
+    told = [camera for _, camera in breaking["camera"] if camera["state"] == "failed"]
+    assert first(breaking["camera"], lambda camera: camera["state"] == "failed") < 1.0
+    assert "lost: /dev/v4l/by-path/front: the driver broke off the stream" in told[0]["message"]
+    assert breaking["camera"][-1][1]["failures"] == breaking["before"].get("failures", 0) + 1
+    ended_s = breaking["ended_s"]
+    assert any(camera["state"] == "ok" for at_s, camera in breaking["camera"] if at_s > ended_s)
+    assert any(valid for at_s, valid, _ in breaking["measured"] if at_s > ended_s + 1.0)
+
+
+def test_a_camera_pulled_out_makes_the_measurement_invalid_with_the_reason(failed: Any) -> None:
+    pulled = failed["pulled_out"]
+    assert first(pulled["camera"], lambda camera: "the camera is gone" in camera["message"]) < 1.0
+    assert first(pulled["camera"], lambda camera: "not found" in camera["message"]) < 1.5
+    silent_s = first(pulled["measured"], lambda valid, why: not valid and "front_camera_silent" in why)
+    assert silent_s < 1.0
+    while_away = [valid for at_s, valid, _ in pulled["measured"] if silent_s < at_s < pulled["ended_s"] - 0.1]
+    assert while_away
+    assert not any(while_away)
+
+
+def test_a_camera_that_is_back_measures_again_without_a_restart(failed: Any) -> None:
+    pulled = failed["pulled_out"]
+    back = [at_s for at_s, valid, _ in pulled["measured"] if valid and at_s > pulled["ended_s"] - 0.1]
+    assert back
+    assert back[0] - pulled["ended_s"] < 2.5, "retried each second at the latest, and a window to fill"
+    assert failed["alive"]
+
+
+def test_modbus_answers_while_cameras_fail(failed: Any) -> None:
+    assert failed["modbus_failures"] == 0
+    assert np.median(failed["modbus_s"]) < 0.05
