@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -25,7 +25,10 @@ help:
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
 
-test: venv programs kernel ## the tests
+demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
+	@exec $(python) -m hw_sim demo --gige
+
+test: programs venv kernel ## the tests
 	@exec $(python) -m pytest
 
 check: venv ## style, types, layers, generated pages
@@ -59,7 +62,7 @@ docs: venv ## write the generated pages of docs/
 		mv "$$file.new" "$$file"
 	done
 
-lock: venv ## write requirements.lock and peers.lock with today's newest packages
+lock: ## write the three locks with today's newest packages
 	@.ci/lock
 
 clean: ## remove .venv and all that tools leave behind
@@ -71,6 +74,11 @@ venv:
 
 programs: # foreign programs that tests use
 	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
+	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \
+	    gcc pkg-config ip=iproute2 unshare=util-linux "$$header=python3-dev" \
+	    /usr/include/gobject-introspection-1.0/girepository.h=libgirepository1.0-dev /usr/include/cairo/cairo.h=libcairo2-dev
 
 kernel: # the kernel that drivers are tested in
 	@.ci/kernel >/dev/null

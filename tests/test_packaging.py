@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import subprocess
 import sys
@@ -14,12 +15,13 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.cli import altd
+from support.foreign import need
 
 import altd as package
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "peers.lock")}
+LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "peers.lock", "aravis.lock")}
 
 
 def locked(lock: str = "requirements.lock") -> dict[str, str]:
@@ -32,12 +34,13 @@ def required() -> list[tuple[str, str]]:
     extras = project["optional-dependencies"]
     product = [
         *project["dependencies"],
-        *(line for extra in extras if extra != "peers" for line in extras[extra]),
+        *(line for extra in extras if extra not in ("peers", "aravis") for line in extras[extra]),
         *PROJECT["build-system"]["requires"],
     ]
     return [
         *(("requirements.lock", line) for line in product if not line.startswith("altd[")),
         *(("peers.lock", line) for line in (*project["dependencies"], *extras["peers"])),
+        *(("aravis.lock", line) for line in extras["aravis"]),
     ]
 
 
@@ -54,15 +57,20 @@ class TestLock:
         wanted = Requirement(line)
         assert wanted.specifier.contains(locked(lock)[canonicalize_name(wanted.name)])
 
-    def test_of_the_peers_has_the_versions_that_the_product_runs_on(self) -> None:
-        product, peers = locked(), locked("peers.lock")
-        assert {name: peers[name] for name in product.keys() & peers.keys()} == {
-            name: product[name] for name in product.keys() & peers.keys()
+    @pytest.mark.parametrize("lock", ["peers.lock", "aravis.lock"])
+    def test_of_an_extra_has_the_versions_that_the_product_runs_on(self, lock: str) -> None:
+        product, extra = locked(), locked(lock)
+        assert {name: extra[name] for name in product.keys() & extra.keys()} == {
+            name: product[name] for name in product.keys() & extra.keys()
         }
 
     def test_is_what_these_tests_run_with(self) -> None:
         """Else they prove nothing about it; ``make test`` sees to that."""
         assert {name: version(name) for name in locked()} == locked()
+
+    def test_is_what_gige_vision_is_tested_with(self) -> None:
+        need(importlib.util.find_spec("gi") is not None, "PyGObject is not in .venv: make programs venv")
+        assert {name: version(name) for name in locked("aravis.lock")} == locked("aravis.lock")
 
 
 @pytest.fixture(scope="module")

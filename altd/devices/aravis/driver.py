@@ -1,0 +1,271 @@
+"""A GigE Vision camera behind the camera port.
+
+Aravis notices after six seconds that a camera is dead, and each question to a dead one takes it 2.5 s. So the
+driver asks the camera itself, by single packets, as soon as frames stay away: one that has dropped us or has
+started anew is given up and opened again at once; one that does not answer is waited for, with the stream
+open, for as long as it may still hold us for its controller, because then frames come again by themselves.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from contextlib import suppress
+
+import numpy as np
+
+from altd.config import AravisCamera as Settings
+from altd.devices.aravis import gvcp
+from altd.devices.aravis.binding import Block, Device
+from altd.devices.aravis.device_clock import DeviceClock
+from altd.devices.aravis.opened import BITS, Opened, let_go, set_up
+from altd.devices.counting import FrameCounter
+from altd.ports import (
+    CameraBusyError,
+    CameraError,
+    CameraLostError,
+    CameraNotFoundError,
+    CameraRefusedError,
+    CameraTimeoutError,
+    ExposureRange,
+)
+from altd.records import Frame, Origin, PixelArray
+
+log = logging.getLogger("altd")
+
+_ANSWER_S = 0.1
+_GREETINGS = 2
+_DISCOVERY_S = 0.25
+_SLICE_S = 0.1
+_SILENT_S = 0.3
+_SILENT_PERIODS = 2.5
+_FRAMELESS_S = 1.0
+"""A camera that answers so long without sending a frame is opened anew."""
+_HEARTBEAT_S = 3.0
+_PAST_HEARTBEAT_S = 0.5
+_LARGEST_ID = 65535
+_SETTLED_PERIODS = 2
+_OLDEST_S = 2.0
+_SIMULATED = ("Aravis", "altd hw_sim")
+
+
+class AravisCamera:
+    """See ``altd.ports.Camera``; ``switch_output`` alone may be called from another thread."""
+
+    waits = False
+
+    def __init__(self, name: str, settings: Settings) -> None:
+        self.name = name
+        self.origin = Origin.CAMERA
+        self._settings = settings
+        self._period_ns = round(1e9 / settings.fps)
+        self._opened: Opened | None = None
+        self._address: str | None = None
+        self._outputs: dict[str, bool] = {}
+        self._counter = FrameCounter(1, _LARGEST_ID)
+        self._clock = DeviceClock()
+        self._heartbeat_s = _HEARTBEAT_S
+        self._answers = True
+        self._frame_ns = 0
+        self._answering_since_ns: int | None = None
+        self._trigger_due_ns = 0
+        self._changed_ns = self._settled_ns = 0
+
+    @property
+    def exposure_range(self) -> ExposureRange | None:
+        """Gain in dB, as SFNC demands it of a camera's ``Gain``."""
+        return None if self._opened is None else self._opened.exposure_range
+
+    def open(self) -> None:
+        """Find the camera, take control of it, set it up and start its stream."""
+        greeting = self._find()
+        try:
+            own_address = gvcp.own_address_towards(greeting.address)
+        except OSError as error:
+            raise CameraNotFoundError(f"{greeting.address}: {error.strerror}") from None
+        device = Device(own_address, greeting.address)
+        ours = device.controlled
+        try:
+            if not ours:
+                raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
+            self.origin = _origin(greeting, device)
+            self._opened = set_up(device, self._settings)
+        except BaseException:
+            let_go(device, None, threading.Lock(), stop=False, wait=ours)
+            raise
+        self._address = greeting.address
+        self._heartbeat_s = gvcp.heartbeat_s(greeting.address, _ANSWER_S) or _HEARTBEAT_S
+        for line, on in self._outputs.items():
+            self._opened.switch_output(line, on)
+        self._counter.reopened()
+        self._clock = DeviceClock()
+        self._answers = True
+        self._answering_since_ns = None
+        self._frame_ns = time.monotonic_ns()
+        self._trigger_due_ns = self._next_trigger_ns()
+        self._changed_ns = self._settled_ns = 0
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """The next whole frame. Those that lost packets are missing in ``sequence``."""
+        opened = self._still_open()
+        deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
+        while True:
+            now_ns = time.monotonic_ns()
+            left_s = min((deadline_ns - now_ns) * 1e-9, _SLICE_S)
+            if self._settings.trigger == "software":
+                left_s = min(left_s, self._triggered(opened, now_ns))
+            block = opened.stream.pop(left_s)
+            if block is not None:
+                self._frame_ns = time.monotonic_ns()
+                self._answering_since_ns = None
+                self._answers = True
+                if not block.fault:
+                    return self._frame(opened, block)
+            elif not opened.device.controlled:
+                raise CameraLostError("control of the camera is lost")
+            else:
+                self._watch()
+            if time.monotonic_ns() >= deadline_ns:
+                raise CameraTimeoutError(f"no whole frame within {timeout_s:g} s")
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Set both, and read back what the camera made of it."""
+        opened = self._still_open()
+        if opened.exposure_range is None:
+            raise CameraRefusedError("the camera has no exposure to set")
+        self._changed_ns = time.monotonic_ns()
+        opened.set_exposure(exposure_ms, gain_db)
+        self._settled_ns = time.monotonic_ns() + _SETTLED_PERIODS * self._period_ns
+
+    def switch_output(self, line: str, on: bool) -> None:
+        """Set an output line of the camera; it is set again whenever the camera was opened anew.
+
+        From any thread; raises CameraError and, for a line that the camera does not have,
+        CameraRefusedError. A camera that has just died holds the call for 2.5 s.
+        """
+        self._outputs[line] = on
+        self._still_open().switch_output(line, on)
+
+    def close(self) -> None:
+        """Stop and let go; at most a second, also for a camera that is dead."""
+        opened, self._opened = self._opened, None
+        if opened is not None:
+            ours = self._answers and opened.device.controlled
+            let_go(opened.device, opened.stream, opened.lock, stop=ours, wait=ours)
+
+    def _still_open(self) -> Opened:
+        opened = self._opened
+        if opened is None:
+            raise CameraLostError("the camera is not open")
+        return opened
+
+    def _find(self) -> gvcp.Greeting:
+        wanted = self._settings.device
+        address = wanted if gvcp.is_address(wanted) else self._address
+        for _ in range(_GREETINGS):
+            greeting = None if address is None else gvcp.greet(address, _ANSWER_S)
+            if greeting is not None and (address == wanted or greeting.is_called(wanted)):
+                return greeting
+        if address == wanted:
+            raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
+        there = gvcp.discover(_DISCOVERY_S)
+        found = [greeting for greeting in there if greeting.is_called(wanted)]
+        if len(found) > 1:
+            raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
+        if not found:
+            others = ", ".join(f"{greeting.serial} at {greeting.address}" for greeting in there)
+            raise CameraNotFoundError(f"no camera {wanted} answers, only {others or 'none at all'}")
+        return found[0]
+
+    def _watch(self) -> None:
+        """Whether a camera that sends nothing still is ours; raises CameraLostError when it is not."""
+        now_ns = time.monotonic_ns()
+        silent_s = (now_ns - self._frame_ns) * 1e-9
+        if silent_s < max(_SILENT_S, _SILENT_PERIODS * self._period_ns * 1e-9) or self._address is None:
+            return
+        privilege = gvcp.privilege(self._address, _ANSWER_S)
+        self._answers = privilege is not None
+        if privilege is None:
+            self._answering_since_ns = None
+            if silent_s > self._heartbeat_s + _PAST_HEARTBEAT_S:
+                raise CameraLostError(f"the camera at {self._address} does not answer any more")
+        elif privilege == 0:
+            self._answers = False  # not to us: nothing is to be stopped there
+            raise CameraLostError("the camera has started anew, or dropped us")
+        elif self._answering_since_ns is None:
+            self._answering_since_ns = now_ns
+        elif self._settings.trigger != "line" and now_ns - self._answering_since_ns > _FRAMELESS_S * 1e9:
+            raise CameraLostError(f"the camera answers, but sent no frame for {silent_s:.1f} s")
+
+    def _triggered(self, opened: Opened, now_ns: int) -> float:
+        """Trigger when it is time; how long until the next time, s.
+
+        A camera that does not answer is not triggered: that would take 2.5 s.
+        """
+        if now_ns >= self._trigger_due_ns:
+            if self._answers and now_ns - self._trigger_due_ns < self._period_ns / 2:
+                opened.trigger()
+            self._trigger_due_ns = self._next_trigger_ns()
+        return max(0.0, (self._trigger_due_ns - time.monotonic_ns()) * 1e-9)
+
+    def _next_trigger_ns(self) -> int:
+        """Multiples of the period: all cameras of this computer are triggered at the same instants."""
+        return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
+
+    def _frame(self, opened: Opened, block: Block) -> Frame:
+        exposure_ms, gain_db = opened.exposure_ms, opened.gain_db
+        told = block.exposure_us is not None
+        if block.exposure_us is not None:
+            exposure_ms = block.exposure_us * 1e-3
+        if block.gain is not None:
+            gain_db = block.gain
+        t_ns = self._middle_ns(block, round((exposure_ms or 0.0) * 1e6))
+        return Frame(
+            self.name,
+            self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1 if block.frame_id else 0),
+            t_ns,
+            self._pixels(opened, block),
+            BITS[self._settings.pixel_format],
+            exposure_ms=exposure_ms,
+            gain_db=gain_db,
+            changing=not told and self._changed_ns <= t_ns < self._settled_ns,
+        )
+
+    def _middle_ns(self, block: Block, exposure_ns: int) -> int:
+        """The camera stamps the start of the exposure, and its first packet leaves at the end.
+
+        One that stamps another instant is mapped as well: only the arrival says where its clock lies.
+        """
+        trusted = self._clock.trusted
+        start_ns = self._clock.host_ns(block.device_ns, _monotonic_ns(block.realtime_ns) - exposure_ns)
+        if trusted and not self._clock.trusted:
+            log.warning("camera %s: its clock is not plausible; frames are stamped on arrival", self.name)
+        return start_ns + exposure_ns // 2
+
+    def _pixels(self, opened: Opened, block: Block) -> PixelArray:
+        width, height = self._settings.width, self._settings.height
+        kind = np.dtype("u1" if BITS[self._settings.pixel_format] == 8 else "<u2")
+        expected = width, height, opened.pixel_format
+        if (block.width, block.height, block.pixel_format) != expected or len(block.data) < (
+            width * height * kind.itemsize
+        ):
+            raise CameraLostError(
+                f"the camera sends {block.width} x {block.height} in format {block.pixel_format:#x}, "
+                f"{len(block.data)} bytes, and was not set to that"
+            )
+        pixels: PixelArray = np.frombuffer(block.data, kind, width * height).reshape(height, width)
+        return pixels
+
+
+def _origin(greeting: gvcp.Greeting, device: Device) -> Origin:
+    names = [f"{greeting.vendor} {greeting.model}"]
+    with suppress(CameraError):
+        names.append(f"{device.text('DeviceVendorName')} {device.text('DeviceModelName')}")
+    return Origin.SIMULATED if any(name.startswith(_SIMULATED) for name in names) else Origin.CAMERA
+
+
+def _monotonic_ns(realtime_ns: int) -> int:
+    """The instant on the monotonic clock. UTC that was set meanwhile makes it the present one."""
+    age_ns = time.time_ns() - realtime_ns
+    return time.monotonic_ns() - (age_ns if 0 <= age_ns < _OLDEST_S * 1e9 else 0)

@@ -1,0 +1,196 @@
+"""One GigE Vision camera while it is open: its set-up, its output line, and how it is let go."""
+
+from __future__ import annotations
+
+import math
+import threading
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from altd.config import AravisCamera as Settings
+from altd.devices.aravis.binding import Device, Stream
+from altd.ports import CameraError, CameraRefusedError, ExposureRange
+
+BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
+"""The formats that come unpacked, one byte or one little-endian word a pixel."""
+
+_RATE_OFF = 0.02
+_BUFFERS_FOR_S = 0.25
+_FEWEST_BUFFERS = 8
+_RETENTION_S = 0.1
+"""A frame that lacks packets holds up those behind it for so long."""
+_RELEASE_S = 1.0
+
+
+@dataclass(slots=True)
+class Opened:
+    """What is held of an open camera. ``lock`` is taken around every use of the device but the stream's."""
+
+    device: Device
+    stream: Stream
+    pixel_format: int
+    exposure_range: ExposureRange | None
+    has_gain: bool
+    exposure_ms: float | None
+    gain_db: float | None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        """Set both and read back what the camera made of it."""
+        with self.lock:
+            self.device.set_exposure_us(exposure_ms * 1e3)
+            self.exposure_ms = self.device.exposure_us() * 1e-3
+            if self.has_gain:
+                self.device.set_gain(gain_db)
+                self.gain_db = self.device.gain()
+
+    def switch_output(self, line: str, on: bool) -> None:
+        """Make ``line`` an output that follows a user output, and set that."""
+        with self.lock:
+            _switch_output(self.device, line, on)
+
+    def trigger(self) -> None:
+        """The software trigger."""
+        with self.lock:
+            self.device.trigger()
+
+
+def set_up(device: Device, settings: Settings) -> Opened:
+    """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
+    for name, value in settings.features.items():
+        device.set(name, value)
+    _set_format(device, settings.pixel_format)
+    _set_region(device, settings)
+    _set_trigger(device, settings)
+    if settings.exposure.control != "camera":
+        device.manual_exposure()
+    exposure_us, gain = device.exposure_bounds_us(), device.gain_bounds()
+    chunks = device.with_chunks()
+    buffers = max(_FEWEST_BUFFERS, math.ceil(settings.fps * _BUFFERS_FOR_S))
+    stream = device.stream(buffers, settings.packet_bytes, settings.resend, _RETENTION_S, chunks)
+    known = settings.exposure.control != "camera"  # else it changes by itself
+    return Opened(
+        device,
+        stream,
+        device.pixel_format(),
+        _exposure_range(exposure_us, gain),
+        gain is not None,
+        device.exposure_us() * 1e-3 if known and exposure_us is not None else None,
+        device.gain() if known and gain is not None else None,
+    )
+
+
+def let_go(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
+    """Release a camera in a thread of its own, for one that does not answer takes seven seconds to release.
+
+    This gives control back, in vain when it is no longer ours: a controller is known by its port. ``wait``
+    allows a camera that answers to have got it.
+    """
+
+    def release() -> None:
+        with lock:
+            if stop:
+                with suppress(CameraError):
+                    device.stop()
+            if stream is not None:
+                stream.close()
+            device.close()
+
+    thread = threading.Thread(target=release, name="aravis-release", daemon=True)
+    thread.start()
+    if wait:
+        thread.join(_RELEASE_S)
+
+
+def _set_format(device: Device, wanted: str) -> None:
+    offered = device.choices("PixelFormat")
+    if wanted not in offered:
+        fit = [name for name in offered if name in BITS]
+        raise CameraRefusedError(
+            f"pixel_format {wanted}: the camera offers {', '.join(fit or offered) or 'none'}"
+        )
+    device.set("PixelFormat", wanted)
+
+
+def _set_region(device: Device, settings: Settings) -> None:
+    wanted = settings.offset_x_px, settings.offset_y_px, settings.width, settings.height
+    try:
+        device.set_region(*wanted)
+        refused = device.region() != wanted
+    except CameraRefusedError:
+        refused = True
+    if refused:
+        device.set_region(0, 0, 0, 0)  # offsets back to zero: the bounds of the size depend on them
+        (w_min, w_max), (h_min, h_max) = device.bounds("Width"), device.bounds("Height")
+        size = f"{settings.width} x {settings.height} at {settings.offset_x_px}, {settings.offset_y_px}"
+        raise CameraRefusedError(
+            f"{size}: the camera offers {w_min} to {w_max} x {h_min} to {h_max}, "
+            "offset included, in its own steps"
+        )
+
+
+def _set_trigger(device: Device, settings: Settings) -> None:
+    if settings.trigger == "free":
+        _set_rate(device, settings.fps)
+        return
+    source = "Software" if settings.trigger == "software" else settings.trigger_line
+    offered = device.choices("TriggerSource") if device.has("TriggerSource") else ()
+    if source not in offered:
+        raise CameraRefusedError(f"trigger from {source}: the camera offers {', '.join(offered) or 'none'}")
+    device.set_trigger(source)
+
+
+def _set_rate(device: Device, fps: float) -> None:
+    bounds = device.frame_rate_bounds()
+    if bounds is not None and not bounds[0] <= fps <= bounds[1]:
+        raise CameraRefusedError(f"fps {fps:g}: the camera offers {bounds[0]:g} to {bounds[1]:g}")
+    actual = device.run_free(fps)
+    if actual is not None and abs(actual - fps) > _RATE_OFF * fps:
+        raise CameraRefusedError(f"fps {fps:g}: the camera makes it {actual:g}")
+
+
+def _exposure_range(
+    exposure_us: tuple[float, float] | None, gain: tuple[float, float] | None
+) -> ExposureRange | None:
+    if exposure_us is None:
+        return None
+    smallest, largest = gain or (0.0, 0.0)
+    return ExposureRange(exposure_us[0] * 1e-3, exposure_us[1] * 1e-3, smallest, largest)
+
+
+def _switch_output(device: Device, line: str, on: bool) -> None:
+    """SFNC, chapter 8 (digital I/O control); cameras have more or fewer of its features."""
+    if not device.has("UserOutputValue"):
+        raise CameraRefusedError("the camera has no UserOutputValue, thus no output to switch")
+    if device.has("LineSelector"):
+        _choose(device, "LineSelector", line)
+    if device.has("LineMode") and device.text("LineMode") != "Output":
+        _choose(device, "LineMode", "Output")
+    output = None
+    if device.has("LineSource"):
+        output = device.text("LineSource")
+        if not output.startswith("UserOutput"):
+            output = _user_output(device.choices("LineSource"), line)
+            device.set("LineSource", output)
+    if device.has("UserOutputSelector"):
+        offered = device.choices("UserOutputSelector")
+        device.set("UserOutputSelector", output if output in offered else _user_output(offered, line))
+    device.set("UserOutputValue", on)
+
+
+def _user_output(offered: tuple[str, ...], line: str) -> str:
+    """The user output with the line's number, else the first one."""
+    outputs = [name for name in offered if name.startswith("UserOutput")]
+    number = line.removeprefix("Line")
+    if not outputs:
+        raise CameraRefusedError(
+            f"{line}: the camera offers no user output, but {', '.join(offered) or 'none'}"
+        )
+    return f"UserOutput{number}" if f"UserOutput{number}" in outputs else outputs[0]
+
+
+def _choose(device: Device, feature: str, wanted: str) -> None:
+    offered = device.choices(feature)
+    if wanted not in offered:
+        raise CameraRefusedError(f"{feature} {wanted}: the camera offers {', '.join(offered) or 'none'}")
+    device.set(feature, wanted)

@@ -1,0 +1,86 @@
+"""The camera's clock, against clocks and delays that are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from altd.devices.aravis.device_clock import DeviceClock
+
+S = 1_000_000_000
+MS = 1_000_000
+BOOTED = 7 * S
+
+
+def exposures(seconds: float, fps: float = 20.0) -> Iterator[int]:
+    """True instants on the host's clock, ns."""
+    return iter(range(100 * S, 100 * S + round(seconds * S), round(S / fps)))
+
+
+def run(
+    clock: DeviceClock, device: Callable[[int], int], seconds: float = 20.0, seed: int = 1
+) -> list[tuple[int, int, int]]:
+    """(true, received, mapped): packets are 1 ms under way, mostly little more, and 30 ms at times."""
+    random = np.random.default_rng(seed)
+    rows = []
+    for true in exposures(seconds):
+        late = round(random.exponential(0.3) * MS) + (30 * MS if random.random() < 0.05 else 0)
+        received = true + MS + late
+        rows.append((true, received, clock.host_ns(device(true), received)))
+    return rows
+
+
+class TestDeviceClock:
+    def test_takes_the_jitter_of_the_network_away(self) -> None:
+        rows = run(DeviceClock(), lambda true: true - BOOTED)
+        settled = [mapped - true for true, _, mapped in rows[40:]]
+        assert max(settled) - min(settled) < 0.1 * MS
+        assert np.std([received - true for true, received, _ in rows]) > 5 * MS
+
+    @pytest.mark.parametrize("ppm", [-100, 100])
+    def test_follows_a_clock_that_drifts(self, ppm: int) -> None:
+        clock = DeviceClock()
+        rows = run(clock, lambda true: round((true - BOOTED) * (1 + ppm * 1e-6)), 60)
+        errors = [mapped - true - MS for true, _, mapped in rows[40:]]
+        assert clock.trusted
+        assert max(map(abs, errors)) < 0.7 * MS
+
+    def test_gives_a_frame_that_was_held_up_its_true_time(self) -> None:
+        clock = DeviceClock()
+        run(clock, lambda true: true - BOOTED, 5)
+        now = 105 * S
+        burst = [clock.host_ns(now + k * 50 * MS - BOOTED, now + 3 * S) for k in range(8)]
+        assert [at - now - k * 50 * MS for k, at in enumerate(burst)] == pytest.approx([MS] * 8, abs=0.2 * MS)
+
+    def test_is_never_later_than_the_arrival(self) -> None:
+        rows = run(DeviceClock(), lambda true: round(true * 1.00005), 30)
+        assert all(mapped <= received for _, received, mapped in rows)
+
+    @pytest.mark.parametrize(
+        "device",
+        [
+            lambda true: 0,
+            lambda true: 5,
+            lambda true: true // 2,
+            lambda true: -true,
+            lambda true: true // S * S,
+        ],
+        ids=["none", "standing still", "half as fast", "backwards", "in whole seconds"],
+    )
+    def test_trusts_no_clock_that_does_not_run(self, device: Callable[[int], int]) -> None:
+        clock = DeviceClock()
+        rows = run(clock, device)
+        assert not clock.trusted
+        assert all(mapped == received for _, received, mapped in rows[120:])
+
+    @pytest.mark.parametrize("jump_s", [-3600, -2, 2, 3600])
+    def test_comes_back_from_a_clock_that_was_set(self, jump_s: int) -> None:
+        clock = DeviceClock()
+        rows = run(clock, lambda true: true - BOOTED + (jump_s * S if true > 110 * S else 0) + 4000 * S)
+        errors = [mapped - true for true, _, mapped in rows]
+        assert max(errors) < 40 * MS
+        assert min(errors) >= MS
+        assert max(errors[-100:]) < 1.2 * MS
+        assert clock.trusted

@@ -1,0 +1,120 @@
+"""Single questions to cameras, and to what is no camera."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from support.gige import HOME, Cameras, register, wait_for
+
+from altd.devices.aravis import gvcp
+
+ELSEWHERE = f"127.99.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
+"""Port 3956 is fixed; an address of our own keeps test runs apart."""
+
+
+@contextmanager
+def answering(answer: Callable[[bytes], list[bytes]]) -> Iterator[None]:
+    """Something on GVCP's port that answers so."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind((ELSEWHERE, gvcp.PORT))
+
+        def serve() -> None:
+            while question := server.recvfrom(2048):
+                if not question[0]:
+                    return
+                for packet in answer(question[0]):
+                    server.sendto(packet, question[1])
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield
+        finally:
+            server.sendto(b"", (ELSEWHERE, gvcp.PORT))
+            thread.join()
+
+
+def ack(question: bytes, payload: bytes, status: int = 0, of: int = 0, claimed: int | None = None) -> bytes:
+    _, command, _, request_id = struct.unpack_from(">HHHH", question)
+    length = len(payload) if claimed is None else claimed
+    return struct.pack(">HHHH", status, command + 1, length, request_id + of) + payload
+
+
+class TestQuestions:
+    def test_a_register_is_read(self) -> None:
+        with answering(lambda question: [ack(question, b"\0\0\1\2")]):
+            assert gvcp.privilege(ELSEWHERE, 1.0) == 0x102
+
+    @pytest.mark.parametrize(
+        "answer",
+        [
+            lambda question: [],
+            lambda question: [b"", b"\0", os.urandom(7), os.urandom(600)],
+            lambda question: [ack(question, b"\0\0\0\0", status=0x8006)],
+            lambda question: [ack(question, b"\0\0\0\0", of=1)],
+            lambda question: [ack(question, b"\0\0\0\0", claimed=4000)],
+            lambda question: [ack(question, b"\0")],
+            lambda question: [question],
+        ],
+        ids=["nothing", "noise", "refusal", "answer to another question", "cut off", "too short", "echo"],
+    )
+    def test_what_is_no_answer_is_none_in_time(self, answer: Callable[[bytes], list[bytes]]) -> None:
+        with answering(answer):
+            began_s = time.monotonic()
+            assert gvcp.privilege(ELSEWHERE, 0.1) is None
+            assert gvcp.greet(ELSEWHERE, 0.1) is None
+            assert time.monotonic() - began_s < 1.0
+
+    def test_the_answer_is_found_behind_noise(self) -> None:
+        with answering(
+            lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]
+        ):
+            assert gvcp.privilege(ELSEWHERE, 1.0) == 2
+
+    def test_a_name_is_text_whatever_the_camera_says(self) -> None:
+        hostile = bytearray(248)
+        hostile[0x48:0x68] = b"\xff\x1b[2J\n" * 5 + b"\xff\xff"
+        with answering(lambda question: [ack(question, bytes(hostile))]):
+            greeting = gvcp.greet(ELSEWHERE, 1.0)
+        assert greeting is not None
+        assert greeting.vendor.isprintable()
+
+    @pytest.mark.parametrize(
+        ("text", "is_one"), [("10.0.0.7", True), ("10.0.0", False), ("::1", False), ("22334", False)]
+    )
+    def test_only_dotted_quads_are_addresses(self, text: str, is_one: bool) -> None:
+        assert gvcp.is_address(text) is is_one
+
+
+@pytest.mark.own_network
+class TestCameras:
+    def test_are_found_by_broadcast_and_called_by_four_names(self, cameras: Cameras) -> None:
+        cameras.start(HOME, "T1")
+        cameras.start("127.0.0.2", "T2")
+        first, second = gvcp.discover(0.3)
+        assert (first.address, first.serial) == (HOME, "T1")
+        assert (second.address, second.serial, second.vendor, second.model) == (
+            "127.0.0.2",
+            "T2",
+            "Aravis",
+            "Fake",
+        )
+        assert second.is_called("Aravis-Fake-T2")
+        assert not second.is_called("T1")
+        assert not second.is_called("")
+
+    def test_tell_who_controls_them(self, cameras: Cameras) -> None:
+        cameras.start()
+        assert gvcp.privilege(HOME, 0.5) == 0
+        assert gvcp.heartbeat_s(HOME, 0.5) == 3.0
+        register(HOME, 0xA00, 2)
+        assert gvcp.privilege(HOME, 0.5) == 2
+        cameras.stop()
+        wait_for(lambda: gvcp.privilege(HOME, 0.1) is None)
