@@ -57,6 +57,8 @@ class Opened:
 
 def set_up(device: Device, settings: Settings) -> Opened:
     """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
+    with suppress(CameraRefusedError):  # its last controller may have died while it streamed
+        device.stop()
     for name, value in settings.features.items():
         device.set(name, value)
     _set_format(device, settings.pixel_format)
