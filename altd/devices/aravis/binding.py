@@ -37,6 +37,10 @@ camera has a lock against that, but holds it while it looks for a camera that is
 _BUSY = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
 
 
+_FRAMES_IN_SOCKET = 4
+"""As many as net.core.rmem_max allows; a packet takes twice its size there."""
+
+
 @contextmanager
 def _typed(what: str) -> Iterator[None]:
     try:
@@ -309,6 +313,8 @@ class Device:
             stream.set_property("packet-resend", wanted)
             stream.set_property("frame-retention", round(retention_s * 1e6))
             payload_bytes = self._camera.get_payload()
+            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
+            stream.set_property("socket-buffer-size", _FRAMES_IN_SOCKET * payload_bytes)
             for _ in range(buffers):
                 stream.push_buffer(Aravis.Buffer.new_allocate(payload_bytes))
             self._camera.start_acquisition()
