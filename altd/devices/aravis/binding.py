@@ -280,7 +280,7 @@ class Device:
 
     def with_chunks(self) -> bool:
         """Have exposure and gain sent along with each frame; whether the camera does."""
-        with _typed("ChunkModeActive"):
+        try:
             if not self._camera.are_chunks_available():
                 return False
             offered = set(self._camera.dup_available_enumerations_as_strings("ChunkSelector"))
@@ -288,6 +288,8 @@ class Device:
             if wanted:
                 self._camera.set_chunks(",".join(wanted))
             return bool(wanted)
+        except GLib.Error:
+            return False  # what was set is then taken for what a frame has
 
     def packet_bytes(self) -> int:
         """The size of the stream's packets."""

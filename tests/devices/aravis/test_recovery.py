@@ -36,6 +36,8 @@ class TestKilledAndStartedAgain:
             assert sequences[before] > sequences[before - 1]
             assert grabbed.longest_call_s < CALL_S
             assert isinstance(grabbed.errors[0], CameraLostError)
+            assert ("does not answer" in str(grabbed.errors[0])) == (away_s > 0)
+            assert "sent no frame" not in str(grabbed.errors[0])
 
     def test_it_is_found_by_serial_number_where_the_other_was(self, cameras: Cameras) -> None:
         cameras.start(HOME, "T1")
