@@ -143,6 +143,11 @@ class Device:
         self._camera = self._device = None
 
     @property
+    def closed(self) -> bool:
+        """Whether it was let go of; nothing can be asked of it then."""
+        return self._device is None
+
+    @property
     def controlled(self) -> bool:
         """Whether we have control, as far as the last heartbeat knows; asks nobody."""
         return bool(self._device.is_controller())

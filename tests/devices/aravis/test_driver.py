@@ -268,6 +268,16 @@ class TestOutputLine:
                 grabbed.camera.switch_output("Line5", True)
             grabbed.await_frames(3)
 
+    def test_of_a_camera_that_was_closed_meanwhile_is_an_error(self, cameras: Cameras) -> None:
+        cameras.start()
+        camera = driver()
+        camera.open()
+        opened = camera._opened
+        camera.close()
+        assert opened is not None
+        with pytest.raises(CameraLostError, match="closed"):
+            opened.switch_output("Line1", True)
+
     def test_of_a_camera_without_any_is_refused(self, cameras: Cameras) -> None:
         cameras.start()
         with Grabbed(driver()) as grabbed:
