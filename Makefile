@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -24,6 +24,9 @@ help:
 
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
+
+demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
+	@exec $(python) -m hw_sim demo --gige
 
 test: programs venv kernel ## the tests
 	@exec $(python) -m pytest
@@ -43,7 +46,7 @@ bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
-	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "measured or figures"
+	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "pair or truth or figures"
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers
@@ -70,7 +73,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils
+	@.ci/programs may mbpoll socat systemd-analyze=systemd pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \

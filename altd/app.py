@@ -11,10 +11,18 @@ import cv2
 from altd import __version__
 from altd.calibration.file import check_image_size, load_calibration
 from altd.calibration.model import Calibration
-from altd.config import AravisCamera, Config, LiveCamera, RecordingCamera, SerialPort, V4l2Camera
+from altd.config import (
+    AravisCamera,
+    CameraLamps,
+    Config,
+    LiveCamera,
+    RecordingCamera,
+    SerialPort,
+    V4l2Camera,
+)
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError, bare
-from altd.ports import Camera, Clock, Lamps, Stage
+from altd.ports import Camera, Clock, Indicators, Lamps, Stage, SwitchingCamera
 from altd.recording import Kind, Recording, UnitHeader, open_recording, refuse_used_folder
 from altd.records import Frame, NoSpot, Spot
 from altd.service.board import Board
@@ -24,6 +32,8 @@ from altd.service.exposing import ExposureKeeper, ExposureSetter
 from altd.service.grabbing import grab
 from altd.service.health import Component, Health, State
 from altd.service.inbox import Inbox
+from altd.service.indicators import IndicatorPanel
+from altd.service.lamps import FrameLamps
 from altd.service.manager import ServiceManager
 from altd.service.pipeline import Pipeline
 from altd.service.record import record
@@ -34,7 +44,10 @@ _FACES_START_S = 1.0
 
 
 class Daemon:
-    """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them."""
+    """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them.
+
+    So does it ``lamps`` and ``indicators``; ``self.lamps`` switches the first, for who wants light.
+    """
 
     def __init__(
         self,
@@ -42,6 +55,8 @@ class Daemon:
         calibration: Calibration,
         cameras: Mapping[str, Camera],
         clock: Clock | None = None,
+        lamps: Lamps | None = None,
+        indicators: Indicators | None = None,
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
@@ -52,6 +67,13 @@ class Daemon:
             "serial": config.unit.serial,
             "calibration": f"{calibration.created:%Y-%m-%d}, {calibration.recording_note}".rstrip(", "),
         }
+        self.lamps: FrameLamps | None = None
+        if lamps is not None:
+            self.lamps = FrameLamps(lamps, self.health.component("lamps"), self.clock)
+        self._indicators: IndicatorPanel | None = None
+        if indicators is not None:
+            component = self.health.component("indicators")
+            self._indicators = IndicatorPanel(indicators, self.board, self.health, component, self.clock)
         views = [View(target.name, target.camera) for target in config.targets]
         self._cameras = {view.camera: cameras[view.camera] for view in views}
         self.chain = MeasuringChain(
@@ -105,11 +127,19 @@ class Daemon:
                     manager.progress,
                 )
                 tasks.create_task(pipeline.run(), name="pipeline")
+                await self._lights()  # inside: told to end, they are dark before a camera is closed
         except BaseExceptionGroup as group:
             refused = bare(group, BadInputError)
             if refused is None:
                 raise
             raise refused from None
+
+    async def _lights(self) -> None:
+        """Keep lamps and indicators, until cancelled."""
+        async with asyncio.TaskGroup() as tasks:
+            for name, lights in (("lamps", self.lamps), ("indicators", self._indicators)):
+                if lights is not None:
+                    tasks.create_task(lights.run(), name=name)
 
     def _camera_health(self, name: str) -> Component:
         return self.health.component(f"camera {name}")
@@ -203,10 +233,43 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
 def daemon_of(config: Config, place: Path) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
     cameras = cameras_of(config, place)
-    daemon = Daemon(config, calibration_of(config, cameras), cameras)
+    calibration = calibration_of(config, cameras)
+    lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
+    daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators)
     for component in ("measuring", *(f"camera {name}" for name in cameras)):
         daemon.health.component(component).say(State.STARTING)
     return daemon
+
+
+def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
+    """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
+
+    ``alone``: nobody takes frames of these cameras. Raises BadInputError that names ``place``.
+    """
+    if config.lamps is None:
+        return None
+    if not isinstance(config.lamps, CameraLamps):
+        from altd.devices.gpio.lamps import GpioFrameLamps
+
+        return GpioFrameLamps(config.lamps)
+    from altd.devices.camera_lamps import CameraLamps as LampsOnCameras
+
+    switching: dict[str, SwitchingCamera] = {}
+    for name in config.lamps.cameras:
+        camera = cameras[name]
+        if not isinstance(camera, SwitchingCamera):
+            raise BadInputError(place, f"lamps: camera {name!r} has no output to switch")
+        switching[name] = camera
+    return LampsOnCameras(switching, config.lamps.line, alone)
+
+
+def indicators_of(config: Config) -> Indicators | None:
+    """The lamps on the housing that a config asks for; None when it has none."""
+    if config.indicators is None:
+        return None
+    from altd.devices.gpio.lamps import GpioIndicators
+
+    return GpioIndicators(config.indicators)
 
 
 async def record_of(config: Config, place: Path, folder: Path, seconds: float, kind: Kind) -> int:
@@ -257,10 +320,11 @@ def scanner_of(
 ) -> Scanner:
     """The scan into ``folder`` that a config describes; raises BadInputError.
 
-    ``cameras`` and ``lamps`` stand in for those of the config; the config has no lamps yet.
+    ``cameras`` and ``lamps`` stand in for those of the config.
     """
     stage = stage_of(config, place)
     cameras = cameras_of(config, place) if cameras is None else cameras
+    lamps = lamps_of(config, cameras, place) if lamps is None else lamps
     clock, setters = SystemClock(), setters_of(config)
     return Scanner(config, folder, list(cameras.values()), stage, lamps, clock, teller, setters)
 

@@ -73,6 +73,15 @@ def _parser() -> argparse.ArgumentParser:
     scan.add_argument("--config", type=Path, required=True, metavar="FILE")
     scan.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
 
+    lamps = commands.add_parser("lamps", help="switch frame LEDs and indicators while the daemon is stopped")
+    lamps.add_argument(
+        "look",
+        choices=("off", "on", "test", "stopped"),
+        help="off: dark; on: all lit until Ctrl-C; test: each in turn, by name; "
+        "stopped: dark but for Error if the service has failed (for systemd, reads $SERVICE_RESULT)",
+    )
+    lamps.add_argument("--config", type=Path, required=True, metavar="FILE")
+
     locate = commands.add_parser(
         "locate", help="find the spot in images by two localisers; one JSON object an image"
     )
@@ -84,6 +93,9 @@ def _parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check-config", help="say whether a config can be used")
     check.add_argument("config", type=Path, metavar="FILE")
+
+    doctor = commands.add_parser("doctor", help="say what is wrong on this computer, and what mends it")
+    doctor.add_argument("--config", type=Path, metavar="FILE", help="what it is to run with")
     return parser
 
 

@@ -36,9 +36,11 @@ def run(options: argparse.Namespace) -> int:
         "replay": _replay,
         "record": _record,
         "scan": _scan,
+        "lamps": _lamps,
         "locate": _locate,
         "map": _map,
         "check-config": _check_config,
+        "doctor": _doctor,
     }
     cv2.utils.logging.setLogLevel(
         cv2.utils.logging.LOG_LEVEL_SILENT
@@ -208,6 +210,40 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
     return 0
 
 
+def _lamps(options: argparse.Namespace) -> int:
+    from altd.app import cameras_of, indicators_of, lamps_of
+    from altd.config import CameraLamps, load_config
+    from altd.lamps_by_hand import LampsByHand
+    from altd.ports import Indicator, LampsError
+
+    config, place = load_config(options.config), options.config
+    stopped = options.look == "stopped"
+    if stopped and isinstance(config.lamps, CameraLamps):
+        config = config.model_copy(
+            update={"lamps": None}
+        )  # of a dead daemon's camera nobody gets hold at once
+    if config.lamps is None and config.indicators is None and not stopped:
+        raise BadInputError(place, "no [lamps] and no [indicators] table")
+    cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLamps) else {}
+    fitted = [Indicator(key) for key in config.indicators.lines] if config.indicators is not None else []
+    lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
+    by_hand = LampsByHand(lamps, indicators, fitted, lambda line: print(line, flush=True))
+    failed = os.environ.get("SERVICE_RESULT", "success") != "success"
+    looks: dict[str, Callable[[], None]] = {
+        "off": lambda: by_hand.leave(frozenset()),
+        "on": by_hand.light_until_interrupted,
+        "test": by_hand.light_in_turn,
+        "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
+    }
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what is lit gets dark on the way out
+    try:
+        looks[options.look]()
+    except LampsError as error:
+        print(f"altd lamps: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
 def _locate(options: argparse.Namespace) -> int:
     from altd.vision.localise import locate, locate_ellipse
 
@@ -284,6 +320,15 @@ def _check_config(options: argparse.Namespace) -> int:
     calibration_of(config, cameras_of(config, options.config))
     print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets")
     return 0
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from altd.doctor.checks import examine
+    from altd.doctor.finding import Verdict, in_lines
+
+    findings = examine(options.config)
+    print("\n".join(in_lines(findings)))
+    return int(any(finding.verdict is Verdict.WRONG for finding in findings))
 
 
 def _progress(what: str) -> Callable[[int, int], None]:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from altd.errors import BadInputError
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+GpioLineName = Annotated[str, Field(min_length=1, max_length=64)]
 TcpPort = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -139,8 +140,8 @@ class GpiodLamps(Table):
     driver: Literal["gpiod"]
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """The chip's label (or its name or path), as `altd devices` shows it."""
-    lines: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=64)], ...], Field(min_length=1)]
-    """The lines by name; all are switched together."""
+    lines: Annotated[tuple[GpioLineName, ...], Field(min_length=1)]
+    """The lines by name, or by number where the chip has no names; all are switched together."""
     active_low: bool = False
     """The LEDs are lit when the line is low."""
 
@@ -164,16 +165,28 @@ class IndicatorLamps(Table):
     driver: Literal["gpiod"]
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """The chip's label (or its name or path), as `altd devices` shows it."""
-    data: str | None = None
-    """The line, by name, of the lamp that flashes when a controller is given data."""
-    error: str | None = None
+    data: GpioLineName | None = None
+    """The line of the lamp that flashes when data was given to whoever asked for it."""
+    error: GpioLineName | None = None
     """Lit while nothing valid is measured; blinks while a part has failed although it is."""
-    power: str | None = None
+    power: GpioLineName | None = None
     """Lit while the daemon runs."""
-    ok: str | None = None
-    """Lit while the measurement is valid; blinks while it is valid with a warning."""
+    ok: GpioLineName | None = None
+    """Lit while the measurement is valid; blinks while it warms up, or is valid with a warning."""
     active_low: bool = False
     """The lamps are lit when the line is low."""
+
+    @property
+    def lines(self) -> dict[str, str]:
+        """The lines of the lamps that have one, by the lamp's key."""
+        named = {"data": self.data, "error": self.error, "power": self.power, "ok": self.ok}
+        return {lamp: line for lamp, line in named.items() if line is not None}
+
+    @model_validator(mode="after")
+    def _has_a_line(self) -> Self:
+        if not self.lines:
+            raise ValueError("no line: give data, error, power or ok, or leave the table out")
+        return self
 
 
 class Measuring(Table):
@@ -382,13 +395,13 @@ class Config(Table):
             for name in self.lamps.cameras:
                 if not isinstance(self.cameras.get(name), AravisCamera):
                     raise ValueError(f'lamps: camera {name!r} is no camera with driver "aravis"')
+                if name not in [target.camera for target in self.targets]:
+                    raise ValueError(f"lamps: camera {name!r} looks at no target and is not opened")
         named: list[tuple[str, str]] = []
         if isinstance(self.lamps, GpiodLamps):
             named += [(self.lamps.chip, line) for line in self.lamps.lines]
         if self.indicators is not None:
-            lamps = self.indicators
-            lines = [lamps.data, lamps.error, lamps.power, lamps.ok]
-            named += [(lamps.chip, line) for line in lines if line is not None]
+            named += [(self.indicators.chip, line) for line in self.indicators.lines.values()]
         if len(set(named)) < len(named):
             raise ValueError("lamps, indicators: two lamps are on the same line")
 

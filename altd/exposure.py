@@ -34,9 +34,9 @@ _HOLD_WINDOWS = 2
 """A spot that is gone is waited for so long; most come back as they were."""
 _SEARCH_FACTOR = 4.0
 _OVEREXPOSED_FACTOR = 1 / 4
-"""``saturated`` is said from twofold over-exposure on, so this leaves half a full scale at least."""
+"""``saturated`` is said from 1.8-fold over-exposure on at the earliest, so this leaves 0.45 at least."""
 _CLIPPED_FACTOR = HIGH / 2
-"""A clipped spot that is found is over-exposed up to twofold: this brings it to 0.4 to 0.8."""
+"""A clipped spot that is found is over-exposed about twofold at most: this brings it to 0.4 to 0.8."""
 _LARGEST_BACKGROUND = 0.5
 """A search makes no background brighter than this."""
 _DARKEST = 0.01

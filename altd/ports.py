@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from altd.records import Frame, Origin
 
@@ -81,6 +81,17 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Let go of the camera; harmless when it is not open."""
+
+
+@runtime_checkable
+class SwitchingCamera(Camera, Protocol):
+    """A camera with output lines, on which LEDs may hang."""
+
+    def switch_output(self, line: str, on: bool) -> None:
+        """Set an output line, by the camera's own name of it; raises CameraError, also while it is not open.
+
+        Blocks, and unlike the other calls comes from any thread.
+        """
 
 
 class StageError(Exception):
@@ -163,7 +174,7 @@ class Indicator(StrEnum):
 
 
 class Indicators(Protocol):
-    """The lamps on the housing. The calls block, each for microseconds."""
+    """The lamps on the housing. The calls block."""
 
     def open(self) -> None:
         """Get hold of them, dark; raises LampsError."""

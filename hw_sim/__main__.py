@@ -9,6 +9,7 @@ from typing import NoReturn
 
 from altd.errors import BadInputError
 from hw_sim import demo, flat, measure, plate, scan
+from hw_sim.gige import command as gige
 from hw_sim.study import command as study
 
 COMMANDS = {
@@ -16,6 +17,7 @@ COMMANDS = {
     "flat": (flat, "record the flat field: the targets in even light"),
     "plate": (plate, "record a calibration plate of LEDs"),
     "demo": (demo, "run the whole unit, simulated, and watch it"),
+    "gige": (gige, "serve the unit's cameras on the network, by GigE Vision"),
     "measure": (measure, "record poses of the beam, with their truth"),
     "study": (study, "repeat the thesis' experiments; its figures beside ours"),
 }

@@ -40,6 +40,17 @@ def at_least_one(text: str) -> int:
     return value
 
 
+def seconds(text: str) -> float:
+    """A length of time above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
+    return value
+
+
 def terminal_progress(what: str) -> Progress:
     """A counter on standard error while it is a terminal; silence otherwise."""
     if not sys.stderr.isatty():

@@ -15,21 +15,20 @@ import tempfile
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 
-from altd.app import Daemon, calibration_of
+from altd.app import Daemon, calibration_of, cameras_of
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, bare
-from hw_sim.arguments import natural
+from altd.ports import Camera
+from hw_sim.arguments import natural, seconds
 from hw_sim.camera import make_cameras
 from hw_sim.demo_figures import Figures
+from hw_sim.demo_gige import served
 from hw_sim.demo_lines import Line
 from hw_sim.demo_screen import Screen, keys
 from hw_sim.demo_view import CLEAR_KEY, FAULT_KEYS, QUIT_KEY, Faces, View
-from hw_sim.motion import Drive, Vibration
-from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
-
-DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
-"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 62.5 × 50."""
+from hw_sim.gige.command import add_addresses, make_unit
+from hw_sim.unit import CAMERAS, FRONT, REAR, Unit
 
 REDRAW_S = 0.2
 LINE_S = 1.0
@@ -44,9 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
     )
-    parser.add_argument("--seconds", type=_seconds, metavar="N", help="end after so long (default: never)")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
     parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
     parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument(
+        "--gige",
+        action="store_true",
+        help="its cameras are on the network, by GigE Vision, in a process of their own (hw_sim gige)",
+    )
+    add_addresses(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -83,11 +88,16 @@ async def _until_stopped(arguments: argparse.Namespace) -> None:
 
 async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None:
     """Make a unit, calibrate it, measure with it; ends by cancellation or with what failed."""
-    with tempfile.TemporaryDirectory(prefix="altd-demo-") as folder, contextlib.ExitStack() as open_lines:
+    async with contextlib.AsyncExitStack() as parts:
+        folder = parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-demo-"))
         calibration = Path(folder, "calibration.json")
         await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
-        unit = Unit(UnitConfig(seed=arguments.seed, drive=DRIVE, vibration=Vibration()))
-        telegram, console, modbus_rtu = (open_lines.enter_context(Line()) for _ in range(3))
+        unit = make_unit(arguments.seed, drive=True)
+        hardware = None
+        if arguments.gige:
+            serving = served(arguments.seed, {name: getattr(arguments, name) for name in CAMERAS})
+            hardware = await parts.enter_async_context(serving)
+        telegram, console, modbus_rtu = (parts.enter_context(Line()) for _ in range(3))
         faces = Faces(
             http_port=arguments.http_port or _free_port(),
             modbus_port=arguments.modbus_port or _free_port(),
@@ -95,10 +105,13 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             console=console,
             modbus_rtu=modbus_rtu,
         )
-        cameras = {camera.name: camera for camera in make_cameras(unit)}
         config = _config(unit, calibration, faces)
+        cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
+        if hardware is not None:
+            config = config.model_copy(update=hardware.tables)
+            cameras = cameras_of(config, Path("--gige"))
         daemon = Daemon(config, calibration_of(config, cameras), cameras)
-        figures = Figures(daemon, unit)
+        figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)
         show = _on_screen if sys.stdout.isatty() else _line_by_line
         if arguments.seconds is not None:
@@ -111,6 +124,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
                 console.carry(),
                 modbus_rtu.carry(),
                 show(view, unit, stop),
+                *([hardware.follow(unit)] if hardware else []),
             )
         finally:
             if figures.exposures:
@@ -220,13 +234,3 @@ def _port(text: str) -> int:
     if not 0 <= port <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
     return port
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0 < seconds <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
-    return seconds

@@ -78,8 +78,9 @@ def truth_of(unit: Unit, measurement: Measurement) -> BeamPose:
 class Figures:
     """The account of one run. It sees each measurement once, through a cursor of its own."""
 
-    def __init__(self, daemon: Daemon, unit: Unit) -> None:
+    def __init__(self, daemon: Daemon, unit: Unit, runs_here: str = "daemon and simulator together") -> None:
         self._daemon = daemon
+        self._runs_here = runs_here
         self._unit = unit
         self._began_s = time.monotonic()
         self._cpu_began_s = time.process_time()
@@ -123,7 +124,7 @@ class Figures:
 
     @property
     def cpu_share(self) -> float:
-        """Of one core, daemon and simulator together, since the daemon was started."""
+        """Of one core, all that runs in this process, since the daemon was started."""
         return (time.process_time() - self._cpu_began_s) / self.seconds
 
     @property
@@ -161,7 +162,7 @@ class Figures:
         yield f"valid: {self.valid} ({share}; the first half second only warms up)"
         yield (
             f"memory: {early}{memory_mib():.1f} MiB at the end; "
-            f"CPU: {self.cpu_share:.0%} of one core, daemon and simulator together"
+            f"CPU: {self.cpu_share:.0%} of one core, {self._runs_here}"
         )
         yield "rms of          difference   difference / sigma"
         for quantity in QUANTITIES:

@@ -26,13 +26,14 @@ class _Backdrop:
     """All that an exposure shows without the beam, for one state of settings and lamps."""
 
     settings: Settings
+    sensor: Sensor
     electrons: Image
     counts: Image
     noise_counts: Image
 
 
 class Eye:
-    """A view through a chip; ``settings`` may be replaced at any time, from any thread."""
+    """A view through a chip; ``settings`` and ``sensor`` may be replaced at any time, from any thread."""
 
     def __init__(self, view: View, sensor: Sensor, settings: Settings, lux: float) -> None:
         self.view = view
@@ -70,25 +71,26 @@ class Eye:
     def sketch(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
         """Grey values with the same statistics, from standard normal ``noise`` and a kept backdrop."""
         backdrop = self._backdrop(leds_on)
-        settings = backdrop.settings
+        settings, sensor = backdrop.settings, backdrop.sensor
         counts = backdrop.noise_counts * noise
         counts += backdrop.counts
         region, electrons = self.view.beam_e(spots, settings.exposure_ms)
         electrons += backdrop.electrons[region]
-        spread = self.sensor.noise_counts(electrons, settings.gain) * noise[region]
-        counts[region] = self.sensor.mean_counts(electrons, settings.gain) + spread
-        return self.sensor.quantise(counts)
+        spread = sensor.noise_counts(electrons, settings.gain) * noise[region]
+        counts[region] = sensor.mean_counts(electrons, settings.gain) + spread
+        return sensor.quantise(counts)
 
     def _backdrop(self, leds_on: bool) -> _Backdrop:
-        settings = self.settings
+        settings, sensor = self.settings, self.sensor
         kept = self._backdrops.get(leds_on)
-        if kept is None or kept.settings != settings:
+        if kept is None or kept.settings != settings or kept.sensor != sensor:
             electrons = self.view.background_e(settings.exposure_ms, self._lux, leds_on)
             kept = _Backdrop(
                 settings,
+                sensor,
                 electrons,
-                self.sensor.mean_counts(electrons, settings.gain),
-                self.sensor.noise_counts(electrons, settings.gain),
+                sensor.mean_counts(electrons, settings.gain),
+                sensor.noise_counts(electrons, settings.gain),
             )
             self._backdrops[leds_on] = kept
         return kept

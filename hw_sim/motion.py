@@ -42,6 +42,10 @@ class Drive:
     period_s: float = 60.0
 
 
+SLOW_DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
+"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 62.5 × 50."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Oscillation:
     """Σ amplitude · sin(2π frequency t + phase) in x, y (mm), yaw, pitch (mrad): arrays (lines, 4)."""

@@ -84,7 +84,7 @@ class Unit:
 
     def __init__(self, config: UnitConfig | None = None) -> None:
         self.config = config or UnitConfig()
-        self.leds_on = False
+        self._lit: frozenset[str] = frozenset()
         self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
@@ -124,6 +124,21 @@ class Unit:
         """The faults that are present now."""
         return self._faults
 
+    @property
+    def leds_on(self) -> bool:
+        """Whether the LEDs around any target are lit; setting it switches those of all targets."""
+        return bool(self._lit)
+
+    @leds_on.setter
+    def leds_on(self, on: bool) -> None:
+        self._lit = frozenset(CAMERAS if on else ())
+
+    def switch_leds(self, camera: str, on: bool) -> None:
+        """Light or darken the LEDs around one camera's target, from its next exposure on."""
+        if on != (camera in self._lit):
+            with self._lock:
+                self._lit = self._lit | {camera} if on else self._lit - {camera}
+
     def inject(self, *faults: Fault) -> None:
         """Let these faults be present from the next exposure on."""
         with self._lock:
@@ -142,13 +157,22 @@ class Unit:
         """Let something carry the reference laser: where it points at ``t_ns``."""
         self._path = path
 
-    def set_camera(self, camera: str, *, exposure_ms: float | None = None, gain: float | None = None) -> None:
-        """Set exposure or gain of one camera, from its next exposure on."""
+    def set_camera(
+        self,
+        camera: str,
+        *,
+        exposure_ms: float | None = None,
+        gain: float | None = None,
+        bits: int | None = None,
+    ) -> None:
+        """Set exposure, gain or the bits of a pixel of one camera, from its next exposure on."""
         eye = self.eyes[camera]
         if exposure_ms is not None:
             eye.settings = replace(eye.settings, exposure_ms=exposure_ms)
         if gain is not None:
             eye.settings = replace(eye.settings, gain=gain)
+        if bits is not None:
+            eye.sensor = Sensor(bits)
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
@@ -180,11 +204,11 @@ class Unit:
         ``exact`` draws every photon (a recording, 20 times slower); otherwise noise comes from a pool.
         The same unit, beam, sequence and time give the same frame, bit for bit.
         """
-        faults, leds_on, settings = self._faults, self.leds_on, self.eyes[camera].settings
+        faults, leds_on, eye = self._faults, camera in self._lit, self.eyes[camera]
+        settings = eye.settings
         if faults & ALL_PIXELS:
             pixels = self._without_picture(faults, camera, sequence)
         else:
-            eye = self.eyes[camera]
             spots = self._spots(camera, self.truth(t_ns), faults)
             lit = leds_on or Fault.LEDS_ON in faults
             if exact:
@@ -198,7 +222,7 @@ class Unit:
             sequence,
             t_ns,
             pixels,
-            self.config.bits,
+            eye.sensor.bits,
             leds_on,
             exposure_ms=settings.exposure_ms,
             gain_db=20.0 * math.log10(settings.gain),

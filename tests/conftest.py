@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from support.cli import altd
 from support.foreign import need
+from support.wire import Wire
 
 from altd.calibration.file import load_calibration
 from altd.calibration.model import Calibration
@@ -25,6 +26,14 @@ def shared_data() -> Path:
     """The recordings and photographs that this project did not make."""
     need(SHARED_DATA.is_dir(), "../shared/data is not there")
     return SHARED_DATA
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    """A serial line; the unit opens its ``device``."""
+    wire = Wire.laid()
+    yield wire
+    wire.hang_up()
 
 
 @pytest.fixture(scope="session")

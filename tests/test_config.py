@@ -65,6 +65,17 @@ def test_the_shipped_config_is_good() -> None:
             '[indicators]\ndriver = "gpiod"\nchip = "a"\nok = "x"\nerror = "x"\n[cameras.rear]',
             "lamps, indicators: two lamps are on the same line",
         ),
+        (
+            "[cameras.rear]",
+            '[indicators]\ndriver = "gpiod"\nchip = "a"\n[cameras.rear]',
+            "indicators: no line: give data, error, power or ok",
+        ),
+        (
+            "window = 4",
+            'pair_by = "time"\n[lamps]\ndriver = "camera"\ncameras = ["top"]\n'
+            '[cameras.top]\ndriver = "aravis"\ndevice = "1"\n',
+            "lamps: camera 'top' looks at no target and is not opened",
+        ),
     ],
 )
 def test_a_mistake_is_named_with_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.fed_unit import POSE, calibrate, render, write_config
+from support.foreign import need_program
 from support.guest import run_in_guest
 
 from altd.calibration.file import load_calibration
@@ -34,9 +35,9 @@ class FedUnit:
     calibration: Path
     frames: Path
 
-    def config(self, fps: float, max_skew_ms: float) -> Path:
+    def config(self, fps: float) -> Path:
         path = self.folder / f"{fps:g}.toml"
-        return write_config(path, SEED, self.calibration, fps, max_skew_ms)
+        return write_config(path, SEED, self.calibration, fps)
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +53,11 @@ def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
     run = run_in_guest(
         tmp_path_factory.mktemp("measuring"),
         "measuring.py",
-        unit.config(20, 10.0),
+        unit.config(20),
         unit.frames,
         20,
         seconds,
-        kernel_arguments=("v4l2loopback.devices=2",),
+        kernel_arguments=("v4l2loopback.devices=2", "v4l2loopback.max_buffers=8"),
         timeout_s=seconds + 90,
     )
     return run.results
@@ -88,13 +89,22 @@ def counted(measured: Any, component: str, counter: str) -> int:
     return int(after - before)
 
 
+def lost_frames(measured: Any) -> int:
+    """Of both cameras: lost by the driver, or overtaken before they were measured."""
+    by_driver = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
+    return by_driver + sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
+
+
 def test_no_pair_of_frames_is_lost(measured: Any) -> None:
     exposed = 20 * measured["seconds"]
-    lost = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
-    lost += sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
-    assert lost <= (0 if BENCH_S else 0.05 * exposed)
-    assert counted(measured, "measuring", "valid") == counted(measured, "measuring", "measurements")
-    assert counted(measured, "measuring", "measurements") >= 0.95 * exposed - 2
+    assert lost_frames(measured) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
+    measurements = counted(measured, "measuring", "measurements")
+    assert measurements == pytest.approx(exposed, abs=2 if BENCH_S else 0.05 * exposed)
+    assert counted(measured, "measuring", "valid") == measurements
+
+
+def test_what_a_driver_has_left_from_before_counts_neither_as_a_frame_nor_as_lost(measured: Any) -> None:
+    assert max(measured["before"][f"camera {camera}"].get("lost", 0) for camera in CAMERAS) < 10
 
 
 def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measured: Any) -> None:
@@ -124,33 +134,39 @@ def test_modbus_answers_meanwhile(measured: Any) -> None:
     assert np.median(measured["modbus_s"]) < 0.05
 
 
-@pytest.mark.skipif(not BENCH_S, reason="make bench-guest prints figures, on a quiet machine")
-def test_figures(measured: Any, in_process: list[Measurement], capsys: pytest.CaptureFixture[str]) -> None:
-    events = measured["events"]
-    intervals_ms = np.diff([at_s for at_s, _ in events]) * 1e3
-    modbus_ms = np.array(measured["modbus_s"]) * 1e3
-    with capsys.disabled():
-        print(f"\n{measured['seconds']:.1f} s, {len(events)} measurements, lost frames:", end=" ")
-        print({camera: counted(measured, f"camera {camera}", "lost") for camera in CAMERAS})
-        print(f"interval off 50 ms, p99: {np.percentile(np.abs(intervals_ms - 50), 99):.1f} ms")
-        print(f"processor of the daemon: {100 * measured['processor']:.1f} % of one")
-        print(f"Modbus answer, p50 and p99: {np.percentile(modbus_ms, 50):.1f}, ", end="")
-        print(f"{np.percentile(modbus_ms, 99):.1f} ms")
-        for quantity in QUANTITIES:
-            truth = getattr(POSE, quantity)
-            here = np.array([event[quantity] for _, event in events]) - truth
-            alone = np.array([getattr(one.beam, quantity) for one in in_process]) - truth
-            print(f"{quantity}: error {here.mean():+.4f} ± {here.std():.4f}", end=", ")
-            print(f"in process {alone.mean():+.4f} ± {alone.std():.4f}")
+if BENCH_S:  # figures of a busy machine say nothing
+
+    def test_figures(
+        measured: Any, in_process: list[Measurement], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        events = measured["events"]
+        intervals_ms = np.diff([at_s for at_s, _ in events]) * 1e3
+        modbus_ms = np.array(measured["modbus_s"]) * 1e3
+        with capsys.disabled():
+            measurements = counted(measured, "measuring", "measurements")
+            print(f"\n{measured['seconds']:.1f} s, {measurements} measurements,", end=" ")
+            print(f"{lost_frames(measured)} frames lost; intervals in ms, smallest and largest:", end=" ")
+            print(f"{intervals_ms.min():.1f}, {intervals_ms.max():.1f}")
+            print(f"interval off 50 ms, p99: {np.percentile(np.abs(intervals_ms - 50), 99):.1f} ms")
+            print(f"processor of the daemon: {100 * measured['processor']:.1f} % of one")
+            print(f"Modbus answer, p50 and p99: {np.percentile(modbus_ms, 50):.1f}, ", end="")
+            print(f"{np.percentile(modbus_ms, 99):.1f} ms")
+            for quantity in QUANTITIES:
+                truth = getattr(POSE, quantity)
+                here = np.array([event[quantity] for _, event in events]) - truth
+                alone = np.array([getattr(one.beam, quantity) for one in in_process]) - truth
+                print(f"{quantity}: error {here.mean():+.4f} ± {here.std():.4f}", end=", ")
+                print(f"in process {alone.mean():+.4f} ± {alone.std():.4f}")
 
 
 @pytest.fixture(scope="module")
 def failed(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Two vivid cameras that run freely, at any lag to each other; the beam rests, so it does no harm."""
+    """Two vivid cameras that run freely, at any lag to each other."""
+    need_program("v4l2-ctl", "v4l-utils")
     run = run_in_guest(
         tmp_path_factory.mktemp("failing"),
         "failing.py",
-        unit.config(25, 19.9),
+        unit.config(25),
         unit.frames,
         25,
         kernel_arguments=("vivid.n_devs=2",),
@@ -171,8 +187,9 @@ def test_dropped_buffers_are_counted_and_told_within_a_second(failed: Any) -> No
     assert told_s < 1.0
     last = dropping["camera"][-1][1]
     assert 3 <= last["lost"] - lost_before <= 25, "a fifth of 50"
-    assert last["state"] == "ok"
-    assert dropping["measured"][-1][1]
+    ended_s = dropping["ended_s"]
+    assert any(camera["state"] == "ok" for at_s, camera in dropping["camera"] if at_s > ended_s)
+    assert any(valid for at_s, valid, _ in dropping["measured"] if at_s > ended_s)
 
 
 def test_a_stream_that_breaks_off_is_told_within_a_second_and_runs_again(failed: Any) -> None:
@@ -181,8 +198,9 @@ def test_a_stream_that_breaks_off_is_told_within_a_second_and_runs_again(failed:
     assert first(breaking["camera"], lambda camera: camera["state"] == "failed") < 1.0
     assert "lost: /dev/v4l/by-path/front: the driver broke off the stream" in told[0]["message"]
     assert breaking["camera"][-1][1]["failures"] == breaking["before"].get("failures", 0) + 1
-    assert breaking["camera"][-1][1]["state"] == "ok"
-    assert breaking["measured"][-1][1], "valid again"
+    ended_s = breaking["ended_s"]
+    assert any(camera["state"] == "ok" for at_s, camera in breaking["camera"] if at_s > ended_s)
+    assert any(valid for at_s, valid, _ in breaking["measured"] if at_s > ended_s + 1.0)
 
 
 def test_a_camera_pulled_out_makes_the_measurement_invalid_with_the_reason(failed: Any) -> None:
@@ -201,7 +219,6 @@ def test_a_camera_that_is_back_measures_again_without_a_restart(failed: Any) -> 
     back = [at_s for at_s, valid, _ in pulled["measured"] if valid and at_s > pulled["ended_s"] - 0.1]
     assert back
     assert back[0] - pulled["ended_s"] < 2.5, "retried each second at the latest, and a window to fill"
-    assert pulled["measured"][-1][1]
     assert failed["alive"]
 
 

@@ -59,6 +59,27 @@ class TestUnitFile:
         assert unit["Restart"] == "on-failure"
         assert unit["RestartPreventExitStatus"] == str(refused.status)
 
+    def test_the_lamps_are_left_in_a_way_that_altd_knows(self, config: Path) -> None:
+        unit = settings(UNIT.read_text())
+        program, *arguments, _ = unit["ExecStopPost"].removeprefix("-").split()
+        assert program == unit["ExecStart"].split()[0]
+        after = altd(*arguments, config)
+        assert (after.status, after.out, after.err) == (0, "", "")
+
+    def test_every_group_that_it_asks_for_is_debians_or_made(self, tmp_path: Path) -> None:
+        program = shutil.which("systemd-sysusers") or ""
+        need(bool(program), "systemd-sysusers is not installed (Debian package systemd)")
+        debians = Path("/usr/share/base-passwd/group.master")
+        need(debians.exists(), "this is no Debian: base-passwd is not there")
+        (tmp_path / "etc").mkdir()
+        make = [program, f"--root={tmp_path}", "-"]
+        subprocess.run(
+            make, input=UNIT.with_suffix(".sysusers").read_bytes(), check=True, capture_output=True
+        )
+        made = tmp_path / "etc" / "group"
+        there = {line.split(":")[0] for file in (debians, made) for line in file.read_text().splitlines()}
+        assert set(settings(UNIT.read_text())["SupplementaryGroups"].split()) <= there
+
 
 def systemd_analyze() -> str:
     program = shutil.which("systemd-analyze") or ""

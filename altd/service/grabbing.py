@@ -55,7 +55,7 @@ async def grab(
 
     A camera that fails is closed and opened again, for ever. Without a ``setter`` its exposure is left alone.
     """
-    report = _Report(component)
+    report = _Report(component, camera.waits)
     grabber = _Grabber(camera, inbox, report, setter, asyncio.get_running_loop())
     thread = threading.Thread(target=grabber.run, name=f"camera-{camera.name}", daemon=True)
     thread.start()
@@ -95,6 +95,8 @@ class _Report:
     """
 
     component: Component
+    waits: bool
+    """The source waits until its frame is taken: then it is no fault that none follows."""
     _open: bool = False
     _late: bool = False
     _heard_s: float = 0.0
@@ -146,7 +148,7 @@ class _Report:
         """Time has passed: losses are forgotten, and a driver that is held in a call is seen."""
         if not self._open:
             return
-        if now_s - self._heard_s > _HELD_AFTER_S:
+        if now_s - self._heard_s > _HELD_AFTER_S and not self.waits:
             self._late = True
             self.component.say(State.DEGRADED, f"the driver does not return; no frame for {_HELD_AFTER_S} s")
         elif not self._late:

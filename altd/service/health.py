@@ -31,6 +31,8 @@ class Component:
     counters: dict[str, int] = field(default_factory=dict)
     figures: dict[str, float | str] = field(default_factory=dict)
     """What it measures of itself, by names that end in the unit; replaced, not added up."""
+    data_given: int = 0
+    """How often it gave data to whoever asked, or wants it unasked: what the Data lamp shows."""
 
     def say(self, state: State, message: str = "") -> None:
         """Set the state; ``since_ns`` moves only when the state changes."""
@@ -42,6 +44,10 @@ class Component:
     def count(self, counter: str, by: int = 1) -> None:
         """Add to a counter, which starts at zero."""
         self.counters[counter] = self.counters.get(counter, 0) + by
+
+    def gave_data(self) -> None:
+        """Data went out: an answer, a telegram, an event."""
+        self.data_given += 1
 
 
 class Health:

@@ -313,7 +313,10 @@ def test_what_is_no_stage_is_named(
             GrblStage(settings(device)).open()
         return str(caught.value)
 
-    assert complaint(tmp_path / "none") == f"{tmp_path / 'none'}: No such file or directory"
+    assert (
+        complaint(tmp_path / "none")
+        == f"{tmp_path / 'none'}: there is no such port now: unplugged, or switched off?"
+    )
     (tmp_path / "file").touch()
     assert complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is no serial port or refuses its settings"
     assert complaint(table.device) == f"{table.device}: another program uses the port"

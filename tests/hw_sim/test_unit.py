@@ -100,6 +100,28 @@ def test_frames_are_read_only_and_carry_what_they_are(unit: Unit) -> None:
         frame.pixels[0, 0] = 1
 
 
+def test_each_target_has_leds_of_its_own(unit: Unit) -> None:
+    unit.switch_leds(REAR, True)
+    assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (1, 7)
+    assert not unit.expose(FRONT, 0, 0).leds_on
+    assert unit.expose(REAR, 0, 0).leds_on
+    unit.leds_on = True
+    unit.switch_leds(REAR, False)
+    assert (len(spots(unit, FRONT)), len(spots(unit, REAR))) == (7, 1)
+
+
+def test_the_bits_of_one_camera_change_its_scale_and_nothing_else(unit: Unit) -> None:
+    before, other = unit.expose(REAR, 0, 0), unit.expose(FRONT, 0, 0)
+    unit.set_camera(REAR, bits=12)
+    after = unit.expose(REAR, 0, 0)
+    unit.set_camera(REAR, bits=8)
+    assert after.bits == 12
+    assert np.abs(after.pixels / 4095 - before.pixels / 255).max() < 1 / 255
+    assert unit.expose(FRONT, 0, 0).bits == 8
+    assert np.array_equal(unit.expose(FRONT, 0, 0).pixels, other.pixels)
+    assert np.array_equal(unit.expose(REAR, 0, 0).pixels, before.pixels)
+
+
 def test_the_truth_is_told_with_and_without_vibration() -> None:
     shaking = Unit(UnitConfig(seed=2, vibration=Vibration(), drive=Drive()))
     still = Unit(UnitConfig(seed=2, drive=Drive()))

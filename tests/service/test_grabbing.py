@@ -185,6 +185,20 @@ async def test_a_driver_that_is_held_in_a_call_is_said_to_within_a_second(
     await stop(task)
 
 
+async def test_a_source_whose_frames_nobody_takes_is_well(
+    component: Component, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(grabbing, "_HELD_AFTER_S", 0.1)
+    camera = ScriptedCamera()
+    camera.waits = True
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component))
+    await until(lambda: component.counters.get("frames") == 2)
+    await asyncio.sleep(0.6)
+    assert component.state is State.OK
+    await stop(task)
+
+
 async def test_lost_frames_are_counted_and_spoken_of_for_a_second(component: Component) -> None:
     camera = ScriptedCamera("frame", 2, "frame", 1, "frame")
     task = asyncio.create_task(grab(camera, Inbox(["front"]), component))

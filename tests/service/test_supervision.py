@@ -30,7 +30,7 @@ class Flaky:
         ready()
         await self.die.wait()
         self.die.clear()
-        raise OSError(errno.EIO, "the port is gone")
+        raise OSError(errno.EIO, "the port is gone", "/dev/ttyUSB0")
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ async def test_a_dead_publisher_is_started_again_more_and_more_rarely(
             if len(publisher.starts) > len(starts_at):
                 starts_at += [second] * (len(publisher.starts) - len(starts_at))
     assert component.state is State.OK
-    assert component.counters["failures"] == 8
+    assert component.counters["failures"] == 1  # one outage, however often it was tried
     gaps = [later - earlier for earlier, later in itertools.pairwise(starts_at)]
     assert gaps[-1] == 30
     assert gaps == sorted(gaps)
@@ -89,4 +89,50 @@ async def test_an_address_that_is_taken_later_is_waited_for(clock: FakeClock) ->
     publisher.die.set()
     await clock.advance(10)
     assert component.state is State.OK
+    await stop(task)
+
+
+GONE = OSError(errno.ENOENT, "there is no such port now", "/dev/ttyUSB0")
+
+
+async def test_a_device_that_is_missing_is_looked_for_every_second(clock: FakeClock) -> None:
+    component = Health(clock).component("serial")
+    publisher = Flaky(1000, GONE)
+    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
+    await clock.advance(600.0)
+    assert component.message == "there is no such port now; next try in 1 s"
+    publisher.failures = 0
+    await clock.advance(1.0)
+    assert component.state is State.OK
+    await stop(task)
+
+
+async def test_a_device_that_is_not_handed_over_yet_is_waited_for(clock: FakeClock) -> None:
+    """While the computer boots, a new device belongs to root until udev has given it to its group."""
+    component = Health(clock).component("serial")
+    forbidden = OSError(errno.EACCES, "Permission denied", "/dev/ttyUSB0")
+    task = asyncio.create_task(keep_running("serial", Flaky(2, forbidden), component, clock))
+    await clock.advance(2)
+    assert component.state is State.OK
+    await stop(task)
+
+
+async def test_what_dies_again_and_again_does_not_fill_the_log(
+    clock: FakeClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    component = Health(clock).component("serial")
+    publisher = Flaky()
+    task = asyncio.create_task(keep_running("serial", publisher, component, clock))
+    await settle()
+    with caplog.at_level(logging.WARNING, "altd"):
+        for _ in range(100):
+            publisher.die.set()
+            await clock.advance(2.0)
+            assert component.state is State.OK
+        assert component.counters["failures"] == 100
+        assert len(caplog.records) == 1
+        await clock.advance(60.0)
+        publisher.die.set()
+        await clock.advance(0.1)
+        assert len(caplog.records) == 2  # it had served for long: that is news
     await stop(task)

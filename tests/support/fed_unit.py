@@ -62,7 +62,6 @@ fps = {fps}
 
 [measuring]
 pair_by = "time"
-max_skew_ms = {max_skew_ms}
 
 [modbus_tcp]
 host = "127.0.0.1"
@@ -74,7 +73,7 @@ port = 8080
 """
 
 
-def write_config(path: Path, seed: int, calibration: Path, fps: float, max_skew_ms: float = 10.0) -> Path:
+def write_config(path: Path, seed: int, calibration: Path, fps: float) -> Path:
     """A unit with two Video4Linux cameras, on the network of its own machine alone."""
-    path.write_text(CONFIG.format(seed=seed, calibration=calibration, fps=fps, max_skew_ms=max_skew_ms))
+    path.write_text(CONFIG.format(seed=seed, calibration=calibration, fps=fps))
     return path

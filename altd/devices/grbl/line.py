@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import termios
 import time
 from collections import deque
 from pathlib import Path
 
-import serial
-
 from altd.devices.grbl.protocol import Reply, parse
 from altd.ports import StageLostError, StageNotFoundError
+from altd.serial_port.opening import close_serial, open_serial
 
 _LOOK_S = 0.02
 _LONGEST_S = 2.0
@@ -31,17 +28,13 @@ class Line:
         self.noise = 0
         """Lines that were not understood."""
         try:
-            self._port = serial.Serial(
-                str(device), baud, timeout=_LOOK_S, write_timeout=_LONGEST_S, exclusive=True
-            )
-        except serial.SerialException as error:
-            raise StageNotFoundError(f"{device}: {_why(error)}") from error
-        except termios.error as error:
-            raise StageNotFoundError(f"{device}: refuses its settings: {error.args[1]}") from error
+            self._port = open_serial(device, baud, read_timeout_s=_LOOK_S, write_timeout_s=_LONGEST_S)
+        except OSError as error:
+            raise StageNotFoundError(f"{device}: {error.strerror}") from error
 
     def close(self) -> None:
         """Let go of the port."""
-        self._port.close()
+        close_serial(self._port)
 
     def send(self, data: bytes) -> None:
         """Write all of ``data``; raises StageLostError."""
@@ -79,11 +72,3 @@ class Line:
 
     def _lost(self) -> StageLostError:
         return StageLostError(f"{self._device}: the port is gone")
-
-
-def _why(error: serial.SerialException) -> str:
-    if error.errno in (errno.EAGAIN, errno.EWOULDBLOCK):
-        return "another program uses the port"
-    if error.errno is None:
-        return "is no serial port or refuses its settings"
-    return os.strerror(error.errno)

@@ -87,6 +87,8 @@ class V4l2Camera:
                 running.stream.give_back(buffer)
                 if frame is not None:
                     return frame
+                if time.monotonic() >= deadline_s:  # a driver may have one damaged frame after the other
+                    break
         raise CameraTimeoutError(f"{self._settings.device}: no frame within {timeout_s:g} s")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
@@ -128,7 +130,8 @@ class V4l2Camera:
         stream: v4l2loopback begins with a frame that was left from before.
         """
         flags = BufferFlag(buffer.flags)
-        if BufferFlag.ERROR in flags or buffer.bytesused < running.layout.frame_bytes:
+        memory = running.stream.memory(buffer)
+        if BufferFlag.ERROR in flags or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
             return None
         monotonic = flags & BufferFlag.TIMESTAMP_MASK == BufferFlag.TIMESTAMP_MONOTONIC
         begun = flags & BufferFlag.TSTAMP_SRC_MASK == BufferFlag.TSTAMP_SRC_SOE
@@ -147,7 +150,7 @@ class V4l2Camera:
             self.name,
             self._counter.number(buffer.sequence),
             t_ns,
-            running.layout.pixels(running.stream.memory(buffer)),
+            running.layout.pixels(memory),
             running.layout.pixel_format.bits,
             exposure_ms=running.exposure_ms,
         )

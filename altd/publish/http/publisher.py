@@ -68,6 +68,7 @@ class HttpPublisher:
         measurement = self._board.read()
         if measurement is None:
             return JSONResponse(NOTHING_YET, status_code=503)
+        self._component.gave_data()
         return Response(as_line(measurement), media_type="application/json")
 
     async def status(self, _: Request) -> Response:

@@ -49,6 +49,7 @@ async def events(board: Board, component: Component) -> AsyncGenerator[str, None
             yield ": nothing new\n\n"
         else:
             told = latest
+            component.gave_data()
             yield event(latest)
 
 

@@ -45,6 +45,8 @@ class Responder:
         self._component.count("requests")
         if isinstance(response, ExceptionResponse):
             self._component.count("exceptions")
+        else:
+            self._component.gave_data()
         return bytes([response.function_code]) + response.encode()
 
     async def _response(self, request: bytes) -> ModbusPDU:

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
-import os
-import termios
 from collections.abc import Callable
 
-import serial
 from pymodbus.framer import FramerRTU
 
 from altd.config import SerialPort
 from altd.publish.modbus.responder import Responder
+from altd.serial_port.port import Port, describe, opened
 from altd.service.board import Board
 from altd.service.health import Component, State
 
@@ -62,31 +59,20 @@ class ModbusRtuPublisher:
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be had or is gone."""
-        port = _opened(self._settings)
-        reader = asyncio.StreamReader()
-        try:
-            transport, _ = await asyncio.get_running_loop().connect_read_pipe(
-                lambda: asyncio.StreamReaderProtocol(reader), port
-            )
-            try:
-                ready()
-                self._component.say(State.OK, f"Modbus RTU, unit id {self._settings.unit_id}")
-                await self._serve(reader, port.fileno())
-            finally:
-                transport.close()
-        finally:
-            with contextlib.suppress(OSError, termios.error):
-                port.reset_output_buffer()  # close would wait until it is sent
-            port.close()
+        async with opened(self._settings, limit=LONGEST, fresh=True) as port:
+            ready()
+            unit = f"unit id {self._settings.unit_id} on {describe(self._settings)}"
+            self._component.say(State.OK, f"Modbus RTU, {unit}")
+            await self._serve(port)
 
-    async def _serve(self, reader: asyncio.StreamReader, descriptor: int) -> None:
+    async def _serve(self, port: Port) -> None:
         clock = asyncio.get_running_loop().time
         heard, heard_at, answered = b"", clock(), b""
         while True:
-            first = await _read(reader)
+            first = await port.read()
             if clock() - heard_at > TORN_S:
                 heard = b""
-            heard = (heard + first + await self._until_silence(reader))[-LONGEST:]
+            heard = (heard + first + await self._until_silence(port))[-LONGEST:]
             heard_at = clock()
             if answered and heard.endswith(answered):
                 heard = b""  # a two-wire adapter hears what it sends
@@ -95,54 +81,18 @@ class ModbusRtuPublisher:
             if request is not None:
                 heard = b""
                 answered = self._framed(await self._responder.answer(request))
-                self._send(descriptor, answered)
+                if not port.write(answered):  # the controller does not listen; it asks again when it does
+                    self._component.count("answers_dropped")
 
-    async def _until_silence(self, reader: asyncio.StreamReader) -> bytes:
+    async def _until_silence(self, port: Port) -> bytes:
         """What is heard before the line falls silent."""
         heard = b""
         with contextlib.suppress(TimeoutError):
             while True:
                 async with asyncio.timeout(silence_s(self._settings.baud)):
-                    heard = (heard + await _read(reader))[-LONGEST:]
+                    heard = (heard + await port.read())[-LONGEST:]
         return heard
 
     def _framed(self, answer: bytes) -> bytes:
         frame = bytes([self._settings.unit_id]) + answer
         return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
-
-    def _send(self, descriptor: int, frame: bytes) -> None:
-        """Hand a frame to the kernel; what it does not take at once is lost: the controller asks again."""
-        try:
-            sent = os.write(descriptor, frame)
-        except BlockingIOError:
-            sent = 0
-        if sent < len(frame):
-            self._component.count("answers_cut")
-
-
-async def _read(reader: asyncio.StreamReader) -> bytes:
-    """The bytes that came, at least one; raises OSError when the port is gone."""
-    came = await reader.read(LONGEST)
-    if not came:
-        raise OSError("the serial port is gone")
-    return came
-
-
-def _opened(settings: SerialPort) -> serial.Serial:
-    """The port, for us alone; raises OSError that names the device."""
-    device = str(settings.device)
-    try:
-        return serial.Serial(
-            device,
-            baudrate=settings.baud,
-            parity=settings.parity[0].upper(),
-            stopbits=settings.stop_bits,
-            timeout=0,
-            inter_byte_timeout=0,  # sets VMIN to 1: to read nothing then means that the device is gone
-            exclusive=True,
-        )
-    except termios.error as error:
-        raise OSError(error.args[0], f"refuses its settings: {error.args[1]}", device) from error
-    except serial.SerialException as error:  # a lock that is taken, or what is no serial port at all
-        number = errno.EBUSY if error.errno == errno.EAGAIN else error.errno or errno.ENOTTY
-        raise OSError(number, os.strerror(number), device) from error

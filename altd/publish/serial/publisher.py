@@ -8,8 +8,8 @@ from collections.abc import Callable
 from altd.config import SerialPort
 from altd.ports import Clock
 from altd.publish.serial.console import Console
-from altd.publish.serial.port import Port, describe, seconds_on_line
-from altd.publish.serial.telegram import LONGEST_TELEGRAM, encode
+from altd.publish.serial.telegram import LINE_END, LONGEST_TELEGRAM, encode
+from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 
@@ -32,11 +32,13 @@ class TelegramPublisher:
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
         interval_ns = round(self._settings.interval_s * 1e9)
-        with Port(self._settings, limit=LONGEST_TELEGRAM) as port:
+        async with opened(self._settings, limit=len(LINE_END) + LONGEST_TELEGRAM, fresh=True) as port:
             ready()
             due_ns = self._clock.monotonic_ns()
+            lead = LINE_END  # ends the line that an unplugged cable or a crash may have torn
             while True:
-                self._send(port)
+                if self._send(port, lead):
+                    lead = b""
                 now_ns = self._clock.monotonic_ns()
                 due_ns += interval_ns
                 if due_ns <= now_ns:  # time that was lost is not made up by a burst
@@ -49,11 +51,13 @@ class TelegramPublisher:
                 finally:
                     pause.cancel()
 
-    def _send(self, port: Port) -> None:
+    def _send(self, port: Port, lead: bytes) -> bool:
         settings = self._settings
         telegram = encode(self._board.read())
-        sent = port.write(telegram)
+        sent = port.write(lead + telegram)
         self._component.count("telegrams_sent" if sent else "telegrams_dropped")
+        if sent:
+            self._component.gave_data()
         takes_s = seconds_on_line(settings, len(telegram))
         if takes_s > settings.interval_s:
             self._component.say(
@@ -65,6 +69,7 @@ class TelegramPublisher:
             self._component.say(State.DEGRADED, "the line does not take the telegrams: they are left out")
         else:
             self._component.say(State.OK, f"telegram every {settings.interval_s:g} s on {describe(settings)}")
+        return sent
 
 
 class ConsolePublisher:
@@ -82,7 +87,7 @@ class ConsolePublisher:
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
         console = Console(self._board.read, self._health)
-        with Port(self._settings, limit=CONSOLE_WAITING) as port:
+        async with opened(self._settings, limit=CONSOLE_WAITING, fresh=False) as port:
             ready()
             self._component.say(State.OK, f"console on {describe(self._settings)}")
             self._show(port, console.greet())

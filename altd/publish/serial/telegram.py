@@ -21,6 +21,7 @@ from altd.records import Measurement, Reason
 LONGEST_SENTENCE = 82
 """Characters from ``$`` to LF that NMEA 0183 allows."""
 
+LINE_END = b"\r\n"
 SEQUENCE_MODULUS = 1 << 32
 DOES_NOT_FIT = "does_not_fit"
 MORE = "more"
@@ -151,7 +152,7 @@ class Sentence:
     def encode(self, telegram: Telegram) -> bytes:
         """The sentence with checksum and line end; raises TelegramError when a value does not fit."""
         body = ",".join([self.name, *(field.text(telegram) for field in self.fields)]).encode("ascii")
-        return b"$%s*%02X\r\n" % (body, checksum(body))
+        return b"$%s*%02X%s" % (body, checksum(body), LINE_END)
 
     def decode(self, line: bytes) -> dict[str, Any]:
         """The values of the sentence by field; raises TelegramError. The line end is off already."""
@@ -213,7 +214,7 @@ def encode(measurement: Measurement | None) -> bytes:
 
 def parse(data: bytes) -> Telegram:
     """Read one telegram, both sentences with their line ends; raises TelegramError."""
-    *lines, rest = data.split(b"\r\n")
+    *lines, rest = data.split(LINE_END)
     if rest or len(lines) != len(SENTENCES):
         raise TelegramError("telegram", f"not {len(SENTENCES)} whole lines: {data!r}")
     decoded = [sentence.decode(line) for sentence, line in zip(SENTENCES, lines, strict=True)]

@@ -8,7 +8,6 @@ from pathlib import Path
 from altd.config import SerialPort
 from altd.publish.example import MEASURED
 from altd.publish.serial.examples import SPOT_LOST
-from altd.publish.serial.port import seconds_on_line
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
     LONGEST_SENTENCE,
@@ -20,6 +19,7 @@ from altd.publish.serial.telegram import (
 )
 from altd.publish.serial.words import ADVICE
 from altd.records import Measurement, Reason
+from altd.serial_port.port import seconds_on_line
 
 
 def page() -> str:
@@ -39,6 +39,9 @@ receives on this port it ignores. The framing is that of NMEA 0183: `$`, name, f
 checksum, CR LF; at most {LONGEST_SENTENCE} characters each. The checksum is the exclusive or of all
 characters between `$` and `*`, as two hexadecimal digits. The longest telegram has {LONGEST_TELEGRAM}
 characters and takes {seconds:.2f} s at 9600 baud, 8N1.
+
+Each time the unit opens the port, after switching on or when an adapter is plugged in again, an empty line
+(CR LF) goes before the first telegram: it ends what may have been torn, so that the telegram stands alone.
 
 A valid measurement:
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.foreign import need_program
 from support.guest import GuestRun, run_in_guest
 
 from altd.config import V4l2Camera as Settings
@@ -39,6 +40,7 @@ def test_a_camera_that_is_not_open_gives_no_frame_and_is_closed_without_harm() -
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> GuestRun:
+    need_program("v4l2-ctl", "v4l-utils")
     return run_in_guest(
         tmp_path_factory.mktemp("frames"), "vivid_frames.py", kernel_arguments=("vivid.n_devs=1",)
     )
@@ -120,6 +122,7 @@ def test_frames_are_stamped_on_the_monotonic_clock_at_the_camera_s_rate(
 
 @pytest.fixture(scope="module")
 def failures(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    need_program("v4l2-ctl", "v4l-utils")
     run = run_in_guest(
         tmp_path_factory.mktemp("failures"), "vivid_failures.py", kernel_arguments=("vivid.n_devs=2",)
     )

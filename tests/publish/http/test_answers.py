@@ -135,3 +135,15 @@ async def test_requests_are_counted(served: Served, component: Component) -> Non
             await unit.ask("/api/status")
     assert component.counters["requests"] == 3
     assert component.state is State.OK
+
+
+async def test_only_a_measurement_is_data(
+    served: Served, board: Board, measured: Measurement, component: Component
+) -> None:
+    async with served() as unit:
+        for path in ("/", "/api/status", "/api/measurement"):
+            await unit.ask(path)
+        assert component.data_given == 0  # nothing was measured yet
+        board.publish(measured)
+        await unit.ask("/api/measurement")
+    assert component.data_given == 1

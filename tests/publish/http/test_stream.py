@@ -33,6 +33,7 @@ async def test_the_latest_comes_at_once_and_then_every_new_one(
             assert (await events.event())[0] == str(sequence)
     assert component.counters["streams"] == 1
     assert component.counters["events_skipped"] == 0
+    assert component.data_given == 11
 
 
 async def test_silence_is_told_by_a_comment(

@@ -213,7 +213,7 @@ async def test_a_file_that_is_no_serial_port_is_an_os_error(
 async def test_a_port_in_use_is_an_os_error(
     controller: Controller, pty: tuple[int, str], board: Board, component: Component, serving: Serving
 ) -> None:
-    with pytest.raises(OSError, match=f"busy: '{pty[1]}'"):
+    with pytest.raises(OSError, match=f"another program uses the port: '{pty[1]}'"):
         async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
             pass
     assert await controller.is_answered()
@@ -229,7 +229,7 @@ async def test_a_port_that_goes_away_ends_the_publisher_with_an_os_error(
     await ready.wait()
     os.close(unit)
     os.close(controller)
-    with pytest.raises(OSError, match=r"gone|Input/output"):
+    with pytest.raises(OSError, match="the port is gone"):
         async with asyncio.timeout(1):
             await task
 
@@ -240,9 +240,9 @@ async def test_a_controller_that_takes_no_answers_does_not_hold_the_unit_up(
     for _ in range(2000):
         controller.send(frame(struct.pack(">BHH", 4, 0, SIZE)))
         await asyncio.sleep(0.003)
-        if "answers_cut" in component.counters:
+        if "answers_dropped" in component.counters:
             break
-    assert component.counters["answers_cut"] > 0
+    assert component.counters["answers_dropped"] > 0
     await controller.hear(100_000, within_s=0.1)
     assert await controller.is_answered()
 

@@ -79,6 +79,7 @@ async def test_what_cannot_be_answered_gets_the_exception_that_says_why(
     assert await client.ask(ONE) == ONE_ANSWER
     assert component.counters["requests"] == 2
     assert component.counters["exceptions"] == 1
+    assert component.data_given == 1
 
 
 async def test_the_device_identifies_itself(client: Client) -> None:

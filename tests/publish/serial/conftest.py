@@ -1,63 +1,13 @@
-"""A clock that a test moves, a board, and the two ends of a serial line."""
+"""A component and a measurement."""
 
 from __future__ import annotations
 
-import asyncio
-import os
-import tty
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 
 import pytest
 
-from altd.config import SerialPort
 from altd.records import Beam, Measurement
 from altd.service.health import Component, Health
-
-
-@dataclass
-class Wire:
-    """The far end of a pseudo terminal, and the device that the unit opens."""
-
-    far: int
-    near: int
-    device: Path
-
-    def settings(self, **changes: object) -> SerialPort:
-        values: dict[str, object] = {"device": self.device, "speaks": "telegram", **changes}
-        return SerialPort.model_validate(values)
-
-    def send(self, data: bytes) -> None:
-        os.write(self.far, data)
-
-    async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 3.0) -> bytes:
-        """What the unit sent, up to when it is enough."""
-        data = b""
-        async with asyncio.timeout(timeout_s):
-            while not enough(data):
-                try:
-                    data += os.read(self.far, 4096)
-                except BlockingIOError:
-                    await asyncio.sleep(0.002)
-        return data
-
-    def hang_up(self) -> None:
-        for descriptor in (self.near, self.far):
-            if descriptor >= 0:
-                os.close(descriptor)
-        self.near = self.far = -1
-
-
-@pytest.fixture
-def wire() -> Iterator[Wire]:
-    far, near = os.openpty()
-    os.set_blocking(far, False)
-    tty.setraw(near)
-    wire = Wire(far, near, Path(os.ttyname(near)))
-    yield wire
-    wire.hang_up()
 
 
 @pytest.fixture

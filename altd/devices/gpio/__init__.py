@@ -1,0 +1,1 @@
+"""Lamps on the lines of a GPIO chip, through the kernel's character device."""

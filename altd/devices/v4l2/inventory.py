@@ -1,0 +1,68 @@
+"""Which Video4Linux cameras there are, in the words that ``altd.toml`` wants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.devices.v4l2.controls import Control, controls_of
+from altd.devices.v4l2.image import PIXEL_FORMATS
+from altd.devices.v4l2.node import Node
+from altd.devices.v4l2.offers import Size, fourccs, sizes
+
+_DEVICES = Path("/dev")
+_STABLE = Path("/dev/v4l/by-path")
+
+
+@dataclass(frozen=True, slots=True)
+class FoundCamera:
+    """One camera: its path for ``device``, what it calls itself, its grey formats with sizes, its controls.
+
+    ``path`` is the stable one where there is one. Without a grey format altd cannot use the camera.
+    """
+
+    path: Path
+    card: str
+    driver: str
+    formats: Mapping[str, tuple[Size, ...]]
+    controls: tuple[Control, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class UnreadableCamera:
+    """A device that may be a camera, and why nobody can tell."""
+
+    path: Path
+    why: str
+
+
+def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
+    """The cameras of this machine in the order of their numbers; none is taken hold of or changed."""
+    stable = {path.resolve(): path for path in sorted(_STABLE.glob("*"), reverse=True)}
+    for device in sorted(_DEVICES.glob("video[0-9]*"), key=lambda device: int(device.name[5:])):
+        path = stable.get(device, device)
+        try:
+            found = _look_at(device, path)
+        except OSError as error:
+            yield UnreadableCamera(path, error.strerror or "cannot be read")
+        else:
+            if found is not None:
+                yield found
+
+
+def _look_at(device: Path, path: Path) -> FoundCamera | None:
+    """The camera behind a device; None when it is something else, such as an output. Raises OSError."""
+    node = Node(device)
+    try:
+        if not node.streams:
+            return None
+        there = fourccs(node)
+        grey = {
+            name: tuple(sizes(node, known.fourcc))
+            for name, known in PIXEL_FORMATS.items()
+            if known.fourcc in there
+        }
+        return FoundCamera(path, node.card, node.driver, grey, tuple(controls_of(node).values()))
+    finally:
+        node.close()

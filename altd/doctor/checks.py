@@ -1,0 +1,44 @@
+"""All the checks, in the order in which a technician wants to read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from altd.config import Config, load_config
+from altd.doctor import devices, network, system
+from altd.doctor.finding import Finding, better
+from altd.doctor.machine import Machine
+
+Check = Callable[[], Iterator[Finding]]
+
+
+def examine(place: Path | None, machine: Machine | None = None) -> list[Finding]:
+    """What is good and what is not, for the config file or in general; raises BadInputError for the file."""
+    machine = machine or Machine()
+    config = None if place is None else load_config(place)
+    findings: list[Finding] = []
+    for name, check in _checks(config, place, machine).items():
+        try:
+            findings += check()
+        except Exception as error:  # one check that fails on a strange computer must not hide the others
+            findings.append(better(name, f"could not be looked at: {type(error).__name__}: {error}"))
+    return findings
+
+
+def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict[str, Check]:
+    general: dict[str, Check] = {
+        "libraries": lambda: system.libraries(config),
+        "clock": lambda: system.clock(system.now(), system.clock_is_kept()),
+        "disk": lambda: system.disk(machine),
+    }
+    if config is None or place is None:
+        return general | {"devices": lambda: devices.found_devices(machine)}
+    return general | {
+        "calibration": lambda: system.calibration(config, place),
+        "cameras": lambda: devices.video_cameras(config, machine),
+        "network": lambda: network.gige_cameras(config, machine),
+        "gpio": lambda: devices.gpio_chips(config, machine),
+        "serial": lambda: devices.serial_ports(config, machine),
+        "listening": lambda: network.listening(config, machine),
+    }

@@ -1,0 +1,183 @@
+"""Checks of the devices that a config names: is it there, may altd open it, has another program got it."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from altd.config import Config, V4l2Camera
+from altd.doctor.finding import Finding, good, wrong
+from altd.doctor.machine import Account, Machine, group_name, user_name
+
+SERIAL_NAMES = (
+    "/dev/serial/by-id/*",
+    "/dev/serial/by-path/*",
+    "/dev/ttyUSB*",
+    "/dev/ttyACM*",
+    "/dev/ttyAMA*",
+)
+CAMERA_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
+_SHOWN = 4
+_USB_SHARE = 0.6
+"""The part of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
+
+
+def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The ports of ``[[serial]]`` and ``[stage]``."""
+    ports = [port.device for port in config.serial]
+    if config.stage is not None:
+        ports.append(config.stage.device)
+    for device in ports:
+        yield from _device(f"serial {device}", device, SERIAL_NAMES, machine)
+
+
+def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The V4L2 cameras, and the USB that they hang on."""
+    needs_mbit_s: dict[str, float] = {}
+    speeds: dict[str, int] = {}
+    for name, camera in config.cameras.items():
+        if not isinstance(camera, V4l2Camera):
+            continue
+        subject = f"camera {name}"
+        yield from _device(f"{subject} {camera.device}", camera.device, CAMERA_NAMES, machine)
+        bus = _usb_bus(camera.device, machine)
+        if bus is not None:
+            number, speeds[bus[0]] = bus
+            bytes_px = 1 if camera.pixel_format == "GREY" else 2
+            needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
+            needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
+    for number, needed in needs_mbit_s.items():
+        subject, speed = f"USB bus {number}", speeds[number]
+        says = f"its cameras need {needed:.0f} Mbit/s of {speed}"
+        if needed <= _USB_SHARE * speed:
+            yield good(subject, says)
+        else:
+            mend = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
+            yield wrong(subject, f"{says}: too much", mend)
+
+
+def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The chips of ``[lamps]`` and ``[indicators]``; which lines they have is what `altd devices` shows."""
+    tables = [table for table in (config.lamps, config.indicators) if table is not None]
+    for chip in dict.fromkeys(table.chip for table in tables if table.driver == "gpiod"):
+        subject, path = f"gpio {chip}", _gpio_chip(chip, machine)
+        if path is not None:
+            yield from _device(subject, Path(path), ("/dev/gpiochip*",), machine)
+        else:
+            there = _there(("/dev/gpiochip*",), machine)
+            yield wrong(subject, f"none that may be opened is called so; {there}", "sudo gpiodetect")
+
+
+def found_devices(machine: Machine) -> Iterator[Finding]:
+    """Without a config: may the devices that are there be opened."""
+    for pattern, what in (
+        ("/dev/tty[UA][SCM][BMA]*", "serial"),
+        ("/dev/video*", "camera"),
+        ("/dev/gpiochip*", "gpio"),
+    ):
+        paths = machine.paths(pattern)
+        for path in paths:
+            yield from _permission(f"{what} {path}", path, machine)
+        if not paths:
+            yield good(what, "there is none to look at")
+
+
+def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine) -> Iterator[Finding]:
+    status = machine.status(device)
+    if status is None:
+        mend = f"plug it in, or take one of these names into altd.toml: ls -l {names[0]}"
+        yield wrong(subject, f"is not there; {_there(names, machine)}", mend)
+    elif not stat.S_ISCHR(status.st_mode):
+        yield wrong(subject, "is no device", f"ls -l {names[0]}   # take one of these names into altd.toml")
+    else:
+        yield from _permission(subject, str(device), machine)
+        yield from _taken(subject, machine.at(device).resolve().name, status, machine)
+
+
+def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
+    status = machine.status(device)
+    if status is None:
+        return
+    owner, group = user_name(status.st_uid), group_name(status.st_gid)
+    rights = f"{stat.filemode(status.st_mode)} {owner} {group}"
+    service = machine.service()
+    accounts: list[Account] = [machine.account, *([service.account] if service else [])]
+    refused = [account for account in accounts if not account.may_use(status)]
+    for account in refused:
+        if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP or status.st_gid == 0:
+            mend = (
+                f"udevadm info {device}   # a rule in /etc/udev/rules.d must give it a group, such as dialout"
+            )
+        elif account is machine.account:
+            mend = f"sudo usermod -aG {group} {account.name}   # and log in again"
+        else:
+            mend = f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
+        yield wrong(subject, f"{account.name} may not open it ({rights})", mend)
+    drivers = machine.drivers(status)
+    if service is not None and not service.allows(device, drivers):
+        names = " or ".join(sorted(drivers)) or "?"
+        mend = f"sudo systemctl edit altd   # [Service] DeviceAllow=char-{names} rw"
+        yield wrong(subject, f"the service's unit does not list its kind, {names}", mend)
+    elif not refused:
+        whom = " and ".join(account.name for account in accounts)
+        yield good(subject, f"{whom} may open it ({rights})")
+
+
+def _taken(subject: str, node: str, status: os.stat_result, machine: Machine) -> Iterator[Finding]:
+    for number, name in dict.fromkeys(machine.holders(status)):
+        if number == os.getpid():
+            continue
+        if name == "altd":
+            yield good(subject, f"altd has it (process {number})")
+        else:
+            mends = {
+                "agetty": f"sudo systemctl disable --now serial-getty@{node}",
+                "ModemManager": "sudo systemctl disable --now ModemManager",
+            }
+            yield wrong(subject, f"{name} has it (process {number})", mends.get(name, f"sudo kill {number}"))
+
+
+def _there(names: tuple[str, ...], machine: Machine) -> str:
+    """What there is instead: under the first of the patterns that fits anything."""
+    for pattern in names:
+        found = machine.paths(pattern)
+        if found:
+            more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
+            return f"there is {', '.join(found[:_SHOWN])}{more}"
+    return "nor is there any other"
+
+
+def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
+    """The number of the USB bus that a camera hangs on and its speed in Mbit/s; None: it is no USB camera."""
+    status = machine.status(device)
+    if status is None:
+        return None
+    number = f"{os.major(status.st_rdev)}:{os.minor(status.st_rdev)}"
+    folder = machine.at(f"/sys/dev/char/{number}/device").resolve()
+    for place in (folder, *folder.parents):
+        if (place / "busnum").exists():
+            try:
+                return (place / "busnum").read_text().strip(), int(float((place / "speed").read_text()))
+            except (OSError, ValueError):
+                return None
+    return None
+
+
+def _gpio_chip(chip: str, machine: Machine) -> str | None:
+    """The device of a chip by its label, name or path. A label is known to who may open the chip."""
+    for path in machine.paths("/dev/gpiochip*"):
+        if chip in (path, Path(path).name) or chip == _label(str(machine.at(path))):
+            return path
+    return None
+
+
+def _label(path: str) -> str:
+    import gpiod
+
+    try:
+        with gpiod.Chip(path) as chip:
+            return chip.get_info().label
+    except OSError:
+        return ""

@@ -1,0 +1,179 @@
+"""The computer as the checks see it: its files under a root that a test may choose, its user, its service.
+
+What cannot be read is empty: a check says so, none of them raises.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import grp
+import os
+import pwd
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+_UNIT = "altd.service"
+_UNIT_FOLDERS = (
+    "/etc/systemd/system",
+    "/run/systemd/system",
+    "/usr/local/lib/systemd/system",
+    "/lib/systemd/system",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """Somebody who runs altd."""
+
+    name: str
+    uid: int
+    gids: frozenset[int]
+
+    def may_use(self, status: os.stat_result) -> bool:
+        """Whether this account may read and write the file."""
+        if self.uid == 0:
+            return True
+        shift = 6 if status.st_uid == self.uid else 3 if status.st_gid in self.gids else 0
+        return status.st_mode >> shift & 0o6 == 0o6
+
+
+def myself() -> Account:
+    """Who runs this process."""
+    return Account(user_name(os.geteuid()), os.geteuid(), frozenset({os.getegid(), *os.getgroups()}))
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """What the systemd unit gives the daemon."""
+
+    account: Account
+    closed: bool
+    """Only devices that the unit lists may be opened."""
+    devices: tuple[str, ...]
+    """What it lists: paths, or ``char-`` and the name of a driver."""
+    low_ports: bool
+    """It may listen on ports below 1024."""
+
+    def allows(self, path: str, drivers: set[str]) -> bool:
+        """Whether the unit lets the daemon open this device of these drivers."""
+        names = {path, *(f"char-{driver}" for driver in drivers)}
+        return not self.closed or any(fnmatch.filter(names, listed) for listed in self.devices)
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """The computer that this runs on, or a tree that looks like one."""
+
+    root: Path = Path("/")
+    account: Account = field(default_factory=myself)
+
+    def at(self, path: str | Path) -> Path:
+        """Where a path of the computer lies."""
+        return self.root / str(path).lstrip("/")
+
+    def text(self, path: str | Path) -> str:
+        """What a file says, without blanks around it; nothing when it cannot be read."""
+        try:
+            return self.at(path).read_text(errors="replace").strip()
+        except OSError:
+            return ""
+
+    def number(self, path: str | Path) -> int | None:
+        """The number in a file."""
+        try:
+            return int(self.text(path))
+        except ValueError:
+            return None
+
+    def paths(self, pattern: str) -> list[str]:
+        """The paths that fit a pattern, as they are called on the computer."""
+        return sorted(f"/{path.relative_to(self.root)}" for path in self.root.glob(pattern.lstrip("/")))
+
+    def status(self, path: str | Path) -> os.stat_result | None:
+        """The file behind a path; None when there is none."""
+        try:
+            return self.at(path).stat()
+        except OSError:
+            return None
+
+    def drivers(self, status: os.stat_result) -> set[str]:
+        """The names of the drivers that a character device may belong to (/proc/devices)."""
+        lines = self.text("/proc/devices").partition("Block devices")[0].splitlines()
+        pairs = [line.split() for line in lines]
+        major = str(os.major(status.st_rdev))
+        return {pair[1] for pair in pairs if len(pair) == 2 and pair[0] == major}
+
+    def holders(self, opened: os.stat_result) -> Iterator[tuple[int, str]]:
+        """The processes that have a device open: number and name. Other users' are seen by root alone."""
+        for link in self.root.glob("proc/[0-9]*/fd/*"):
+            with contextlib.suppress(OSError):
+                status = link.stat()
+                if stat.S_ISCHR(status.st_mode) and status.st_rdev == opened.st_rdev:
+                    yield self._process(link)
+
+    def owner_of_socket(self, inode: str) -> tuple[int, str] | None:
+        """The process that has a socket, as far as this user may see it."""
+        for link in self.root.glob("proc/[0-9]*/fd/*"):
+            with contextlib.suppress(OSError):
+                if str(link.readlink()) == f"socket:[{inode}]":
+                    return self._process(link)
+        return None
+
+    def service(self) -> Service | None:
+        """The systemd unit of altd, with what was added to it; None when it is not installed."""
+        texts = [text for folder in _UNIT_FOLDERS if (text := self.text(f"{folder}/{_UNIT}"))][:1]
+        if not texts:
+            return None
+        for folder in reversed(_UNIT_FOLDERS):
+            texts += [self.text(path) for path in self.paths(f"{folder}/{_UNIT}.d/*.conf")]
+        keys = _keys("\n".join(texts))
+        groups = [name for names in keys.get("SupplementaryGroups", []) for name in names.split()]
+        devices = keys.get("DeviceAllow", [])
+        return Service(
+            Account("the service", -1, frozenset(filter(None, map(_gid, groups)))),
+            closed=bool(devices) or keys.get("DevicePolicy", ["auto"])[-1] in ("closed", "strict"),
+            devices=tuple(rule.split()[0] for rule in devices),
+            low_ports=any("CAP_NET_BIND_SERVICE" in names for names in keys.get("AmbientCapabilities", [])),
+        )
+
+    def _process(self, link: Path) -> tuple[int, str]:
+        number = int(link.parts[-3])
+        words = self.text(f"/proc/{number}/cmdline").split("\0")
+        ours = any(Path(word).name in ("altd", "altd.cli") for word in words[:4])
+        return number, "altd" if ours else self.text(f"/proc/{number}/comm") or "?"
+
+
+def group_name(gid: int) -> str:
+    """The name of a group, or its number."""
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)
+
+
+def user_name(uid: int) -> str:
+    """The name of a user, or its number."""
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return str(uid)
+
+
+def _gid(name: str) -> int | None:
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        return None
+
+
+def _keys(text: str) -> dict[str, list[str]]:
+    """The values of each key of a unit file; an empty value takes the earlier ones back."""
+    keys: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        key, equals, value = line.partition("=")
+        if equals and not line.startswith(("#", ";")):
+            keys[key.strip()] = [*keys.get(key.strip(), []), value.strip()] if value.strip() else []
+    return {key: values for key, values in keys.items() if values}

@@ -1,0 +1,231 @@
+"""Checks of the network: the way to GigE Vision cameras, and the addresses that altd listens on."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.config import AravisCamera, Config
+from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.machine import Machine
+
+GIGABIT = 1000
+JUMBO = 8000
+"""Bytes of a packet from which a frame's packets no longer cost a noticeable part of a core."""
+
+FRAMES_BUFFERED = 2
+_LISTENS = "0A"
+
+
+@dataclass(frozen=True, slots=True)
+class _Route:
+    interface: str
+    network: ipaddress.IPv4Network
+    direct: bool
+    metric: int
+
+
+def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The interfaces that the cameras of driver "aravis" hang on; a camera by another name may be on any."""
+    cameras = {name: camera for name, camera in config.cameras.items() if isinstance(camera, AravisCamera)}
+    interfaces: dict[str, int] = {}
+    for name, camera in cameras.items():
+        try:
+            address = ipaddress.IPv4Address(camera.device)
+        except ValueError:
+            reached = _wired(machine)
+            if not reached:
+                yield wrong(f"camera {name}", "no network interface is up", "ip -brief link")
+        else:
+            reached = yield from _way(f"camera {name} {address}", address, machine)
+        for interface in reached:
+            interfaces[interface] = max(interfaces.get(interface, 0), camera.packet_bytes)
+    for interface, packet_bytes in interfaces.items():
+        yield from _interface(interface, packet_bytes, machine)
+    if cameras:
+        frame_bytes = max(
+            camera.width * camera.height * (1 if camera.pixel_format == "Mono8" else 2)
+            for camera in cameras.values()
+        )
+        yield from _receive_buffer(frame_bytes, machine)
+
+
+def listening(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The ports of ``[modbus_tcp]`` and ``[http]``: may altd have them, has another program got them."""
+    for subject, table in (("modbus_tcp", config.modbus_tcp), ("http", config.http)):
+        if table is None or table.port == 0:
+            continue
+        subject = f"{subject} {table.host}:{table.port}"
+        refused = list(_low_port(subject, table.port, machine))
+        yield from refused
+        taken = next(_listeners(table.host, table.port, machine), None)
+        if taken is not None:
+            owner = machine.owner_of_socket(taken)
+            if owner is not None and owner[1] == "altd":
+                yield good(subject, f"altd listens there (process {owner[0]})")
+                continue
+            mend = f"sudo ss -ltnp 'sport = :{table.port}'"
+            if owner is None:
+                yield better(subject, "another user's program listens there: altd itself?", mend)
+            else:
+                yield wrong(subject, f"{owner[1]} (process {owner[0]}) listens there", mend)
+        elif not refused:
+            yield good(subject, "the address is free")
+
+
+def _way(
+    subject: str, address: ipaddress.IPv4Address, machine: Machine
+) -> Generator[Finding, None, list[str]]:
+    """Yields findings, returns the interfaces that lead to the address."""
+    routes = [route for route in _routes(machine) if address in route.network]
+    direct = list(
+        dict.fromkeys(
+            route.interface
+            for route in routes
+            if route.direct and route.network.prefixlen == routes[0].network.prefixlen
+        )
+    )
+    if address.is_loopback:
+        yield good(subject, "is on this computer")
+        return []
+    if not direct:
+        over = (
+            f"packets for it go to the gateway at {routes[0].interface}" if routes else "nothing leads there"
+        )
+        mend = f"sudo ip address add {_neighbour(address)}/24 dev INTERFACE   # and for good in its settings"
+        yield wrong(subject, f"no interface has an address in its network: {over}", mend)
+        return []
+    if len(direct) > 1:
+        strict = [name for name in direct if _filters(name, machine)]
+        mend = f"ip -brief address show dev {direct[1]}   # give each interface a network of its own"
+        drops = f", and {', '.join(strict)} drops what comes in on the other (rp_filter)" if strict else ""
+        yield wrong(subject, f"{' and '.join(direct)} have the same network{drops}", mend)
+    else:
+        yield good(subject, f"is in the network of {direct[0]}")
+    return direct
+
+
+def _interface(name: str, packet_bytes: int, machine: Machine) -> Iterator[Finding]:
+    folder, subject = f"/sys/class/net/{name}", f"network {name}"
+    state = machine.text(f"{folder}/operstate")
+    if state in ("down", "lowerlayerdown"):
+        mend = f"sudo ip link set {name} up   # and look at the cable and the camera's supply"
+        yield wrong(subject, "is down", mend)
+        return
+    speed = machine.number(f"{folder}/speed")
+    if speed is None or speed < 0:
+        yield better(subject, "does not tell its speed", f"sudo ethtool {name}")
+    elif speed < GIGABIT:
+        mend = (
+            f"sudo ethtool -s {name} autoneg on   # all eight wires: another cable, another socket or switch"
+        )
+        yield wrong(subject, f"runs at {speed} Mbit/s instead of {GIGABIT}", mend)
+    else:
+        yield good(subject, f"runs at {speed} Mbit/s")
+    mtu = machine.number(f"{folder}/mtu") or 0
+    larger = f"sudo ip link set {name} mtu 9000   # and for good in its settings; the switch must pass it on"
+    if packet_bytes > mtu:
+        yield wrong(subject, f"its MTU is {mtu} but packet_bytes {packet_bytes}", larger)
+    elif mtu < JUMBO:
+        yield better(subject, f"its MTU is {mtu}: it works, larger packets cost the processor less", larger)
+    else:
+        yield good(subject, f"its MTU is {mtu}")
+
+
+def _receive_buffer(frame_bytes: int, machine: Machine) -> Iterator[Finding]:
+    path, subject = "/proc/sys/net/core/rmem_max", "network receive buffer"
+    largest, wanted = machine.number(path), FRAMES_BUFFERED * frame_bytes
+    if largest is None:
+        yield better(subject, f"{path} cannot be read")
+    elif largest < wanted:
+        setting = f"net.core.rmem_max={max(wanted, 1 << 22)}"
+        mend = f"echo {setting} | sudo tee /etc/sysctl.d/90-altd.conf && sudo sysctl --system"
+        yield better(subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", mend)
+    else:
+        yield good(subject, f"up to {largest} bytes")
+
+
+def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
+    first = machine.number("/proc/sys/net/ipv4/ip_unprivileged_port_start")
+    if port >= (1024 if first is None else first):
+        return
+    service = machine.service()
+    if service is not None:
+        if not service.low_ports:
+            mend = "sudo systemctl edit altd   # [Service] AmbientCapabilities=CAP_NET_BIND_SERVICE"
+            yield wrong(subject, "the service may not listen on a port below 1024", mend)
+    elif machine.account.uid != 0:
+        mend = "docs/install.md   # run it as the service, which may; or choose a port from 1024 on"
+        yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", mend)
+
+
+def _listeners(host: str, port: int, machine: Machine) -> Iterator[str]:
+    """The inodes of sockets that keep us from listening there."""
+    wanted = _bytes_of(host)
+    for path in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in machine.text(path).splitlines()[1:]:
+            fields = line.split()
+            address, _, number = fields[1].partition(":")
+            if fields[3] == _LISTENS and int(number, 16) == port:
+                theirs = _from_kernel(address)
+                if not any(wanted) or not any(theirs) or wanted == theirs[-len(wanted) :]:
+                    yield fields[9]
+
+
+def _from_kernel(address: str) -> bytes:
+    """The bytes of an address as /proc/net shows it: words of four bytes, each the wrong way round."""
+    raw = bytes.fromhex(address)
+    return b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))
+
+
+def _bytes_of(host: str) -> bytes:
+    for family in (socket.AF_INET, socket.AF_INET6):
+        try:
+            return socket.inet_pton(family, host)
+        except OSError:
+            continue
+    return bytes(4)  # a name: whatever it stands for
+
+
+def _routes(machine: Machine) -> list[_Route]:
+    """The kernel's IPv4 routes, the most special first."""
+    routes = []
+    for line in machine.text("/proc/net/route").splitlines()[1:]:
+        name, destination, gateway, flags, _, _, metric, mask = line.split()[:8]
+        network = ipaddress.IPv4Network(
+            (_from_kernel(destination), _prefix(_from_kernel(mask))), strict=False
+        )
+        if int(flags, 16) & 1:
+            routes.append(_Route(name, network, int(gateway, 16) == 0, int(metric)))
+    return sorted(routes, key=lambda route: (-route.network.prefixlen, route.metric))
+
+
+def _prefix(mask: bytes) -> int:
+    return int.from_bytes(mask, "big").bit_count()
+
+
+def _neighbour(address: ipaddress.IPv4Address) -> ipaddress.IPv4Address:
+    """An address of our own beside a camera's."""
+    network = ipaddress.IPv4Network((address, 24), strict=False)
+    return next(other for other in network.hosts() if other != address)
+
+
+def _filters(interface: str, machine: Machine) -> bool:
+    """Whether packets from where answers would not go are dropped there: the larger of the two settings."""
+    settings = (machine.number(f"/proc/sys/net/ipv4/conf/{name}/rp_filter") for name in ("all", interface))
+    return max(setting or 0 for setting in settings) == 1
+
+
+def _wired(machine: Machine) -> list[str]:
+    """The network interfaces that are up and are real: no loopback, no bridge of containers."""
+    names = [Path(path).name for path in machine.paths("/sys/class/net/*")]
+    return [
+        name
+        for name in names
+        if machine.at(f"/sys/class/net/{name}/device").exists()
+        and not machine.at(f"/sys/class/net/{name}/wireless").exists()
+        and machine.text(f"/sys/class/net/{name}/operstate") == "up"
+    ]

@@ -1,0 +1,131 @@
+"""Checks of the computer itself: libraries, clock, disk, and the calibration."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import shutil
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from altd.config import AravisCamera, Config, RecordingCamera, V4l2Camera
+from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.machine import Machine
+from altd.errors import BadInputError
+
+STATE = "/var/lib/altd"
+FREE_BYTES = 500_000_000
+OLDEST_YEAR = 2026
+"""This release is no older: a clock that shows an earlier year was never set."""
+
+_AGAIN = "docs/install.md   # install the release again: the package is incomplete"
+_UNSYNCHRONISED = 0x40
+
+
+def libraries(config: Config | None) -> Iterator[Finding]:
+    """The libraries behind the drivers that the config names; without one, behind all."""
+    cameras = () if config is None else tuple(config.cameras.values())
+    lamps = () if config is None else (config.lamps, config.indicators)
+    if config is None or any(isinstance(camera, V4l2Camera) for camera in cameras):
+        yield _library("linuxpy", "linuxpy.video.raw")
+    if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
+        yield _library("gpiod", "gpiod")
+    if config is None or any(isinstance(camera, AravisCamera) for camera in cameras):
+        yield _aravis(needed=config is not None)
+
+
+def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
+    """UTC is in every output. ``synchronised``: what the kernel says; None when it does not say."""
+    subject, mend = "clock", "sudo timedatectl set-ntp true   # or install chrony, and name it a server"
+    if now.year < OLDEST_YEAR:
+        yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", mend)
+    elif synchronised:
+        yield good(subject, f"{now:%Y-%m-%d %H:%M} UTC, kept by a time server")
+    elif synchronised is None:
+        yield better(subject, f"{now:%Y-%m-%d %H:%M} UTC; whether it is kept is not known", "timedatectl")
+    else:
+        yield wrong(subject, f"{now:%Y-%m-%d %H:%M} UTC, but no time server keeps it", mend)
+
+
+def disk(machine: Machine) -> Iterator[Finding]:
+    """The disk that recordings go to."""
+    folder = machine.at(STATE)
+    while not folder.is_dir() and folder != machine.root:
+        folder = folder.parent
+    free = shutil.disk_usage(folder).free
+    subject, says = f"disk of {STATE}", f"{free / 1e9:.1f} GB free"
+    if free >= FREE_BYTES:
+        yield good(subject, says)
+    else:
+        yield wrong(subject, says, f"sudo du -xhd1 {STATE} /var | sort -h   # what fills it")
+
+
+def calibration(config: Config, place: Path) -> Iterator[Finding]:
+    """The recordings that are played, the calibration file, and whether it is that of this unit."""
+    from altd.app import calibration_of, cameras_of
+
+    path = config.unit.calibration
+    played = all(isinstance(camera, RecordingCamera) for camera in config.cameras.values())
+    try:
+        cameras = cameras_of(config, place) if played and config.cameras else {}
+    except BadInputError as error:
+        yield wrong("recording", str(error), f"correct path in {place}, or copy the recording there")
+        cameras = {}
+    try:
+        found = calibration_of(config, cameras)
+    except BadInputError as error:
+        mend = f"altd calibrate SCAN -o {path}   # or copy the unit's own there, or correct {place}"
+        yield wrong("calibration", str(error), mend)
+    else:
+        yield good("calibration", f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}")
+
+
+def now() -> datetime:
+    """The computer's UTC."""
+    return datetime.fromtimestamp(time.time(), UTC)
+
+
+def clock_is_kept() -> bool | None:
+    """Whether the kernel says that something keeps its clock (adjtimex(2), as timedatectl asks it)."""
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        timex = (ctypes.c_long * 64)()  # longer than struct timex; modes = 0 only asks
+        if libc.adjtimex(ctypes.byref(timex)) < 0:
+            return None
+    except (OSError, AttributeError):
+        return None
+    status = ctypes.c_int.from_buffer(
+        timex, 5 * ctypes.sizeof(ctypes.c_long)
+    ).value  # behind five of a word each
+    return not status & _UNSYNCHRONISED
+
+
+def _library(name: str, module: str) -> Finding:
+    try:
+        importlib.import_module(module)
+    except Exception as error:  # a library that is half there raises what it likes
+        return wrong(f"library {name}", _one_line(error), _AGAIN)
+    return good(f"library {name}", "is there")
+
+
+def _aravis(needed: bool) -> Finding:
+    """PyGObject and Aravis' description of itself; only GigE Vision cameras need them."""
+    subject, mend = (
+        "library aravis",
+        "sudo apt-get install python3-gi gir1.2-aravis-0.8   # see docs/install.md",
+    )
+    try:
+        gi = importlib.import_module("gi")
+        gi.require_version("Aravis", "0.8")
+        importlib.import_module("gi.repository.Aravis")
+    except Exception as error:
+        return (wrong if needed else better)(
+            subject, f"GigE Vision cameras need it: {_one_line(error)}", mend
+        )
+    return good(subject, "is there")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,125 @@
+"""Opening a serial port: for us alone, with its settings, and with one clear sentence when that fails.
+
+These calls may block for seconds: a USB adapter is asked for everything over its bus, and one that hangs is
+given five seconds for each question.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import struct
+import termios
+from pathlib import Path
+from typing import Literal
+
+import serial
+
+from altd.config import Rs485
+
+_TIOCSRS485 = 0x542F  # not in Python's termios
+_RS485 = struct.Struct("=3I20x")
+"""``struct serial_rs485`` of linux/serial.h: flags, delay before and after sending in ms, reserved."""
+_ENABLED, _RTS_ON_SEND, _RTS_AFTER_SEND = 1, 2, 4
+
+_SENTENCES = {
+    errno.ENOENT: "there is no such port now: unplugged, or switched off?",
+    errno.EACCES: "this user may not open it: `altd doctor` says who may",
+    errno.EPERM: "the service may not open this kind of port: see DeviceAllow in its unit",
+    errno.EBUSY: "another program uses the port",
+    errno.ENOTTY: "is no serial port or refuses its settings",
+}
+
+
+def open_serial(
+    device: Path,
+    baud: int,
+    *,
+    parity: Literal["none", "even", "odd"] = "none",
+    stop_bits: Literal[1, 2] = 1,
+    rs485: Rs485 | None = None,
+    read_timeout_s: float = 0.0,
+    write_timeout_s: float = 0.0,
+) -> serial.Serial:
+    """The port, 8 data bits, no flow control, locked against others until it is closed.
+
+    Raises OSError whose ``strerror`` is a sentence for a technician and whose ``filename`` is the device.
+    """
+    try:
+        port = serial.Serial(
+            str(device),
+            baud,
+            parity=parity[0].upper(),
+            stopbits=stop_bits,
+            timeout=read_timeout_s,
+            write_timeout=write_timeout_s,
+            exclusive=True,  # a lock that daemons and good terminal programs heed
+            inter_byte_timeout=0,  # sets VMIN to 1, so that reading nothing means a hang-up and no empty line
+        )
+    except serial.SerialException as error:
+        raise _named(device, error.errno) from error
+    except termios.error as error:
+        raise OSError(error.args[0], f"refuses its settings: {error.args[1]}", str(device)) from error
+    try:
+        fcntl.ioctl(port.fileno(), termios.TIOCEXCL)  # keeps out those who heed no lock
+        if rs485 is not None:
+            _switch_to_rs485(port.fileno(), device, rs485)
+    except BaseException as error:
+        close_serial(port)
+        if isinstance(error, OSError) and error.filename is None:
+            raise _named(device, error.errno) from error
+        raise
+    return port
+
+
+def close_serial(port: serial.Serial) -> None:
+    """Let go of the port. What waits to go out is thrown away, where the driver can: closing waits for it.
+
+    cdc_acm cannot: an adapter that takes nothing holds this call for 30 s.
+    """
+    with contextlib.suppress(OSError, termios.error):
+        port.reset_output_buffer()
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(port.fileno(), termios.TIOCNXCL)
+    port.close()
+
+
+def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485) -> None:
+    """Let the kernel switch the transceiver; raises OSError when it cannot, or not as wanted.
+
+    pyserial's ``rs485_mode`` is not used: it keeps neither the error's number nor what the driver made of it.
+    """
+    level = _RTS_ON_SEND if wanted.rts_while_sending == "high" else _RTS_AFTER_SEND
+    asked = (_ENABLED | level, wanted.delay_before_ms, wanted.delay_after_ms)
+    try:
+        # The kernel gives back what it has set, without what the driver cannot do.
+        flags, before_ms, after_ms = _RS485.unpack(fcntl.ioctl(descriptor, _TIOCSRS485, _RS485.pack(*asked)))
+    except OSError as error:
+        if error.errno not in (errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        sentence = "has no RS485 mode: leave rs485 out if the adapter switches direction by itself"
+        raise OSError(errno.ENOTTY, sentence, str(device)) from error
+    given = (flags & (_ENABLED | _RTS_ON_SEND | _RTS_AFTER_SEND), before_ms, after_ms)
+    if given != asked:
+        raise OSError(errno.EINVAL, f"cannot do rs485 so: {_difference(asked, given)}", str(device))
+
+
+def _difference(asked: tuple[int, int, int], given: tuple[int, int, int]) -> str:
+    if not given[0] & _ENABLED:
+        return "its driver leaves it off"
+    if given[0] != asked[0]:
+        return "rts_while_sending is the other level only"
+    names = ("delay_before_ms", "delay_after_ms")
+    changes = zip(names, asked[1:], given[1:], strict=True)
+    return ", ".join(f"{name} = {ms} becomes {made}" for name, ms, made in changes if made != ms)
+
+
+def _named(device: Path, number: int | None) -> OSError:
+    """The error with its sentence. pyserial has no number for what is no serial port at all."""
+    if number is None:
+        number = errno.ENOTTY
+    elif number == errno.EAGAIN:  # the lock is taken
+        number = errno.EBUSY
+    return OSError(number, _SENTENCES.get(number, os.strerror(number)), str(device))

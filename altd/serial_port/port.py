@@ -1,0 +1,172 @@
+"""A serial port inside the event loop: nothing here blocks, and what is written goes out whole or not at all.
+
+Reading and writing go past pyserial: with a zero timeout its ``write`` spins while the device takes nothing,
+and both add system calls that a ready event loop does not need.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import os
+import threading
+from collections.abc import AsyncIterator, Callable
+from typing import Any, TypeVar
+
+import serial
+
+from altd.config import SerialPort
+from altd.serial_port.opening import close_serial, open_serial
+
+CHUNK = 4096
+
+CLOSING_S = 1.0
+"""How long closing is waited for; a device that takes nothing holds it for 30 s."""
+
+Result = TypeVar("Result")
+
+
+@contextlib.asynccontextmanager
+async def opened(settings: SerialPort, limit: int, *, fresh: bool) -> AsyncIterator[Port]:
+    """The port, open; raises OSError with a sentence for a technician and the name of the device.
+
+    At most ``limit`` bytes wait to go out. ``fresh``: those that the kernel holds count too, for what must
+    not be late; some drivers (cdc_acm) then count a whole buffer for every write that is not out yet.
+    """
+    opening = _apart(
+        lambda: open_serial(
+            settings.device,
+            settings.baud,
+            parity=settings.parity,
+            stop_bits=settings.stop_bits,
+            rs485=settings.rs485,
+        )
+    )
+    try:
+        device = await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close_unwanted)
+        raise
+    port = Port(device, limit, fresh)
+    try:
+        yield port
+    finally:
+        port.forget()
+        await asyncio.wait({_apart(lambda: close_serial(device))}, timeout=CLOSING_S)
+
+
+class Port:
+    """One open port, for one task."""
+
+    def __init__(self, device: serial.Serial, limit: int, fresh: bool) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._limit = limit
+        self._fresh = fresh
+        self._rest = bytearray()
+        self._serial = device
+        self._descriptor: int = device.fileno()
+
+    def write(self, data: bytes) -> bool:
+        """Send all of ``data``, or nothing and return False when too much waits already; raises OSError."""
+        try:
+            waiting = len(self._rest) + (self._serial.out_waiting if self._fresh else 0)
+            if waiting + len(data) > self._limit:
+                return False
+            self._rest += data
+            self._push()
+        except OSError as error:
+            raise self._gone() from error
+        return True
+
+    async def read(self, until: asyncio.Future[Any] | None = None) -> bytes:
+        """What comes in next, or nothing once ``until`` is done; raises OSError when the device is gone."""
+        ready = self._loop.create_future()
+
+        def wake(*_: object) -> None:
+            if not ready.done():
+                ready.set_result(None)
+
+        self._loop.add_reader(self._descriptor, wake)
+        if until is not None:
+            until.add_done_callback(wake)
+        try:
+            await ready
+            data = os.read(self._descriptor, CHUNK)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._gone() from error
+        finally:
+            self._loop.remove_reader(self._descriptor)
+            if until is not None:
+                until.remove_done_callback(wake)
+        if not data:
+            raise self._gone()
+        return data
+
+    def forget(self) -> None:
+        """Drop what still waits to go out."""
+        self._rest.clear()
+        self._loop.remove_writer(self._descriptor)
+
+    def _gone(self) -> OSError:
+        return OSError(errno.EIO, "the port is gone: unplugged, or switched off?", self._serial.port)
+
+    def _push(self) -> None:
+        """Hand the kernel what it takes now; the rest follows when it takes more."""
+        with contextlib.suppress(BlockingIOError):
+            del self._rest[: os.write(self._descriptor, self._rest)]
+        if self._rest:
+            self._loop.add_writer(self._descriptor, self._push_later)
+        else:
+            self._loop.remove_writer(self._descriptor)
+
+    def _push_later(self) -> None:
+        try:
+            self._push()
+        except OSError:  # the next read or write meets it again and raises
+            self._loop.remove_writer(self._descriptor)
+
+
+def describe(settings: SerialPort) -> str:
+    """The port in the words of a technician: ``/dev/ttyS1, 9600 baud 8N1``."""
+    mode = " RS485" if settings.rs485 is not None else ""
+    return f"{settings.device}, {settings.baud} baud 8{settings.parity[0].upper()}{settings.stop_bits}{mode}"
+
+
+def seconds_on_line(settings: SerialPort, length: int) -> float:
+    """How long ``length`` bytes are on the line: start bit, 8 data bits, parity and stop bits for each."""
+    bits = 1 + 8 + (settings.parity != "none") + settings.stop_bits
+    return length * bits / settings.baud
+
+
+def _apart(call: Callable[[], Result]) -> asyncio.Future[Result]:
+    """The result of a call that may block for long, made in a thread that keeps nobody from ending."""
+    loop = asyncio.get_running_loop()
+    result: asyncio.Future[Result] = loop.create_future()
+
+    def settle(value: Result | None, error: BaseException | None) -> None:
+        if result.done():
+            return
+        if error is not None:
+            result.set_exception(error)
+        else:
+            result.set_result(value)  # type: ignore[arg-type]
+
+    def run() -> None:
+        value, error = None, None
+        try:
+            value = call()
+        except BaseException as raised:
+            error = raised
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(settle, value, error)
+
+    threading.Thread(target=run, name="serial-port", daemon=True).start()
+    return result
+
+
+def _close_unwanted(opening: asyncio.Future[serial.Serial]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        _apart(lambda: close_serial(opening.result()))

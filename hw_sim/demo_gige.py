@@ -1,0 +1,67 @@
+"""The demo's cameras as hardware: ``hw_sim gige`` in a process of its own, and altd's settings for it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+from altd.config import AravisCamera, Measuring
+from altd.errors import BadInputError
+from hw_sim.faults import Fault
+from hw_sim.unit import Unit
+
+_LOOK_S = 0.05
+
+
+class Hardware:
+    """The process that serves the cameras at ``addresses``, by their names."""
+
+    def __init__(self, process: asyncio.subprocess.Process, addresses: Mapping[str, str]) -> None:
+        self._process = process
+        self._addresses = addresses
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """The tables of ``altd.toml`` that such cameras need."""
+        cameras = {
+            name: AravisCamera(driver="aravis", device=address) for name, address in self._addresses.items()
+        }
+        return {"cameras": cameras, "measuring": Measuring(pair_by="time")}
+
+    async def follow(self, unit: Unit) -> None:
+        """Let the cameras have the faults that ``unit`` has; raises BadInputError when the process ends."""
+        told: frozenset[Fault] = frozenset()
+        while self._process.returncode is None:
+            if (faults := unit.faults) != told and self._process.stdin is not None:
+                self._process.stdin.write(f"{','.join(faults)}\n".encode())
+                told = faults
+            await asyncio.sleep(_LOOK_S)
+        raise BadInputError("hw_sim gige", f"ended with status {self._process.returncode}")
+
+
+@contextlib.asynccontextmanager
+async def served(seed: int, addresses: Mapping[str, str]) -> AsyncIterator[Hardware]:
+    """Serve the cameras of a unit on its way; raises BadInputError when they are not ready soon.
+
+    The process has said why on standard error.
+    """
+    where = [part for name, address in addresses.items() for part in (f"--{name}", address)]
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "hw_sim", "gige", "--seed", str(seed), "--drive", "--listen", *where),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C goes to the demo alone, which ends the process
+    )
+    try:
+        assert process.stdout is not None  # noqa: S101  a pipe, as asked for
+        if not await process.stdout.readline():
+            raise BadInputError("hw_sim gige", f"ended with status {await process.wait()}")
+        yield Hardware(process, addresses)
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        said, _ = await process.communicate()
+        print(f"Cameras: {said.decode().strip()}", flush=True)

@@ -1,0 +1,139 @@
+"""One camera of the simulated unit as a GigE Vision camera."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from altd import __version__
+from hw_sim.camera import EXPOSURE_RANGE
+from hw_sim.gige.libaravis import GvCamera, Shot
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX
+from hw_sim.unit import EXPOSURES_MS, Unit
+
+GENICAM = Path(__file__).with_name("genicam.xml")
+
+PIXEL_FORMATS: Mapping[int, int] = {8: 0x01080001, 10: 0x01100003, 12: 0x01100005, 16: 0x01100007}
+"""The Pixel Format Naming Convention's numbers of Mono8 to Mono16, by their bits of grey."""
+
+_BITS = {pixel_format: bits for bits, pixel_format in PIXEL_FORMATS.items()}
+
+TRIGGER_LOOKS_HZ = 200.0
+"""How often a camera looks for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps by
+whole milliseconds and stays awake for what is left of the last one: 10 % of a core."""
+
+GAIN_STEPS_PER_DB = 1000
+
+_EXPOSURES_US = round(1000 * EXPOSURE_RANGE.shortest_ms), round(1000 * EXPOSURE_RANGE.longest_ms)
+_GAINS = 0, round(GAIN_STEPS_PER_DB * EXPOSURE_RANGE.largest_gain_db)
+
+# GigE Vision's bootstrap registers: address, or address and size of a text
+_VENDOR, _MODEL, _INFO, _VERSION, _USER_ID = (0x48, 32), (0x68, 32), (0xA8, 48), (0x88, 32), (0xE8, 16)
+
+# ArvFakeCamera's own
+_WIDTH, _HEIGHT, _SENSOR_WIDTH, _SENSOR_HEIGHT = 0x100, 0x104, 0x11C, 0x118
+_GAIN, _EXPOSURE_US, _PIXEL_FORMAT, _FRAME_PERIOD_US = 0x110, 0x120, 0x128, 0x138
+
+# what this camera adds
+_LINE1_MODE, _LINE1_SOURCE, _USER_OUTPUTS = 0x4004, 0x4014, (0x4020, 0x4024)
+_OUTPUT = 1
+_SOURCE_USER_OUTPUT0 = 1
+
+
+class GigeCamera:
+    """A camera of ``unit``, served at ``address`` until ``close``; ``fail`` is told what goes wrong later.
+
+    The exposure begins at the frame's timestamp and the frame leaves once it has ended. Line1 switches the
+    LEDs around the camera's own target. Raises BadInputError.
+    """
+
+    def __init__(
+        self, unit: Unit, name: str, address: str, bits: int, fail: Callable[[BaseException], None]
+    ) -> None:
+        self.serial = serial_of(unit, name)
+        self.address = address
+        self.exposures = 0
+        self._unit = unit
+        self._name = name
+        self._camera = GvCamera(address, self.serial, GENICAM)
+        for (register, size), text in (
+            (_VENDOR, "altd"),
+            (_MODEL, "hw_sim"),
+            (_INFO, "simulated: nothing here is live"),
+            (_VERSION, __version__),
+            (_USER_ID, name),
+        ):
+            self._camera.write_text(register, size, text)
+        for register, value in (
+            (_SENSOR_WIDTH, WIDTH_PX),
+            (_SENSOR_HEIGHT, HEIGHT_PX),
+            (_WIDTH, WIDTH_PX),
+            (_HEIGHT, HEIGHT_PX),
+            (_PIXEL_FORMAT, PIXEL_FORMATS[bits]),
+            (_FRAME_PERIOD_US, round(unit.config.period_ns / 1000)),
+            (_EXPOSURE_US, round(1000.0 * EXPOSURES_MS[name])),
+            (_GAIN, 0),
+            (_LINE1_MODE, _OUTPUT),
+            (_LINE1_SOURCE, _SOURCE_USER_OUTPUT0),
+        ):
+            self._camera.write(register, value)
+        self._camera.look_for_triggers(TRIGGER_LOOKS_HZ)
+        self._camera.fill_with(self._expose, fail)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._camera.close()
+
+    def _expose(self, shot: Shot) -> None:
+        """Fill the frame with what the unit's camera sees, in the time that the exposure takes."""
+        unit, name = self._unit, self._name
+        bits = _BITS.get(shot.pixel_format)
+        columns = slice(shot.x_px, shot.x_px + shot.width_px)
+        rows = slice(shot.y_px, shot.y_px + shot.height_px)
+        on_chip = 0 <= columns.start < columns.stop <= WIDTH_PX and 0 <= rows.start < rows.stop <= HEIGHT_PX
+        if bits is None or not on_chip:
+            self._camera.lose(1.0)  # no chip can do that, whoever wrote it into the registers
+            return
+        exposure_us = self._possible(_EXPOSURE_US, shot.exposure_us, _EXPOSURES_US)
+        gain = self._possible(_GAIN, shot.gain_raw, _GAINS)
+        unit.set_camera(
+            name,
+            exposure_ms=1e-3 * exposure_us,
+            gain=10.0 ** (gain / GAIN_STEPS_PER_DB / 20.0),
+            bits=bits,
+        )
+        unit.switch_leds(name, self._line1_is_high)
+        begin_ns = shot.timestamp_ns + unit.lag_ns(name)
+        shot.stamp(begin_ns)
+        begin_monotonic_ns = begin_ns - (time.time_ns() - time.monotonic_ns())
+        frame = unit.expose(name, self.exposures, begin_monotonic_ns + 500 * exposure_us)
+        shot.pixels(np.uint8 if bits == 8 else np.uint16)[:] = frame.pixels[rows, columns]
+        lost = unit.is_silent(name) or unit.drops(name, self.exposures)
+        self._camera.lose(1.0 if lost else 0.0)
+        self.exposures += 1
+        time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
+
+    def _possible(self, register: int, value: int, bounds: tuple[int, int]) -> int:
+        """What a register asks for, or the nearest that the camera can do, which the register then says."""
+        possible = min(max(value, bounds[0]), bounds[1])
+        if possible != value:
+            self._camera.write(register, possible)
+        return possible
+
+    @property
+    def _line1_is_high(self) -> bool:
+        camera = self._camera
+        output = camera.read(_LINE1_SOURCE) - _SOURCE_USER_OUTPUT0
+        return (
+            camera.read(_LINE1_MODE) == _OUTPUT
+            and 0 <= output < len(_USER_OUTPUTS)
+            and camera.read(_USER_OUTPUTS[output]) == 1
+        )
+
+
+def serial_of(unit: Unit, name: str) -> str:
+    """The serial number of one of a unit's cameras."""
+    return f"{unit.config.serial}-{name}"

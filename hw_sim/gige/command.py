@@ -1,0 +1,190 @@
+"""``python -m hw_sim gige``: a simulated unit whose cameras are on the network."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ipaddress
+import math
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from types import FrameType
+
+from altd.errors import BadInputError
+from hw_sim.arguments import natural, seconds
+from hw_sim.beam import BeamPose
+from hw_sim.camera import EXPOSURE_RANGE
+from hw_sim.faults import parse_faults
+from hw_sim.gige.camera import PIXEL_FORMATS, GigeCamera, serial_of
+from hw_sim.gige.libaravis import LONGEST_SERIAL
+from hw_sim.gige.loopback import camera_address, keep_discovery_on_loopback
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX
+from hw_sim.motion import SLOW_DRIVE, Vibration
+from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
+
+ADDRESSES: Mapping[str, str] = {FRONT: "127.0.0.1", REAR: "127.0.0.2"}
+
+LARGEST_FPS = 200.0
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def add_addresses(parser: argparse.ArgumentParser) -> None:
+    """Where the cameras are."""
+    for name in CAMERAS:
+        parser.add_argument(
+            f"--{name}",
+            type=_address,
+            default=ADDRESSES[name],
+            metavar="ADDRESS",
+            help=f"address of the {name} GigE Vision camera (default {ADDRESSES[name]})",
+        )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the cameras take on the command line."""
+    add_addresses(parser)
+    parser.add_argument(
+        "--only", choices=CAMERAS, help="this camera alone; the other one may be another process"
+    )
+    parser.add_argument(
+        "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
+    )
+    parser.add_argument(
+        "--fps", type=_fps, default=20.0, metavar="N", help="frames a second, until set anew (default 20)"
+    )
+    parser.add_argument(
+        "--bits",
+        type=int,
+        choices=PIXEL_FORMATS,
+        default=8,
+        help="of a pixel, until set anew (default 8)",
+    )
+    parser.add_argument(
+        "--drive", action="store_true", help="the machine goes a slow way, and vibrates; as in the demo"
+    )
+    parser.add_argument(
+        "--pose",
+        nargs=4,
+        type=float,
+        default=(0.0, 0.0, 0.0, 0.0),
+        metavar=("X", "Y", "YAW", "PITCH"),
+        help="where the beam is, or is without the drive: mm and degrees (default 0 0 0 0)",
+    )
+    parser.add_argument("--faults", default="", metavar="NAME,...", help="faults that are present")
+    parser.add_argument(
+        "--listen",
+        action="store_true",
+        help="each line on standard input names the faults that are present from then on",
+    )
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until the time is over or a signal comes; raises BadInputError."""
+    unit = make_unit(arguments.seed, arguments.fps, drive=arguments.drive)
+    x_mm, y_mm, yaw_deg, pitch_deg = arguments.pose
+    unit.place(BeamPose(x_mm, y_mm, math.tan(math.radians(yaw_deg)), math.tan(math.radians(pitch_deg))))
+    unit.inject(*parse_faults(filter(None, arguments.faults.split(","))))
+    names = (arguments.only,) if arguments.only else CAMERAS
+    if len(serial_of(unit, FRONT)) > LONGEST_SERIAL:
+        raise BadInputError("--seed", f"makes a serial number of more than {LONGEST_SERIAL} characters")
+    end = _End()
+    with contextlib.ExitStack() as serving:
+        serving.enter_context(end.by_signals())
+        cameras = []
+        for name in names:
+            address = getattr(arguments, name)
+            serving.enter_context(camera_address(address))
+            camera = GigeCamera(unit, name, address, arguments.bits, end.fail)
+            serving.callback(camera.close)
+            cameras.append(camera)
+        if all(ipaddress.IPv4Address(camera.address).is_loopback for camera in cameras):
+            keep_discovery_on_loopback()
+        if arguments.listen:
+            threading.Thread(target=_listen, args=(unit,), name="faults", daemon=True).start()
+        where = ", ".join(f"{camera.serial} at {camera.address}" for camera in cameras)
+        print(
+            f"simulated unit {unit.config.serial}: GigE Vision {where}; {WIDTH_PX} × {HEIGHT_PX} pixels of "
+            f"{arguments.bits} bits, {arguments.fps:g} a second, {EXPOSURE_RANGE.shortest_ms:g} to "
+            f"{EXPOSURE_RANGE.longest_ms:g} ms; Ctrl-C ends it",
+            flush=True,
+        )
+        began_s, cpu_began_s = time.monotonic(), time.process_time()
+        end.wait(arguments.seconds)
+        cpu = (time.process_time() - cpu_began_s) / (time.monotonic() - began_s)
+    made = ", ".join(f"{camera.serial} {camera.exposures}" for camera in cameras)
+    print(f"exposures made: {made}; CPU: {cpu:.1%} of one core", flush=True)
+    if end.failure is not None:
+        raise end.failure
+    return 0
+
+
+def make_unit(seed: int, fps: float = 20.0, *, drive: bool = False) -> Unit:
+    """The unit that is served. One made elsewhere of the same has the same truth at every instant."""
+    if drive:
+        return Unit(UnitConfig(seed=seed, fps=fps, drive=SLOW_DRIVE, vibration=Vibration()))
+    return Unit(UnitConfig(seed=seed, fps=fps))
+
+
+def _listen(unit: Unit) -> None:
+    """Let each line on standard input say which faults are present, none on an empty one."""
+    for line in sys.stdin:
+        try:
+            faults = parse_faults(line.strip().split(",") if line.strip() else ())
+        except BadInputError as error:
+            print(f"hw_sim: {error}", file=sys.stderr, flush=True)
+        else:
+            unit.clear(*unit.faults - faults)
+            unit.inject(*faults)
+
+
+class _End:
+    """When to end, and with which failure."""
+
+    def __init__(self) -> None:
+        self.failure: BaseException | None = None
+        self._come = threading.Event()
+
+    def fail(self, error: BaseException) -> None:
+        """End with a camera's failure; the first one counts."""
+        self.failure = self.failure or error
+        self._come.set()
+
+    def wait(self, seconds: float | None) -> None:
+        """Until the end has come or so long."""
+        self._come.wait(seconds)
+
+    @contextlib.contextmanager
+    def by_signals(self) -> Iterator[None]:
+        """Signals bring the end while this is open."""
+
+        def signalled(_number: int, _frame: FrameType | None) -> None:
+            self._come.set()
+
+        before = [(number, signal.signal(number, signalled)) for number in _ENDING]
+        try:
+            yield
+        finally:
+            for number, handler in before:
+                signal.signal(number, handler)
+
+
+def _address(text: str) -> str:
+    try:
+        return str(ipaddress.IPv4Address(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no IPv4 address") from error
+
+
+def _fps(text: str) -> float:
+    try:
+        fps = float(text)
+    except ValueError:
+        fps = 0.0
+    if not 1 <= fps <= LARGEST_FPS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 to {LARGEST_FPS:g}")
+    return fps

@@ -1,0 +1,188 @@
+"""Devices that are missing, forbidden, taken or too slow, each with what mends it."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from support.guest import run_in_guest
+
+from altd.doctor import devices
+from altd.doctor.finding import Verdict
+from altd.doctor.machine import Account, group_name
+
+from .conftest import Configured, Tree, says
+
+BY_ID = "/dev/serial/by-id/usb-maker_adapter_1-if00"
+UNIT = "/etc/systemd/system/altd.service"
+
+
+@pytest.fixture
+def port(tree: Tree, terminal: Path) -> Path:
+    """A serial adapter by its stable name; the device behind it is a terminal of ours."""
+    tree.link("/dev/ttyUSB0", terminal)
+    tree.link(BY_ID, "../../ttyUSB0")
+    tree.write("/proc/devices", "Character devices:\n  4 ttyS\n136 pts\n\nBlock devices:\n136 sd")
+    return terminal
+
+
+def found(tree: Tree, configured: Configured, device: str = BY_ID) -> list[devices.Finding]:
+    config = configured(serial=[{"device": device, "speaks": "console"}])
+    return list(devices.serial_ports(config, tree.machine))
+
+
+def test_a_port_that_may_be_opened_is_good(tree: Tree, configured: Configured, port: Path) -> None:
+    port.chmod(0o666)
+    assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
+
+
+def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, configured: Configured, port: Path) -> None:
+    port.chmod(0o660)
+    group = port.stat().st_gid
+    finding = says(found(tree, configured), Verdict.WRONG, "somebody may not open it (crw-rw----")
+    assert finding.mend.startswith(f"sudo usermod -aG {group_name(group)} somebody")
+    tree.account = Account("somebody", 4242, frozenset({group}))
+    assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
+
+
+def test_a_port_that_no_group_may_open_needs_a_rule(tree: Tree, configured: Configured, port: Path) -> None:
+    port.chmod(0o600)
+    assert "udev" in says(found(tree, configured), Verdict.WRONG, "may not open it (crw-------").mend
+
+
+class TestTheService:
+    def test_it_is_in_no_group_that_may(self, tree: Tree, configured: Configured, port: Path) -> None:
+        port.chmod(0o660)
+        group = group_name(port.stat().st_gid)
+        tree.account = Account("root", 0, frozenset())
+        tree.write(UNIT, "[Service]\nSupplementaryGroups=nogroup")
+        finding = says(found(tree, configured), Verdict.WRONG, "the service may not open it")
+        assert finding.mend == f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
+        tree.write(f"{UNIT}.d/override.conf", f"[Service]\nSupplementaryGroups={group}")
+        assert says(found(tree, configured), Verdict.GOOD, "root and the service may open it")
+
+    def test_its_unit_does_not_list_the_kind(self, tree: Tree, configured: Configured, port: Path) -> None:
+        port.chmod(0o666)
+        tree.write(UNIT, "[Service]\nDevicePolicy=closed\nDeviceAllow=char-ttyUSB rw")
+        finding = says(found(tree, configured), Verdict.WRONG, "does not list its kind, pts")
+        assert "DeviceAllow=char-pts rw" in finding.mend
+        tree.write(f"{UNIT}.d/override.conf", "[Service]\nDeviceAllow=char-pts rw")
+        assert says(found(tree, configured), Verdict.GOOD, "may open it")
+        tree.write(f"{UNIT}.d/zz.conf", "[Service]\nDeviceAllow=\nDeviceAllow=/dev/null rw")  # takes all back
+        assert says(found(tree, configured), Verdict.WRONG, "does not list its kind")
+
+
+def test_a_missing_port_names_those_that_are_there(tree: Tree, configured: Configured, port: Path) -> None:
+    finding = says(found(tree, configured, "/dev/ttyUSB7"), Verdict.WRONG, f"is not there; there is {BY_ID}")
+    assert "/dev/serial/by-id" in finding.mend
+
+
+def test_a_name_that_leads_nowhere_is_a_missing_port(tree: Tree, configured: Configured) -> None:
+    tree.link(BY_ID, "../../ttyUSB0")
+    assert says(found(tree, configured), Verdict.WRONG, "is not there")
+
+
+def test_a_file_is_no_port(tree: Tree, configured: Configured) -> None:
+    tree.write("/dev/ttyS0", "")
+    assert says(found(tree, configured, "/dev/ttyS0"), Verdict.WRONG, "is no device")
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict", "words", "mend"),
+    [
+        ("sleep", Verdict.WRONG, "sleep has it", "sudo kill"),
+        ("agetty", Verdict.WRONG, "agetty has it", "disable --now serial-getty@"),
+        ("ModemManager", Verdict.WRONG, "ModemManager has it", "disable --now ModemManager"),
+        ("altd", Verdict.GOOD, "altd has it", ""),
+    ],
+)
+def test_a_port_that_a_program_has_open(
+    tree: Tree,
+    configured: Configured,
+    port: Path,
+    tmp_path: Path,
+    name: str,
+    verdict: Verdict,
+    words: str,
+    mend: str,
+) -> None:
+    port.chmod(0o666)
+    tree.link("/proc/self", "/proc/self")
+    program = tmp_path / name
+    program.symlink_to("/bin/sleep")
+    with port.open("rb") as opened, subprocess.Popen([program, "60"], stdin=opened) as other:
+        tree.link(f"/proc/{other.pid}", f"/proc/{other.pid}")
+        try:
+            findings = found(tree, configured)
+        finally:
+            other.kill()
+    assert mend in says(findings, verdict, words).mend
+    assert all(finding.verdict is Verdict.GOOD for finding in found(tree, configured))
+
+
+class TestUsbCameras:
+    def cameras(
+        self, tree: Tree, configured: Configured, speed_mbit_s: int, buses: tuple[int, int]
+    ) -> list[devices.Finding]:
+        """Two cameras that need 58 Mbit/s each, on these buses."""
+        cameras = {}
+        for number, (name, bus) in enumerate(zip(("front", "rear"), buses, strict=True)):
+            usb = f"/sys/devices/pci0/usb{bus}/{bus}-{number}"
+            tree.write(f"{usb}/busnum", bus)
+            tree.write(f"{usb}/speed", speed_mbit_s)
+            tree.write(f"{usb}/interface/bInterfaceNumber", "00")
+            device = ("/dev/null", "/dev/zero")[number]
+            place = f"/sys/dev/char/1:{(3, 5)[number]}"
+            tree.link(f"{place}/device", tree.root / f"{usb}/interface".lstrip("/"))
+            tree.link(f"/dev/video{number}", device)
+            tree.link(f"/dev/v4l/by-path/usb-{number}", f"../../video{number}")
+            cameras[name] = {"driver": "v4l2", "device": f"/dev/v4l/by-path/usb-{number}"}
+        return list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+
+    def test_a_bus_that_is_fast_enough(self, tree: Tree, configured: Configured) -> None:
+        findings = self.cameras(tree, configured, 480, (1, 1))
+        assert says(findings, Verdict.GOOD, "its cameras need 116 Mbit/s of 480")
+
+    def test_a_bus_that_two_cameras_are_too_much_for(self, tree: Tree, configured: Configured) -> None:
+        findings = self.cameras(tree, configured, 150, (1, 1))
+        assert says(findings, Verdict.WRONG, "its cameras need 116 Mbit/s of 150: too much")
+
+    def test_a_bus_for_each_would_do(self, tree: Tree, configured: Configured) -> None:
+        findings = self.cameras(tree, configured, 150, (1, 2))
+        assert [f.verdict for f in findings if f.subject.startswith("USB")] == [Verdict.GOOD] * 2
+
+    def test_a_missing_camera_names_those_that_are_there(self, tree: Tree, configured: Configured) -> None:
+        tree.link("/dev/video0", "/dev/null")
+        cameras = {name: {"driver": "v4l2", "device": f"/dev/v4l/{name}"} for name in ("front", "rear")}
+        findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+        assert [f.says for f in findings] == ["is not there; there is /dev/video0"] * 2
+
+
+def test_a_gpio_chip_that_is_not_there(tree: Tree, configured: Configured) -> None:
+    lamps = {"driver": "gpiod", "chip": "lamp-board", "lines": ["LED1"]}
+    findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
+    assert says(findings, Verdict.WRONG, "none that may be opened is called so; nor is there any other")
+
+
+def test_a_gpio_chip_that_the_user_may_not_open(tree: Tree, configured: Configured, terminal: Path) -> None:
+    terminal.chmod(0o600)
+    tree.link("/dev/gpiochip0", terminal)
+    lamps = {"driver": "gpiod", "chip": "gpiochip0", "lines": ["LED1"]}
+    findings = list(devices.gpio_chips(configured(lamps=lamps), tree.machine))
+    assert says(findings, Verdict.WRONG, "somebody may not open it")
+
+
+def test_without_a_config_the_devices_that_are_there_are_tried(tree: Tree, port: Path) -> None:
+    port.chmod(0o600)
+    findings = list(devices.found_devices(tree.machine))
+    assert says(findings, Verdict.WRONG, "somebody may not open it").subject == "serial /dev/ttyUSB0"
+
+
+def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> None:
+    found = run_in_guest(tmp_path, "doctor_gpio.py").results
+    for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0"):
+        assert [finding["verdict"] for finding in found[chip]] == ["good"]
+    (finding,) = found["other-board"]
+    assert finding["verdict"] == "WRONG"
+    assert "there is /dev/gpiochip0" in finding["says"]

@@ -1,0 +1,218 @@
+"""The way to a GigE Vision camera and the addresses to listen on: on a tree, and on this kernel."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.foreign import need, need_program
+
+from altd.config import Config
+from altd.doctor import network
+from altd.doctor.finding import Finding, Verdict
+from altd.doctor.machine import Account, Machine
+
+from .conftest import Configured, Tree, says
+
+ROUTES = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
+
+
+@pytest.fixture
+def computer(tree: Tree) -> Tree:
+    """A computer with one good network interface for a camera at 192.168.77.x, and one to the world."""
+    tree.write(
+        "/proc/net/route",
+        ROUTES
+        + "eth0 00000000 0100000A 0003 0 0 0 00000000 0 0 0\n"
+        + "eth1 004DA8C0 00000000 0001 0 0 0 00FFFFFF 0 0 0",
+    )
+    interface(tree, "eth0")
+    interface(tree, "eth1")
+    tree.write("/proc/sys/net/core/rmem_max", 4194304)
+    return tree
+
+
+def interface(tree: Tree, name: str, speed: object = 1000, mtu: int = 9000, state: str = "up") -> None:
+    for key, value in (("speed", speed), ("mtu", mtu), ("operstate", state), ("device/vendor", "0x8086")):
+        tree.write(f"/sys/class/net/{name}/{key}", value)
+
+
+def gige(configured: Configured, device: str = "192.168.77.20", **fields: object) -> Config:
+    camera = {"driver": "aravis", "device": device, **fields}
+    return configured(cameras={"front": camera, "rear": camera})
+
+
+def found(config: Config, tree: Tree) -> list[Finding]:
+    return list(dict.fromkeys(network.gige_cameras(config, tree.machine)))
+
+
+def test_a_good_network(computer: Tree, configured: Configured) -> None:
+    findings = network.gige_cameras(gige(configured), computer.machine)
+    assert {finding.verdict for finding in findings} == {Verdict.GOOD}
+
+
+def test_a_slow_link(computer: Tree, configured: Configured) -> None:
+    interface(computer, "eth1", speed=100)
+    assert "ethtool" in says(found(gige(configured), computer), Verdict.WRONG, "runs at 100 Mbit/s").mend
+
+
+def test_a_link_that_is_down(computer: Tree, configured: Configured) -> None:
+    interface(computer, "eth1", state="down")
+    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.WRONG, "is down").mend
+
+
+def test_packets_that_do_not_fit(computer: Tree, configured: Configured) -> None:
+    interface(computer, "eth1", mtu=1500)
+    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.BETTER, "its MTU is 1500").mend
+    findings = found(gige(configured, packet_bytes=8000), computer)
+    assert says(findings, Verdict.WRONG, "its MTU is 1500 but packet_bytes 8000")
+
+
+def test_a_small_receive_buffer(computer: Tree, configured: Configured) -> None:
+    computer.write("/proc/sys/net/core/rmem_max", 212992)
+    finding = says(found(gige(configured), computer), Verdict.BETTER, "is 212992 bytes at most")
+    assert "sysctl" in finding.mend
+
+
+def test_a_camera_in_a_network_of_nobodys(computer: Tree, configured: Configured) -> None:
+    finding = says(
+        found(gige(configured, "169.254.3.4"), computer)[:1], Verdict.WRONG, "to the gateway at eth0"
+    )
+    assert "ip address add 169.254.3.1/24" in finding.mend
+    computer.write("/proc/net/route", ROUTES)
+    assert says(found(gige(configured), computer)[:1], Verdict.WRONG, "nothing leads there")
+
+
+@pytest.mark.parametrize(("rp_filter", "drops"), [(1, True), (2, False), (0, False)])
+def test_two_interfaces_with_the_same_network(
+    computer: Tree, configured: Configured, rp_filter: int, drops: bool
+) -> None:
+    interface(computer, "eth2")
+    routes = computer.root / "proc/net/route"
+    routes.write_text(routes.read_text() + "eth2 004DA8C0 00000000 0001 0 0 5 00FFFFFF 0 0 0\n")
+    computer.write("/proc/sys/net/ipv4/conf/all/rp_filter", 0)
+    computer.write("/proc/sys/net/ipv4/conf/eth2/rp_filter", rp_filter)
+    finding = says(
+        found(gige(configured), computer)[:1], Verdict.WRONG, "eth1 and eth2 have the same network"
+    )
+    assert ("rp_filter" in finding.says) == drops
+
+
+def test_a_camera_by_its_serial_number_may_be_on_any_interface(
+    computer: Tree, configured: Configured
+) -> None:
+    interface(computer, "eth1", speed=100)
+    assert (
+        says(found(gige(configured, "Maker-1234"), computer), Verdict.WRONG, "runs at 100").subject
+        == "network eth1"
+    )
+    for name in ("eth0", "eth1"):
+        interface(computer, name, state="down")
+    assert says(
+        found(gige(configured, "Maker-1234"), computer)[:1], Verdict.WRONG, "no network interface is up"
+    )
+
+
+CONFIG = """
+[unit]
+serial = "ALT-0007"
+calibration = "calibration.json"
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+[measuring]
+pair_by = "time"
+[cameras.front]
+driver = "aravis"
+device = "192.168.77.20"
+packet_bytes = 1500
+[cameras.rear]
+driver = "aravis"
+device = "10.9.8.7"
+"""
+
+A_SMALL_MTU = """
+mount -t sysfs sys /sys
+ip link add cam type veth peer name far
+ip address add 192.168.77.1/24 dev cam
+ip link set cam mtu 1400
+ip link set far up
+ip link set cam up
+exec "$@"
+"""
+
+
+def test_on_a_real_link_with_a_small_mtu(tmp_path: Path) -> None:
+    unshare = [need_program("unshare", "util-linux"), "--user", "--map-root-user", "--net", "--mount"]
+    need_program("ip", "iproute2")
+    possible = subprocess.run(
+        [*unshare, "mount", "-t", "sysfs", "sys", "/sys"], capture_output=True, check=False
+    )
+    need(possible.returncode == 0, "this machine allows no network namespaces")
+    (tmp_path / "altd.toml").write_text(CONFIG)
+    doctor = [sys.executable, "-m", "altd.cli", "doctor", "--config", str(tmp_path / "altd.toml")]
+    done = subprocess.run(
+        [*unshare, "sh", "-ec", A_SMALL_MTU, "sh", *doctor], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert "good    camera front 192.168.77.20: is in the network of cam" in done.stdout
+    assert "WRONG   network cam: its MTU is 1400 but packet_bytes 1500" in done.stdout
+    assert (
+        "WRONG   camera rear 10.9.8.7: no interface has an address in its network: nothing leads there"
+        in done.stdout
+    )
+    assert done.stderr == ""
+
+
+class TestListening:
+    def findings(
+        self, configured: Configured, port: int, machine: Machine, host: str = "127.0.0.1"
+    ) -> list[Finding]:
+        return list(network.listening(configured(http={"host": host, "port": port}), machine))
+
+    @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::", "localhost"])
+    def test_an_address_that_another_program_listens_on(self, configured: Configured, host: str) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = server.getsockname()[1]
+            finding = says(self.findings(configured, port, Machine(), host), Verdict.WRONG, "listens there")
+            assert f"(process {os.getpid()})" in finding.says
+            assert f":{port}" in finding.mend
+        assert says(self.findings(configured, port, Machine(), host), Verdict.GOOD, "is free")
+
+    def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
+        with socket.create_server(("127.0.0.2", 0)) as server:
+            port = server.getsockname()[1]
+            assert says(self.findings(configured, port, Machine()), Verdict.GOOD, "is free")
+
+    def test_a_program_that_may_not_be_seen(self, tree: Tree, configured: Configured) -> None:
+        tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
+        assert says(self.findings(configured, 8080, tree.machine), Verdict.BETTER, "altd itself?")
+
+    def test_altd_itself_may_listen(self, tree: Tree, configured: Configured) -> None:
+        tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
+        tree.link("/proc/123/fd/5", "socket:[777]")
+        tree.write("/proc/123/cmdline", "python\0/opt/altd/bin/altd\0run")
+        assert says(
+            self.findings(configured, 8080, tree.machine), Verdict.GOOD, "altd listens there (process 123)"
+        )
+
+    def test_a_low_port_and_a_user_who_may_not(self, tree: Tree, configured: Configured) -> None:
+        tree.write("/proc/sys/net/ipv4/ip_unprivileged_port_start", 1024)
+        words = "somebody may not listen on a port below 1024"
+        assert says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words)
+        tree.account = Account("root", 0, frozenset())
+        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+        tree.write("/etc/systemd/system/altd.service", "[Service]\nUser=altd")
+        words = "the service may not listen on a port below 1024"
+        assert "CAP_NET_BIND" in says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words).mend
+        tree.write("/etc/systemd/system/altd.service", "[Service]\nAmbientCapabilities=CAP_NET_BIND_SERVICE")
+        assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")

@@ -1,0 +1,173 @@
+"""Libraries, clock, disk and calibration; and the command as a whole."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from support.cli import altd, refusal, write_config
+from support.foreign import need_program
+
+from altd.calibration.file import load_calibration
+from altd.config import load_config
+from altd.doctor import checks, system
+from altd.doctor.finding import Verdict, better, good, in_lines, wrong
+
+from .conftest import Configured, Tree, says
+
+NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
+
+
+class TestLibraries:
+    def test_those_that_are_there(self) -> None:
+        findings = list(system.libraries(None))
+        assert says(findings[:1], Verdict.GOOD, "is there").subject == "library linuxpy"
+        assert says(findings[1:2], Verdict.GOOD, "is there").subject == "library gpiod"
+
+    @pytest.mark.parametrize("name", ["linuxpy", "gpiod"])
+    def test_one_that_is_missing(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        for module in [module for module in sys.modules if module.split(".")[0] == name]:
+            monkeypatch.delitem(sys.modules, module)
+        monkeypatch.setitem(sys.modules, name, None)
+        assert says(list(system.libraries(None)), Verdict.WRONG, name).subject == f"library {name}"
+
+    def test_aravis_is_wrong_only_for_who_needs_it(
+        self, monkeypatch: pytest.MonkeyPatch, configured: Configured
+    ) -> None:
+        monkeypatch.setitem(sys.modules, "gi", None)
+        assert says(list(system.libraries(None)), Verdict.BETTER, "GigE Vision").mend.startswith(
+            "sudo apt-get"
+        )
+        camera = {"driver": "aravis", "device": "192.168.77.20"}
+        config = configured(cameras={"front": camera, "rear": camera})
+        (finding,) = system.libraries(config)
+        assert finding.verdict is Verdict.WRONG
+        assert list(system.libraries(configured())) == []
+
+
+class TestClock:
+    def test_one_that_is_kept(self) -> None:
+        assert says(list(system.clock(NOON, True)), Verdict.GOOD, "kept by a time server")
+
+    def test_one_that_nobody_keeps(self) -> None:
+        assert "set-ntp" in says(list(system.clock(NOON, False)), Verdict.WRONG, "no time server").mend
+        assert says(list(system.clock(NOON, None)), Verdict.BETTER, "not known")
+
+    def test_one_that_was_never_set(self) -> None:
+        assert says(list(system.clock(datetime(1970, 1, 1, tzinfo=UTC), True)), Verdict.WRONG, "1970-01-01")
+
+    def test_the_kernel_is_asked_as_c_does(self, tmp_path: Path) -> None:
+        (tmp_path / "ask.c").write_text(
+            "#include <sys/timex.h>\n"
+            "int main(void) {\n"
+            "    struct timex t = {0};\n"
+            "    return adjtimex(&t) < 0 ? 2 : !!(t.status & STA_UNSYNC);\n"
+            "}\n"
+        )
+        subprocess.run([need_program("gcc"), "-o", tmp_path / "ask", tmp_path / "ask.c"], check=True)
+        status = subprocess.run([tmp_path / "ask"], check=False).returncode
+        assert system.clock_is_kept() == {0: True, 1: False, 2: None}[status]
+
+
+def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert says(list(system.disk(tree.machine)), Verdict.GOOD, "GB free")
+    monkeypatch.setattr(system, "FREE_BYTES", 1 << 62)
+    assert "du" in says(list(system.disk(tree.machine)), Verdict.WRONG, "GB free").mend
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a config whose recording and calibration are good."""
+    folder = tmp_path_factory.mktemp("unit")
+    assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
+    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
+    config = write_config(folder / "altd.toml", folder / "cal.json", folder / "scan")
+    serial = load_calibration(folder / "cal.json").unit_serial
+    config.write_text(config.read_text().replace("TEST-1", serial))
+    return folder
+
+
+def examined(unit: Path, replace: str, by: str) -> list[system.Finding]:
+    place = unit / "changed.toml"
+    text = (unit / "altd.toml").read_text()
+    assert replace in text
+    place.write_text(text.replace(replace, by))
+    return list(system.calibration(load_config(place), place))
+
+
+class TestCalibration:
+    def test_that_of_the_unit(self, unit: Path) -> None:
+        (finding,) = examined(unit, "window", "window")
+        assert finding.verdict is Verdict.GOOD
+        assert "cal.json fits" in finding.says
+
+    def test_that_of_another_unit(self, unit: Path) -> None:
+        (finding,) = examined(unit, 'serial = "', 'serial = "OTHER-')
+        assert finding.verdict is Verdict.WRONG
+        assert "cal.json" in finding.says
+        assert "altd calibrate" in finding.mend
+
+    def test_one_that_is_not_there(self, unit: Path) -> None:
+        (finding,) = examined(unit, "cal.json", "none.json")
+        assert finding.verdict is Verdict.WRONG
+        assert "none.json" in finding.says
+
+    def test_a_recording_that_is_not_there(self, unit: Path) -> None:
+        findings = examined(unit, "/scan", "/nowhere")
+        assert findings[0].subject == "recording"
+        assert findings[0].verdict is Verdict.WRONG
+
+
+def test_the_lines_say_how_many() -> None:
+    assert in_lines([wrong("a", "is off", "switch a on"), better("b", "is slow"), good("c", "is on")]) == [
+        "WRONG   a: is off",
+        "        mend: switch a on",
+        "better  b: is slow",
+        "good    c: is on",
+        "1 wrong, 1 could be better, 1 good",
+    ]
+
+
+class TestCommand:
+    def test_it_ends_with_1_when_something_is_wrong(self, unit: Path, tmp_path: Path) -> None:
+        more = '\n[[serial]]\ndevice = "/dev/ttyUSB77"\nspeaks = "console"\n'
+        config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "scan", more)
+        outcome = altd("doctor", "--config", config)
+        assert outcome.status == 1
+        assert outcome.err == ""
+        assert "WRONG   serial /dev/ttyUSB77: is not there" in outcome.out
+
+    def test_it_ends_with_0_when_nothing_is(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        from altd.cli import main
+
+        monkeypatch.setattr(checks, "_checks", lambda *_: {"all": lambda: iter([good("all", "is well")])})
+        assert main(["doctor"]) == 0
+        assert capsys.readouterr().out == "good    all: is well\n0 wrong, 0 could be better, 1 good\n"
+
+    def test_without_a_config_it_looks_at_the_computer(self) -> None:
+        outcome = altd("doctor")
+        assert outcome.status in (0, 1)
+        assert outcome.err == ""
+        assert "library linuxpy" in outcome.out
+
+    def test_a_config_that_cannot_be_read_is_a_bad_argument(self, tmp_path: Path) -> None:
+        line = refusal(altd("doctor", "--config", tmp_path / "none.toml"))
+        assert line.startswith("altd doctor: ")
+        assert altd("doctor", "nonsense").status == 2
+
+    def test_a_check_that_fails_hides_no_other(self, monkeypatch: pytest.MonkeyPatch, tree: Tree) -> None:
+        def breaks(_: object) -> None:
+            raise ZeroDivisionError("a strange computer")
+
+        monkeypatch.setattr(system, "disk", breaks)
+        findings = checks.examine(None, tree.machine)
+        finding = says(
+            findings, Verdict.BETTER, "could not be looked at: ZeroDivisionError: a strange computer"
+        )
+        assert finding.subject == "disk"
+        assert any(other.subject == "clock" for other in findings)

@@ -1,0 +1,57 @@
+"""The whole daemon behind the simulated unit's GigE Vision cameras."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import socket
+
+from support.cli import altd
+from support.foreign import need
+from support.gige_unit import need_gige, new_addresses
+
+from hw_sim.gige.loopback import GVCP_PORT
+
+
+def options() -> list[str]:
+    need_gige()
+    need(importlib.util.find_spec("gi") is not None, "PyGObject is not installed (make programs venv)")
+    return [part for name, address in new_addresses().items() for part in (f"--{name}", address)]
+
+
+def test_the_daemon_measures_over_the_wire_what_the_truth_is() -> None:
+    shown = altd("demo", "--gige", *options(), "--seed", "3", "--seconds", "10", module="hw_sim")
+    assert shown.status == 0, shown.err
+    lines = [line for line in shown.out.splitlines() if re.search(r" s  valid ", line)]
+    assert len(lines) >= 5
+    assert all(line.endswith(" simulated") for line in lines)
+    summary = shown.out[shown.out.index("The demo has ended.") :]
+    assert "of one core, daemon alone" in summary
+    measured, valid = (
+        int(re.search(pattern, summary)[1])  # type: ignore[index]
+        for pattern in (r"(\d+) exposures measured", r"valid: (\d+)")
+    )
+    made = [int(count) for count in re.findall(r"SIM-3-\w+ (\d+)", summary)]
+    assert 0.8 * max(made) < measured < 1.2 * max(made)  # frames that a busy machine parts are two
+    assert valid > 0.5 * measured
+    for name, unit, limit in (
+        ("x", "mm", 0.06),
+        ("y", "mm", 0.06),
+        ("yaw", "deg", 0.02),
+        ("pitch", "deg", 0.02),
+    ):
+        rms = re.search(rf"^  {name} +([\d.]+) {unit}", summary, re.MULTILINE)
+        assert rms is not None
+        assert float(rms[1]) < limit
+
+
+def test_a_camera_that_cannot_be_served_ends_the_demo_and_says_why() -> None:
+    where = options()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind((where[1], GVCP_PORT))
+        shown = altd("demo", "--gige", *where, "--seconds", "5", module="hw_sim")
+    assert shown.status == 2
+    assert shown.err.splitlines() == [
+        f"hw_sim: {where[1]}:{GVCP_PORT}: another camera is served there",
+        "hw_sim: hw_sim gige: ended with status 2",
+    ]
