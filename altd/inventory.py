@@ -49,8 +49,9 @@ def _video_cameras() -> Iterator[str]:
             yield from _remark(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
         if not found.formats:
             yield from _remark("sends no grey picture that altd can use")
-        if found.controls:
-            yield from _remark(f"controls: {', '.join(map(str, found.controls))}")
+        settable = [f"{c.name} {c.smallest} to {c.largest}" for c in found.controls if c.writes]
+        if settable:
+            yield from _remark(f"controls: {', '.join(settable)}")
 
 
 def _gige_cameras() -> Iterator[str]:
