@@ -94,6 +94,8 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check-config", help="say whether a config can be used")
     check.add_argument("config", type=Path, metavar="FILE")
 
+    commands.add_parser("devices", help="list cameras, GPIO lines and serial ports as the config wants them")
+
     doctor = commands.add_parser("doctor", help="say what is wrong on this computer, and what mends it")
     doctor.add_argument("--config", type=Path, metavar="FILE", help="what it is to run with")
     return parser

@@ -40,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
         "locate": _locate,
         "map": _map,
         "check-config": _check_config,
+        "devices": _devices,
         "doctor": _doctor,
     }
     cv2.utils.logging.setLogLevel(
@@ -319,6 +320,14 @@ def _check_config(options: argparse.Namespace) -> int:
     config = load_config(options.config)
     calibration_of(config, cameras_of(config, options.config))
     print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets")
+    return 0
+
+
+def _devices(_options: argparse.Namespace) -> int:
+    from altd.inventory import lines
+
+    for line in lines():
+        print(line, flush=True)
     return 0
 
 

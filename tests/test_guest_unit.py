@@ -89,22 +89,20 @@ def counted(measured: Any, component: str, counter: str) -> int:
     return int(after - before)
 
 
-def lost_frames(measured: Any) -> int:
-    """Of both cameras: lost by the driver, or overtaken before they were measured."""
-    by_driver = sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS)
-    return by_driver + sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS)
+def lost_frames(measured: Any) -> tuple[int, int]:
+    """Of both cameras: lost by the driver, and overtaken by the next before they were measured."""
+    return (
+        sum(counted(measured, f"camera {camera}", "lost") for camera in CAMERAS),
+        sum(counted(measured, "measuring", f"dropped_{camera}") for camera in CAMERAS),
+    )
 
 
 def test_no_pair_of_frames_is_lost(measured: Any) -> None:
     exposed = 20 * measured["seconds"]
-    assert lost_frames(measured) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
+    assert sum(lost_frames(measured)) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
     measurements = counted(measured, "measuring", "measurements")
     assert measurements == pytest.approx(exposed, abs=2 if BENCH_S else 0.05 * exposed)
     assert counted(measured, "measuring", "valid") == measurements
-
-
-def test_what_a_driver_has_left_from_before_counts_neither_as_a_frame_nor_as_lost(measured: Any) -> None:
-    assert max(measured["before"][f"camera {camera}"].get("lost", 0) for camera in CAMERAS) < 10
 
 
 def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measured: Any) -> None:
@@ -145,8 +143,9 @@ if BENCH_S:  # figures of a busy machine say nothing
         with capsys.disabled():
             measurements = counted(measured, "measuring", "measurements")
             print(f"\n{measured['seconds']:.1f} s, {measurements} measurements,", end=" ")
-            print(f"{lost_frames(measured)} frames lost; intervals in ms, smallest and largest:", end=" ")
-            print(f"{intervals_ms.min():.1f}, {intervals_ms.max():.1f}")
+            by_driver, overtaken = lost_frames(measured)
+            print(f"frames lost by the driver {by_driver}, overtaken in the daemon {overtaken};", end=" ")
+            print(f"intervals {intervals_ms.min():.1f} to {intervals_ms.max():.1f} ms")
             print(f"interval off 50 ms, p99: {np.percentile(np.abs(intervals_ms - 50), 99):.1f} ms")
             print(f"processor of the daemon: {100 * measured['processor']:.1f} % of one")
             print(f"Modbus answer, p50 and p99: {np.percentile(modbus_ms, 50):.1f}, ", end="")

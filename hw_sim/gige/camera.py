@@ -36,6 +36,7 @@ _VENDOR, _MODEL, _INFO, _VERSION, _USER_ID = (0x48, 32), (0x68, 32), (0xA8, 48),
 # ArvFakeCamera's own
 _WIDTH, _HEIGHT, _SENSOR_WIDTH, _SENSOR_HEIGHT = 0x100, 0x104, 0x11C, 0x118
 _GAIN, _EXPOSURE_US, _PIXEL_FORMAT, _FRAME_PERIOD_US = 0x110, 0x120, 0x128, 0x138
+_TRIGGER_MODE = 0x300
 
 # what this camera adds
 _LINE1_MODE, _LINE1_SOURCE, _USER_OUTPUTS = 0x4004, 0x4014, (0x4020, 0x4024)
@@ -106,7 +107,7 @@ class GigeCamera:
             bits=bits,
         )
         unit.switch_leds(name, self._line1_is_high)
-        begin_ns = shot.timestamp_ns + unit.lag_ns(name)
+        begin_ns = self._begin_ns(shot.timestamp_ns) + unit.lag_ns(name)
         shot.stamp(begin_ns)
         begin_monotonic_ns = begin_ns - (time.time_ns() - time.monotonic_ns())
         frame = unit.expose(name, self.exposures, begin_monotonic_ns + 500 * exposure_us)
@@ -115,6 +116,12 @@ class GigeCamera:
         self._camera.lose(1.0 if lost else 0.0)
         self.exposures += 1
         time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
+
+    def _begin_ns(self, timestamp_ns: int) -> int:
+        """When the exposure begins: without a trigger by the chip's crystal, not by when a thread woke up."""
+        if self._camera.read(_TRIGGER_MODE):
+            return timestamp_ns
+        return timestamp_ns - timestamp_ns % (1000 * self._camera.read(_FRAME_PERIOD_US))
 
     def _possible(self, register: int, value: int, bounds: tuple[int, int]) -> int:
         """What a register asks for, or the nearest that the camera can do, which the register then says."""

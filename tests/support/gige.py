@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from altd.devices.aravis.driver import AravisCamera
 
 HOME = "127.0.0.1"
+DYING_WITH_US = ("setpriv", "--pdeathsig", "KILL")
+"""A test run that crashes leaves no camera behind."""
 Result = TypeVar("Result")
 RETRY_S = 0.2
 _LONGEST_RETRY_S = 0.5
@@ -62,7 +64,7 @@ class Cameras:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, address: str = HOME, serial: str = "T1", *options: str, wait: bool = True) -> None:
-        command = ["arv-fake-gv-camera-0.8", "-i", address, "-s", serial, *options]
+        command = [*DYING_WITH_US, "arv-fake-gv-camera-0.8", "-i", address, "-s", serial, *options]
         self._processes[address] = subprocess.Popen(command)
         if wait:
             wait_for(lambda: register(address, 0) is not None)

@@ -37,6 +37,10 @@ camera has a lock against that, but holds it while it looks for a camera that is
 _BUSY = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
 
 
+_FRAMES_IN_SOCKET = 4
+"""As many as net.core.rmem_max allows; a packet takes twice its size there."""
+
+
 @contextmanager
 def _typed(what: str) -> Iterator[None]:
     try:
@@ -137,6 +141,11 @@ class Device:
     def close(self) -> None:
         """Give control back and let go; with a camera that does not answer that takes seven seconds."""
         self._camera = self._device = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was let go of; nothing can be asked of it then."""
+        return self._device is None
 
     @property
     def controlled(self) -> bool:
@@ -276,7 +285,7 @@ class Device:
 
     def with_chunks(self) -> bool:
         """Have exposure and gain sent along with each frame; whether the camera does."""
-        with _typed("ChunkModeActive"):
+        try:
             if not self._camera.are_chunks_available():
                 return False
             offered = set(self._camera.dup_available_enumerations_as_strings("ChunkSelector"))
@@ -284,6 +293,8 @@ class Device:
             if wanted:
                 self._camera.set_chunks(",".join(wanted))
             return bool(wanted)
+        except GLib.Error:
+            return False  # what was set is then taken for what a frame has
 
     def packet_bytes(self) -> int:
         """The size of the stream's packets."""
@@ -309,6 +320,8 @@ class Device:
             stream.set_property("packet-resend", wanted)
             stream.set_property("frame-retention", round(retention_s * 1e6))
             payload_bytes = self._camera.get_payload()
+            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
+            stream.set_property("socket-buffer-size", _FRAMES_IN_SOCKET * payload_bytes)
             for _ in range(buffers):
                 stream.push_buffer(Aravis.Buffer.new_allocate(payload_bytes))
             self._camera.start_acquisition()

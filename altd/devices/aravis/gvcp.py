@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 PORT = 3956
 
@@ -172,8 +173,12 @@ def _waiting(asking: socket.socket) -> Iterator[bytes]:
 
 
 def _own_addresses() -> Iterator[str]:
+    """Of each interface, by /proc: the service may not use the netlink sockets of ``if_nameindex``."""
+    lines = Path("/proc/self/net/dev").read_text().splitlines()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        for _, name in socket.if_nameindex():
+        for name, colon, _ in (line.strip().partition(":") for line in lines):
+            if not colon:
+                continue
             with suppress(OSError):  # an interface without an IPv4 address
                 request = struct.pack("256s", name.encode())
                 yield socket.inet_ntoa(fcntl.ioctl(any_socket, _SIOCGIFADDR, request)[20:24])

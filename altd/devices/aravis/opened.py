@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from altd.config import AravisCamera as Settings
 from altd.devices.aravis.binding import Device, Stream
-from altd.ports import CameraError, CameraRefusedError, ExposureRange
+from altd.ports import CameraError, CameraLostError, CameraRefusedError, ExposureRange
 
 BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 """The formats that come unpacked, one byte or one little-endian word a pixel."""
@@ -47,6 +47,8 @@ class Opened:
     def switch_output(self, line: str, on: bool) -> None:
         """Make ``line`` an output that follows a user output, and set that."""
         with self.lock:
+            if self.device.closed:  # by the camera's thread, while this one waited
+                raise CameraLostError("the camera was closed")
             _switch_output(self.device, line, on)
 
     def trigger(self) -> None:
@@ -57,6 +59,8 @@ class Opened:
 
 def set_up(device: Device, settings: Settings) -> Opened:
     """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
+    with suppress(CameraRefusedError):  # its last controller may have died while it streamed
+        device.stop()
     for name, value in settings.features.items():
         device.set(name, value)
     _set_format(device, settings.pixel_format)

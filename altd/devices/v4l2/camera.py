@@ -17,7 +17,7 @@ from altd.devices.v4l2.controls import controls_of, set_controls
 from altd.devices.v4l2.exposure import ExposureTime
 from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
 from altd.devices.v4l2.node import Node
-from altd.devices.v4l2.stream import BUFFERS, Stream, set_format, set_rate
+from altd.devices.v4l2.stream import Stream, set_format, set_rate
 from altd.ports import (
     CameraBusyError,
     CameraLostError,
@@ -40,11 +40,8 @@ class _Running:
     node: Node
     layout: Layout
     stream: Stream
-    began_ns: int
     exposure: ExposureTime | None
     exposure_ms: float | None
-    stale_left: int = BUFFERS
-    """So many frames at most are older than the stream; a camera whose clock is wrong has to be heard."""
 
 
 class V4l2Camera:
@@ -115,8 +112,7 @@ class V4l2Camera:
         set_rate(node, settings.fps, layout)
         exposure = ExposureTime.of(controls_of(node).values())
         exposure_ms = exposure.now_ms(node) if exposure else None
-        began_ns = time.monotonic_ns()
-        return _Running(node, layout, Stream(node), began_ns, exposure, exposure_ms)
+        return _Running(node, layout, Stream(node), exposure, exposure_ms)
 
     def _open_camera(self) -> _Running:
         if self._running is None:
@@ -124,11 +120,7 @@ class V4l2Camera:
         return self._running
 
     def _frame(self, running: _Running, buffer: v4l2_buffer) -> Frame | None:
-        """The frame in a buffer.
-
-        None when the driver says that it is damaged, when it is too short, or when it is older than the
-        stream: v4l2loopback begins with a frame that was left from before.
-        """
+        """The frame in a buffer; None when the driver says that it is damaged, or when it is too short."""
         flags = BufferFlag(buffer.flags)
         memory = running.stream.memory(buffer)
         if BufferFlag.ERROR in flags or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
@@ -142,10 +134,6 @@ class V4l2Camera:
             running.exposure_ms,
             time.monotonic_ns(),
         )
-        if t_ns < running.began_ns and running.stale_left:
-            running.stale_left -= 1
-            return None
-        running.stale_left = 0
         return Frame(
             self.name,
             self._counter.number(buffer.sequence),

@@ -26,7 +26,7 @@ from altd.devices.v4l2.image import Layout, PixelFormat
 from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
 
-BUFFERS = 4
+_BUFFERS = 4
 """One is filled while one is taken; the others bridge a thread that the machine lets wait."""
 _AGAIN_S = 0.001
 _SAME_RATE = 1e-4
@@ -90,7 +90,7 @@ class Stream:
         try:
             granted = node.call(
                 IOC.REQBUFS,
-                v4l2_requestbuffers(count=BUFFERS, type=BufType.VIDEO_CAPTURE, memory=Memory.MMAP),
+                v4l2_requestbuffers(count=_BUFFERS, type=BufType.VIDEO_CAPTURE, memory=Memory.MMAP),
             )
             for index in range(granted.count):  # not always as many as were asked for
                 buffer = node.call(IOC.QUERYBUF, _buffer(index))

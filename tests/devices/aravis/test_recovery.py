@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from support.gige import HOME, Cameras, Grabbed, driver, wait_for
+from support.gige import DYING_WITH_US, HOME, Cameras, Grabbed, driver, wait_for
 
 from altd.ports import CameraBusyError, CameraLostError
 
@@ -36,6 +36,8 @@ class TestKilledAndStartedAgain:
             assert sequences[before] > sequences[before - 1]
             assert grabbed.longest_call_s < CALL_S
             assert isinstance(grabbed.errors[0], CameraLostError)
+            assert ("does not answer" in str(grabbed.errors[0])) == (away_s > 0)
+            assert "sent no frame" not in str(grabbed.errors[0])
 
     def test_it_is_found_by_serial_number_where_the_other_was(self, cameras: Cameras) -> None:
         cameras.start(HOME, "T1")
@@ -128,7 +130,7 @@ class TestControl:
 @contextmanager
 def camera_behind_a_link() -> Iterator[str]:
     """A camera in a network of its own, at the other end of the link ``host``."""
-    other_side = subprocess.Popen(["unshare", "--net", "sleep", "600"])
+    other_side = subprocess.Popen(["unshare", "--net", *DYING_WITH_US, "sleep", "600"])
     try:
         time.sleep(0.2)
         _ip("link", "add", "host", "type", "veth", "peer", "name", "camera", "netns", str(other_side.pid))
@@ -137,7 +139,9 @@ def camera_behind_a_link() -> Iterator[str]:
         there = ["nsenter", "--net", f"--target={other_side.pid}"]
         for command in ("link set lo up", "address add 10.7.0.2/24 dev camera", "link set camera up"):
             subprocess.run([*there, "ip", *command.split()], check=True)
-        camera = subprocess.Popen([*there, "arv-fake-gv-camera-0.8", "-i", "10.7.0.2", "-s", "T1"])
+        camera = subprocess.Popen(
+            [*there, *DYING_WITH_US, "arv-fake-gv-camera-0.8", "-i", "10.7.0.2", "-s", "T1"]
+        )
         try:
             time.sleep(0.3)
             yield "10.7.0.2"
