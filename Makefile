@@ -6,10 +6,11 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test check bench bench-guest bench-peers studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test check bench bench-guest bench-live bench-peers studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
+LIVE_S ?= 60
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -47,6 +48,9 @@ bench: venv ## time per stage, highest rate, latency
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "pair or truth or figures"
+
+bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
+	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers

@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support import own_network
 from support.cli import altd
 from support.foreign import need
 from support.wire import Wire
@@ -57,6 +58,23 @@ def no_thread_is_left() -> Iterator[None]:
         if time.monotonic() > deadline:
             pytest.fail(f"threads left behind: {[t.name for t in leaked]}")
         time.sleep(0.01)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", f"{own_network.MARKER}: runs in a network namespace of its own")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    if own_network.inside() or pyfuncitem.get_closest_marker(own_network.MARKER) is None:
+        return None
+    own_network.run_inside(pyfuncitem)
+    return True
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if own_network.inside():
+        own_network.note(report)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

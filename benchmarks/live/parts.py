@@ -13,8 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hw_sim.unit import EXPOSURES_MS
+
 ROOT = Path(__file__).resolve().parents[2]
 _STARTS_WITHIN_S = 20.0
+_DAEMONS_CORE = min(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +85,32 @@ def cameras_command(seed: int, *more: str) -> list[str]:
 
 
 def daemon_command(config: Path) -> list[str]:
-    """The daemon as it runs on a unit."""
-    return [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+    """The daemon as it runs on a unit: on a processor that nothing else here uses.
+
+    A real camera takes no time of the unit's processor, nor does a controller.
+    """
+    return [
+        "taskset",
+        "-c",
+        str(_DAEMONS_CORE),
+        sys.executable,
+        "-m",
+        "altd.cli",
+        "run",
+        "--config",
+        str(config),
+    ]
+
+
+@contextlib.contextmanager
+def off_the_daemons_core() -> Iterator[None]:
+    """Our process and those that it starts leave the daemon's processor alone, where there is another."""
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, allowed - {_DAEMONS_CORE} or allowed)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
 
 
 def calibrate(seed: int, folder: Path) -> Path:
@@ -113,6 +140,7 @@ def write_config(
     """The settings of a unit with two GigE Vision cameras, front and rear."""
     cameras = "".join(
         f'[cameras.{name}]\ndriver = "aravis"\ndevice = "{address}"\n\n'
+        f"[cameras.{name}.exposure]\nexposure_ms = {EXPOSURES_MS[name]}\n\n"
         for name, address in zip(("front", "rear"), addresses, strict=True)
     )
     path.write_text(

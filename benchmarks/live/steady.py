@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +29,8 @@ class Steady:
 
     seconds: float
     measurements: int
-    invalid: int
+    invalid: dict[str, int]
+    """Measurements that were not valid, by their reasons."""
     lost: dict[str, int]
     unpaired: int
     interval_p50_ms: float
@@ -58,7 +60,7 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
     return Steady(
         seconds=seconds,
         measurements=len(seen),
-        invalid=sum(not one.valid for one in seen),
+        invalid=Counter(", ".join(sorted(one.reasons)) for one in seen if not one.valid),
         lost=_lost(before, after),
         unpaired=_grown(before, after, "measuring", "measurements") - min(frames.values()),
         interval_p50_ms=p50_ms,

@@ -11,6 +11,7 @@ import numpy as np
 from altd import __version__
 from hw_sim.camera import EXPOSURE_RANGE
 from hw_sim.gige.libaravis import GvCamera, Shot
+from hw_sim.gige.nudge import Nudge
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.unit import EXPOSURES_MS, Unit
 
@@ -83,9 +84,11 @@ class GigeCamera:
             self._camera.write(register, value)
         self._camera.look_for_triggers(TRIGGER_LOOKS_HZ)
         self._camera.fill_with(self._expose, fail)
+        self._nudge = Nudge(address, lambda: self._camera.read(_FRAME_PERIOD_US))
 
     def close(self) -> None:
         """Stop serving."""
+        self._nudge.close()
         self._camera.close()
 
     def _expose(self, shot: Shot) -> None:

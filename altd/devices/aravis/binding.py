@@ -315,6 +315,9 @@ class Device:
                 self._camera.gv_set_packet_size(packet_bytes)
             else:
                 self._camera.gv_auto_packet_size()
+            # No packet socket: where one may have it, the kernel makes its ring for up to 80 ms, and all else
+            # that runs on this processor waits.
+            self._camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
             stream = self._camera.create_stream(None, None)
             wanted = Aravis.GvStreamPacketResend.ALWAYS if resend else Aravis.GvStreamPacketResend.NEVER
             stream.set_property("packet-resend", wanted)
