@@ -8,10 +8,10 @@ import sys
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
-from altd.config import AravisCamera, Measuring
+from altd.config import AravisCamera, ExposureControl, Measuring
 from altd.errors import BadInputError
 from hw_sim.faults import Fault
-from hw_sim.unit import Unit
+from hw_sim.unit import EXPOSURES_MS, Unit
 
 _LOOK_S = 0.05
 
@@ -27,7 +27,12 @@ class Hardware:
     def tables(self) -> dict[str, Any]:
         """The tables of ``altd.toml`` that such cameras need."""
         cameras = {
-            name: AravisCamera(driver="aravis", device=address) for name, address in self._addresses.items()
+            name: AravisCamera(
+                driver="aravis",
+                device=address,
+                exposure=ExposureControl(exposure_ms=EXPOSURES_MS[name]),  # at which the unit was scanned
+            )
+            for name, address in self._addresses.items()
         }
         return {"cameras": cameras, "measuring": Measuring(pair_by="time")}
 

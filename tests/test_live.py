@@ -1,17 +1,21 @@
-"""The whole daemon on two GigE Vision cameras, each a process of its own; the tunnel's faults are done to them.
+"""The whole daemon on two GigE Vision cameras, each a process of its own, and what happens to them there.
 
 ``make bench-live`` measures the same on a quiet machine; the limits here are those of a busy one.
 """
 
 from __future__ import annotations
 
+import signal
+import sys
+import time
 from pathlib import Path
 
 import pytest
+from support.gige import register
 from support.own_network import inside
 
 from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate
+from benchmarks.live.parts import calibrate, free_port, running, write_config
 from benchmarks.live.unit import (
     FRONT,
     LINKED,
@@ -22,6 +26,7 @@ from benchmarks.live.unit import (
     measuring_daemon,
     set_link,
 )
+from benchmarks.live.watch import Watch
 
 pytestmark = pytest.mark.own_network
 
@@ -73,3 +78,54 @@ def test_a_pulled_link_is_said_and_survived(calibration: Path, tmp_path: Path) -
             watch, "pulled", "front", lambda: set_link("down"), lambda: set_link("up"), 4.0
         )
         assert_it_was_said_and_is_over(pulled)
+
+
+LAMPS = '[lamps]\ndriver = "camera"\ncameras = ["front", "rear"]\nline = "Line1"\n'
+USER_OUTPUT_0 = 0x4020  # hw_sim/gige/genicam.xml
+
+
+def outputs() -> list[int | None]:
+    """What switches the LEDs, asked of the cameras themselves."""
+    return [register(address, USER_OUTPUT_0) for address in (FRONT, REAR)]
+
+
+def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path: Path) -> None:
+    with Camera(tmp_path, "front", FRONT) as front, Camera(tmp_path, "rear", REAR):
+        config = write_config(
+            tmp_path / "lamps.toml",
+            f"SIM-{SEED}",
+            calibration,
+            (FRONT, REAR),
+            free_port(),
+            free_port(),
+            LAMPS,
+        )
+        command = [sys.executable, "-m", "altd.cli", "lamps", "on", "--config", str(config)]
+        with running(command, tmp_path / "lamps.log") as lamps:
+            await_outputs([1, 1])
+            lamps.send(signal.SIGINT)
+            assert lamps.process.wait(20) == 130
+        assert outputs() == [0, 0]
+        with measuring_daemon(tmp_path, calibration, (FRONT, REAR), LAMPS) as (_, watch):
+            await_lamps(watch, "ok")
+            front.kill()
+            await_lamps(watch, "failed")
+            watch.first(lambda seen: not seen.valid, 0.0, 10.0)
+            front.start()
+            await_lamps(watch, "ok")
+            watch.first(lambda seen: seen.valid, time.monotonic(), 10.0)
+            assert outputs() == [0, 0]
+
+
+def await_outputs(wanted: list[int | None], within_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + within_s
+    while outputs() != wanted:
+        assert time.monotonic() < deadline_s, outputs()
+        time.sleep(0.05)
+
+
+def await_lamps(watch: Watch, state: str, within_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + within_s
+    while (lamps := watch.status()["components"]["lamps"])["state"] != state:
+        assert time.monotonic() < deadline_s, lamps
+        time.sleep(0.05)

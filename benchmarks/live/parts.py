@@ -135,9 +135,15 @@ def free_port() -> int:
 
 
 def write_config(
-    path: Path, serial: str, calibration: Path, addresses: Sequence[str], http_port: int, modbus_port: int
+    path: Path,
+    serial: str,
+    calibration: Path,
+    addresses: Sequence[str],
+    http_port: int,
+    modbus_port: int,
+    more: str = "",
 ) -> Path:
-    """The settings of a unit with two GigE Vision cameras, front and rear."""
+    """The settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
     cameras = "".join(
         f'[cameras.{name}]\ndriver = "aravis"\ndevice = "{address}"\n\n'
         f"[cameras.{name}.exposure]\nexposure_ms = {EXPOSURES_MS[name]}\n\n"
@@ -150,6 +156,6 @@ def write_config(
         f"{cameras}"
         '[measuring]\npair_by = "time"\n\n'
         f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n\n'
-        f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus_port}\n'
+        f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus_port}\n{more}'
     )
     return path

@@ -85,11 +85,13 @@ def set_link(state: str) -> float:
 
 @contextlib.contextmanager
 def measuring_daemon(
-    folder: Path, calibration: Path, addresses: tuple[str, str]
+    folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
 ) -> Iterator[tuple[Running, Watch]]:
-    """The daemon on the cameras at these addresses, and somebody who reads from it."""
+    """The daemon on the cameras at these addresses, with ``more`` tables, and somebody who reads from it."""
     http_port, modbus_port = free_port(), free_port()
-    config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, http_port, modbus_port)
+    config = write_config(
+        folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, http_port, modbus_port, more
+    )
     log = folder / "altd.log"
     log.write_bytes(b"")
     with running(daemon_command(config), log) as daemon:
