@@ -9,26 +9,17 @@ from pathlib import Path
 import cv2
 
 from altd import __version__
-from altd.calibration.file import check_image_size, load_calibration
 from altd.calibration.model import Calibration
-from altd.config import (
-    AravisCamera,
-    CameraLamps,
-    Config,
-    LiveCamera,
-    RecordingCamera,
-    SerialPort,
-    V4l2Camera,
-)
-from altd.devices.playback import Playback, PlaybackCamera
+from altd.config import Config, LiveCamera, SerialPort
 from altd.errors import BadInputError, bare
-from altd.ports import Camera, Clock, Indicators, Lamps, Stage, SwitchingCamera
-from altd.recording import Kind, Recording, UnitHeader, open_recording, refuse_used_folder
+from altd.parts import calibration_of, cameras_of, indicators_of, lamps_of, setters_of, stage_of
+from altd.ports import Camera, Clock, Indicators, Lamps
+from altd.recording import Kind, UnitHeader, refuse_used_folder
 from altd.records import Frame, NoSpot, Spot
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
-from altd.service.exposing import ExposureKeeper, ExposureSetter
+from altd.service.exposing import ExposureKeeper
 from altd.service.grabbing import grab
 from altd.service.health import Component, Health, State
 from altd.service.inbox import Inbox
@@ -46,7 +37,7 @@ _FACES_START_S = 1.0
 class Daemon:
     """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them.
 
-    So does it ``lamps`` and ``indicators``; ``self.lamps`` switches the first, for who wants light.
+    ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs.
     """
 
     def __init__(
@@ -178,58 +169,6 @@ class Daemon:
         return ConsolePublisher(port, self.board, self.health, component, self.clock)
 
 
-def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
-    """The cameras that a config asks for; raises BadInputError that names ``place`` or the recording."""
-    if not config.cameras:
-        raise BadInputError(place, "cameras: no [cameras.…] table")
-    recordings: dict[Path, tuple[Recording, Playback]] = {}
-    cameras: dict[str, Camera] = {}
-    for name in (target.camera for target in config.targets):
-        settings = config.cameras[name]
-        if isinstance(settings, RecordingCamera):
-            if settings.path not in recordings:
-                recording = open_recording(settings.path)
-                playback = Playback(recording, settings.pace == "realtime", settings.repeat)
-                recordings[settings.path] = recording, playback
-            cameras[name] = PlaybackCamera(name, recordings[settings.path][1])
-        else:
-            cameras[name] = _live_camera(name, settings)
-    return cameras
-
-
-def _live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
-    """The driver behind a camera's table. Imported only when wanted."""
-    if isinstance(settings, V4l2Camera):
-        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
-
-        return Video4LinuxCamera(name, settings)
-    try:
-        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
-    except ImportError as error:
-        raise BadInputError(f"cameras.{name}", str(error)) from error
-    return GigeVisionCamera(name, settings)
-
-
-def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
-    """The config's calibration, checked against its unit, targets and cameras; raises BadInputError."""
-    path = config.unit.calibration
-    calibration = load_calibration(path, config.unit.serial)
-    for target in config.targets:
-        known = calibration.target(target.name)
-        if known is None:
-            raise BadInputError(path, f"does not know target {target.name!r}")
-        if abs(known.z_mm - target.z_mm) > 1e-3:
-            raise BadInputError(
-                path, f"target {target.name!r} was calibrated at z {known.z_mm:g} mm, not {target.z_mm:g}"
-            )
-        camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
-        if isinstance(camera, PlaybackCamera):
-            check_image_size(calibration, path, target.name, camera.width, camera.height)
-        elif isinstance(settings, LiveCamera):
-            check_image_size(calibration, path, target.name, settings.width, settings.height)
-    return calibration
-
-
 def daemon_of(config: Config, place: Path) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
     cameras = cameras_of(config, place)
@@ -239,37 +178,6 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     for component in ("measuring", *(f"camera {name}" for name in cameras)):
         daemon.health.component(component).say(State.STARTING)
     return daemon
-
-
-def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
-    """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
-
-    ``alone``: nobody takes frames of these cameras. Raises BadInputError that names ``place``.
-    """
-    if config.lamps is None:
-        return None
-    if not isinstance(config.lamps, CameraLamps):
-        from altd.devices.gpio.lamps import GpioFrameLamps
-
-        return GpioFrameLamps(config.lamps)
-    from altd.devices.camera_lamps import CameraLamps as LampsOnCameras
-
-    switching: dict[str, SwitchingCamera] = {}
-    for name in config.lamps.cameras:
-        camera = cameras[name]
-        if not isinstance(camera, SwitchingCamera):
-            raise BadInputError(place, f"lamps: camera {name!r} has no output to switch")
-        switching[name] = camera
-    return LampsOnCameras(switching, config.lamps.line, alone)
-
-
-def indicators_of(config: Config) -> Indicators | None:
-    """The lamps on the housing that a config asks for; None when it has none."""
-    if config.indicators is None:
-        return None
-    from altd.devices.gpio.lamps import GpioIndicators
-
-    return GpioIndicators(config.indicators)
 
 
 async def record_of(config: Config, place: Path, folder: Path, seconds: float, kind: Kind) -> int:
@@ -290,24 +198,6 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float, k
         kind,
         setters=setters_of(config),
     )
-
-
-def setters_of(config: Config) -> dict[str, ExposureSetter]:
-    """For a recording or a scan: each live camera gets its exposure from the config once, and keeps it."""
-    return {
-        name: ExposureSetter(settings.exposure, settings.fps)
-        for name, settings in config.cameras.items()
-        if isinstance(settings, LiveCamera) and settings.exposure.control != "camera"
-    }
-
-
-def stage_of(config: Config, place: Path) -> Stage:
-    """The stage that a config asks for; raises BadInputError that names ``place``."""
-    if config.stage is None:
-        raise BadInputError(place, "stage: no [stage] table")
-    from altd.devices.grbl.driver import GrblStage
-
-    return GrblStage(config.stage)
 
 
 def scanner_of(

@@ -212,9 +212,9 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
 
 
 def _lamps(options: argparse.Namespace) -> int:
-    from altd.app import cameras_of, indicators_of, lamps_of
     from altd.config import CameraLamps, load_config
     from altd.lamps_by_hand import LampsByHand
+    from altd.parts import cameras_of, indicators_of, lamps_of
     from altd.ports import Indicator, LampsError
 
     config, place = load_config(options.config), options.config
@@ -314,8 +314,8 @@ def _map(options: argparse.Namespace) -> int:
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    from altd.app import calibration_of, cameras_of
     from altd.config import load_config
+    from altd.parts import calibration_of, cameras_of
 
     config = load_config(options.config)
     calibration_of(config, cameras_of(config, options.config))

@@ -14,9 +14,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from altd.app import Daemon, calibration_of
+from altd.app import Daemon
 from altd.config import load_config
 from altd.measurement_json import as_object
+from altd.parts import calibration_of
 from benchmarks.live.truth import truthfulness
 from hw_sim.camera import make_cameras
 from hw_sim.gige.command import make_unit

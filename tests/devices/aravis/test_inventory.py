@@ -41,11 +41,11 @@ def test_without_aravis_the_config_is_refused_with_the_remedy() -> None:
     program = """
 import sys
 sys.modules["gi"] = None
-from altd.app import _live_camera
+from altd.parts import live_camera
 from altd.config import AravisCamera
 from altd.errors import BadInputError
 try:
-    _live_camera("front", AravisCamera(driver="aravis", device="10.0.0.7"))
+    live_camera("front", AravisCamera(driver="aravis", device="10.0.0.7"))
 except BadInputError as error:
     print(error)
 """

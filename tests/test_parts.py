@@ -6,9 +6,9 @@ from unittest.mock import Mock, call
 
 import pytest
 
-from altd.app import lamps_of, setters_of
 from altd.config import Config
 from altd.errors import BadInputError
+from altd.parts import lamps_of, setters_of
 from altd.ports import Camera, SwitchingCamera
 
 
