@@ -20,6 +20,7 @@ from altd.devices.v4l2.node import Node
 from altd.devices.v4l2.stream import Stream, set_format, set_rate
 from altd.ports import (
     CameraBusyError,
+    CameraError,
     CameraLostError,
     CameraNotFoundError,
     CameraRefusedError,
@@ -31,6 +32,12 @@ from altd.records import Frame, Origin
 _TEST_DRIVERS = ("vivid", "v4l2 loopback")
 """Drivers of the kernel that make pictures up, or pass on those of another program."""
 _LARGEST_SEQUENCE = 2**32 - 1
+_OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = (
+    ((errno.ENOENT, errno.ENODEV, errno.ENXIO), CameraNotFoundError, "there is no such camera now"),
+    ((errno.EBUSY,), CameraBusyError, "another program uses the camera"),
+    ((errno.EACCES, errno.EPERM), CameraRefusedError, "no permission; it belongs to the group video"),
+    ((errno.ENOTTY, errno.EISDIR), CameraRefusedError, "is no Video4Linux device"),
+)
 
 
 @dataclass(slots=True)
@@ -145,31 +152,24 @@ class V4l2Camera:
 
     @contextlib.contextmanager
     def _failing_to_open(self) -> Iterator[None]:
-        """Say which kind of failure an opening met, with the device in front."""
-        device = self._settings.device
-        try:
-            yield
-        except CameraRefusedError as error:
-            raise CameraRefusedError(f"{device}: {error}") from error
-        except OSError as error:
-            if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-                raise CameraNotFoundError(f"{device}: there is no such camera now") from error
-            if error.errno == errno.EBUSY:
-                raise CameraBusyError(f"{device}: another program uses the camera") from error
-            if error.errno in (errno.EACCES, errno.EPERM):
-                raise CameraRefusedError(f"{device}: no permission; it belongs to the group video") from error
-            if error.errno in (errno.ENOTTY, errno.EISDIR):
-                raise CameraRefusedError(f"{device}: is no Video4Linux device") from error
-            raise CameraLostError(f"{device}: {_why(error)}") from error
+        """Say which kind of failure an opening met."""
+        with self._losing():
+            try:
+                yield
+            except OSError as error:
+                for numbers, kind, why in _OPENING_FAILURES:
+                    if error.errno in numbers:
+                        raise kind(why) from error
+                raise
 
     @contextlib.contextmanager
     def _losing(self) -> Iterator[None]:
-        """Whatever an open camera fails with, it has to be opened again."""
+        """With the device in front; whatever an open camera fails with, it has to be opened again."""
         device = self._settings.device
         try:
             yield
-        except CameraRefusedError as error:
-            raise CameraRefusedError(f"{device}: {error}") from error
+        except (CameraNotFoundError, CameraBusyError, CameraRefusedError) as error:
+            raise type(error)(f"{device}: {error}") from error
         except OSError as error:
             raise CameraLostError(f"{device}: {_why(error)}") from error
 
