@@ -116,14 +116,17 @@ class TestFrames:
             assert np.array_equal(frame.pixels[400], (x + 400 + int(frame.pixels[0, 0])) % 255)
 
     def test_come_when_software_triggers_them(self, cameras: Cameras) -> None:
-        """At multiples of the period; the simulated camera looks each 40 ms whether it was triggered."""
+        """At multiples of the period. The simulated camera looks each 40 ms whether it was triggered, and now
+        and then oversleeps by 100 ms (docs/decisions/gige.md)."""
         cameras.start()
         with Grabbed(driver(trigger="software", fps=4)) as grabbed:
             grabbed.await_frames(8)
         frames = [frame for _, frame in grabbed.frames]
         after_ms = [(frame.t_ns * 1e-6 + frame.exposure_ms / 2) % 250 for frame in frames]
         assert np.diff([frame.sequence for frame in frames]).tolist() == [1] * (len(frames) - 1)
-        assert np.diff([frame.t_ns for frame in frames]) == pytest.approx(250e6, abs=80e6)
+        intervals_ms = np.diff([frame.t_ns for frame in frames]) * 1e-6
+        assert intervals_ms == pytest.approx(250, abs=145)
+        assert np.median(intervals_ms) == pytest.approx(250, abs=45)
         assert np.median(after_ms) < 45
 
     def test_that_no_signal_triggers_are_waited_for(self, cameras: Cameras) -> None:
