@@ -45,8 +45,11 @@ class Reason(StrEnum):
     CUT_BY_EDGE = "cut_by_edge"
     WRONG_SIZE = "wrong_size"
     WRONG_SHAPE = "wrong_shape"
+    DISTORTED = "distorted"
     CAMERA_SILENT = "camera_silent"
     EXPOSURE_CHANGING = "exposure_changing"
+    FRAME_REPEATED = "frame_repeated"
+    WRONG_CAMERA = "wrong_camera"
     IMPLAUSIBLE = "implausible"
 
     OUT_OF_STEP = "out_of_step"
@@ -54,6 +57,7 @@ class Reason(StrEnum):
     UNSTEADY = "unsteady"
     WARMING_UP = "warming_up"
     STALE = "stale"
+    CHECK_FAILED = "check_failed"
 
     EXPOSURES_LOST = "exposures_lost"
     PLAYBACK = "playback"
@@ -73,8 +77,11 @@ _OF_ONE_TARGET = frozenset(
         Reason.CUT_BY_EDGE,
         Reason.WRONG_SIZE,
         Reason.WRONG_SHAPE,
+        Reason.DISTORTED,
         Reason.CAMERA_SILENT,
         Reason.EXPOSURE_CHANGING,
+        Reason.FRAME_REPEATED,
+        Reason.WRONG_CAMERA,
         Reason.IMPLAUSIBLE,
     }
 )

@@ -42,9 +42,11 @@ _NO_SPOT = frozenset(
         Reason.CUT_BY_EDGE,
         Reason.WRONG_SIZE,
         Reason.WRONG_SHAPE,
+        Reason.DISTORTED,
         Reason.EXPOSURE_CHANGING,
     }
 )
+_NOT_TRUSTED = frozenset({Reason.FRAME_REPEATED, Reason.WRONG_CAMERA, Reason.CHECK_FAILED})
 
 
 def _only(reason: Reason) -> frozenset[Reason]:
@@ -67,6 +69,7 @@ STATUS_BITS = (
     StatusBit(12, "playback", "warning: not live, a recording is played", _only(Reason.PLAYBACK)),
     StatusBit(13, "simulated", "warning: not live, a simulator makes the frames", _only(Reason.SIMULATED)),
     StatusBit(14, "implausible", "two maps of a target contradict each other", _only(Reason.IMPLAUSIBLE)),
+    StatusBit(15, "not trusted", "a camera, its frames or the numbers did not pass a check", _NOT_TRUSTED),
 )
 """The status word; bits that are not listed are 0."""
 
@@ -80,11 +83,15 @@ REASON_CODES = (
     ReasonCode(7, Reason.CAMERA_SILENT, "no frames come from the camera"),
     ReasonCode(8, Reason.IMPLAUSIBLE, "two maps of the target contradict each other"),
     ReasonCode(9, Reason.EXPOSURE_CHANGING, "the camera's exposure is being set anew"),
+    ReasonCode(10, Reason.DISTORTED, "the spot is not what it was when the unit was calibrated"),
+    ReasonCode(11, Reason.FRAME_REPEATED, "the camera delivers the same picture again"),
+    ReasonCode(12, Reason.WRONG_CAMERA, "not the camera, or not the view, that was calibrated"),
     ReasonCode(20, Reason.OUT_OF_STEP, "the cameras' exposures do not fit together"),
     ReasonCode(21, Reason.OUT_OF_RANGE, "spot outside the calibrated area"),
     ReasonCode(22, Reason.UNSTEADY, "the spots move too much to be averaged"),
     ReasonCode(23, Reason.WARMING_UP, "not enough exposures yet"),
     ReasonCode(24, Reason.STALE, "nothing new for too long"),
+    ReasonCode(25, Reason.CHECK_FAILED, "the numbers did not pass the last check before they are published"),
 )
 """Every reason that is not a warning; 0 is none."""
 
