@@ -13,6 +13,7 @@ from altd.records import FloatArray
 from altd.vision.blocks import Blocks, blocks_of
 from altd.vision.centre import Centre, Noise
 from altd.vision.flat import BLOCK_PX, Flat
+from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
 
 _ITERATIONS = 16
@@ -33,6 +34,8 @@ _GRAIN_AT_FIRST = 0.04
 _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
+_FARTHEST_DIAMETERS_CUT = 1.0
+"""The middle of what the image shows of a spot says less of its centre."""
 
 _SLOPE_SHARE_PER_PX = 2e-5
 """By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it.
@@ -45,11 +48,12 @@ _State = Sequence[float]
 """The first ten of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off, ``residuals`` what
+    the spot does not explain.
     """
 
     centre: Centre
@@ -57,6 +61,7 @@ class Profile:
     form: tuple[float, float, float]
     order: float
     rest: float
+    residuals: Residuals
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
@@ -65,6 +70,23 @@ class Profile:
         q = np.maximum(0.5 * (a * du * du + 2 * b * du * dv + c * dv * dv), 0.0)
         counts: FloatArray = self.peak * np.exp(-(q**self.order))
         return counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solution:
+    """Where the iteration came to rest, and what it knew there.
+
+    ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes; ``rows``
+    are the derivatives and the residual.
+    """
+
+    state: _State
+    centre_variance: float
+    rows: FloatArray
+    noise_variance: FloatArray
+    grain_variance: FloatArray
+    grain2: float
+    spot: FloatArray
 
 
 def fit_profile(
@@ -93,25 +115,53 @@ def fit_profile(
     solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
     if solution is None:
         return None
-    state, centre_variance = solution
-    peak, u, v, a, b, c, rest, _, _, order = state
-    if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
+    peak, u, v, a, b, c, rest, _, _, order = solution.state
+    farthest = _FARTHEST_DIAMETERS_CUT if patch.cut else _FARTHEST_DIAMETERS
+    if math.hypot(u, v) * sigma_px > farthest * diameter_px:
         return None
     return Profile(
         Centre(
             patch.left + seed.u + u * sigma_px,
             patch.top + seed.v + v * sigma_px,
-            sigma_px * math.sqrt(centre_variance),
+            sigma_px * math.sqrt(solution.centre_variance),
         ),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         rest,
+        _residuals(data, solution, sigma_px, rise),
     )
 
 
-def _solve(data: Blocks, state: _State, rise: float) -> tuple[_State, float] | None:
-    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes.
+def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) -> Residuals:
+    """What the fit leaves over, its centre in px."""
+    peak, u, v, a, b, c, *_ = solution.state
+    derivatives, light = solution.rows[:_RESIDUAL], solution.rows[_RESIDUAL]
+    derivatives[[_U, _V]] /= sigma_px
+    prior, known = np.zeros(_RESIDUAL), np.array(solution.state)
+    prior[[_RISE_X, _RISE_Y, _ORDER]] = rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2
+    known[[_RISE_X, _RISE_Y, _ORDER]] = 0.0, 0.0, 1.0
+    # a root of the form turns the ellipse into a circle and, being symmetric, keeps the directions nearly
+    root = math.sqrt(a * c - b * b)
+    x, y = data.monomials[1] - u, data.monomials[2] - v
+    places = (a + root) * x + b * y + 1j * (b * x + (c + root) * y)
+    return Residuals(
+        light=light,
+        derivatives=derivatives,
+        prior=prior,
+        pull=prior * (known - solution.state),
+        noise_variance=solution.noise_variance,
+        grain_variance=solution.grain_variance,
+        grain=math.sqrt(solution.grain2),
+        irradiance=solution.spot / peak,
+        spot_light=solution.spot * data.f2,
+        flat_light=peak * data.f1,
+        direction=places / np.maximum(np.abs(places), 1e-12),
+    )
+
+
+def _solve(data: Blocks, state: _State, rise: float) -> _Solution | None:
+    """Gauss-Newton; None when it does not converge.
 
     ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed. Some three
     hundred blocks are so few that numpy's calls cost more than its sums: what belongs together is one array,
@@ -154,7 +204,8 @@ def _solve(data: Blocks, state: _State, rise: float) -> tuple[_State, float] | N
         even = abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
         if free and _is_settled(change, even, iteration >= _LATE):
             levers = covariance[_U : _V + 1] @ weighted
-            return state, float((np.square(levers) @ noise_variance).sum()) / 2
+            centre_variance = float((np.square(levers) @ noise_variance).sum()) / 2
+            return _Solution(state, centre_variance, rows, noise_variance, grain_variance, grain2, spot)
     return None
 
 
