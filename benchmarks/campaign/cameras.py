@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from altd.records import PixelArray
-from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil
+from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil, grey
 
 WAYS = Registry("cameras")
 
@@ -75,7 +75,7 @@ def _warped(matrix_of: np.ndarray) -> OnPixels:
         warped = cv2.warpAffine(
             pixels, matrix_of, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
-        return np.asarray(np.minimum(warped, (1 << bits) - 1), pixels.dtype)
+        return grey(np.minimum(warped, (1 << bits) - 1), pixels)
 
     return change
 
@@ -146,6 +146,6 @@ def tilted(draw: Draw) -> Spoil:
         )
         matrix = np.linalg.inv(to_middle) @ bent @ to_middle
         warped = cv2.warpPerspective(pixels, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(warped, pixels.dtype)
+        return grey(warped, pixels)
 
     return Spoil(f"by {lean:.3f}", pixels=change, cameras=draw.one())

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from altd.records import PixelArray
-from benchmarks.campaign.way import CAMERAS, Draw, OnPixels, Registry, Shot, Spoil
+from benchmarks.campaign.way import CAMERAS, Draw, OnPixels, Registry, Shot, Spoil, grey
 
 WAYS = Registry("frames")
 
@@ -46,7 +46,7 @@ def torn(draw: Draw) -> Spoil:
         if before is None:
             return pixels
         cut = int(row * len(pixels))
-        return np.vstack([before[:cut], pixels[cut:]])
+        return _written(pixels, lambda copy: np.copyto(copy[:cut], before[:cut]))
 
     return Spoil(
         f"at {row:.0%}{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets()
@@ -159,7 +159,8 @@ def swapped_bytes(draw: Draw) -> Spoil:
         if pixels.dtype == np.uint16:
             return np.asarray(np.minimum(pixels.byteswap(), (1 << bits) - 1), np.uint16)
         rows, columns = pixels.shape
-        return np.ascontiguousarray(pixels.reshape(rows, columns // 2, 2)[:, :, ::-1].reshape(rows, columns))
+        swapped = pixels.reshape(rows, columns // 2, 2)[:, :, ::-1].reshape(rows, columns)
+        return np.asarray(swapped, np.uint8)
 
     return Spoil("everywhere", pixels=change, cameras=draw.targets())
 
@@ -259,7 +260,7 @@ def jpeg(draw: Draw) -> Spoil:
             ".jpg", (pixels >> shift).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality]
         )
         decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-        return np.asarray(decoded, pixels.dtype) << shift
+        return _recounted(pixels, np.asarray(decoded, np.float32) * np.float32(1 << shift), bits)
 
     return Spoil(f"quality {quality}", pixels=change, cameras=draw.targets())
 
@@ -273,9 +274,7 @@ def binned(draw: Draw) -> Spoil:
         rows, columns = pixels.shape
         small = cv2.resize(pixels, (columns // by, rows // by), interpolation=cv2.INTER_AREA)
         if corner == "blocks":
-            return np.asarray(
-                cv2.resize(small, (columns, rows), interpolation=cv2.INTER_NEAREST), pixels.dtype
-            )
+            return grey(cv2.resize(small, (columns, rows), interpolation=cv2.INTER_NEAREST), pixels)
 
         def write(copy: PixelArray) -> None:
             copy[:] = np.median(pixels[::8, ::8]).astype(copy.dtype)
@@ -320,10 +319,9 @@ def row_noise(draw: Draw) -> Spoil:
     rng = np.random.default_rng(seed)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        lines = rng.standard_normal(pixels.shape[axis], dtype=np.float32) * np.float32(
-            level * ((1 << bits) - 1)
-        )
-        return _recounted(pixels, pixels + (lines[:, None] if axis == 0 else lines[None, :]), bits)
+        size = (pixels.shape[0], 1) if axis == 0 else (1, pixels.shape[1])
+        jumps = rng.standard_normal(size, dtype=np.float32)
+        return _recounted(pixels, pixels + np.float32(level * ((1 << bits) - 1)) * jumps, bits)
 
     return Spoil(f"{level:.1%} of full scale", pixels=change, cameras=draw.targets())
 

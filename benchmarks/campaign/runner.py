@@ -16,7 +16,7 @@ import numpy as np
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
-from benchmarks.campaign.episode import run_episode
+from benchmarks.campaign.episode import Episode, run_episode
 from benchmarks.campaign.judge import Tally
 from benchmarks.campaign.units import SIMULATED
 from benchmarks.campaign.way import Draw, Way, both
@@ -28,7 +28,7 @@ _BATCH = 6
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is drawn from: ways, units, the seed; ``pairs`` is the share of episodes spoilt in two ways at once."""
+    """What is drawn from; ``pairs`` is the share of episodes that are spoilt in two ways at once."""
 
     ways: tuple[str, ...]
     units: tuple[str, ...]
@@ -38,7 +38,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """When it is enough: so many seconds, or so many measurements, whichever is first; None does not end it."""
+    """When it is enough: so many seconds or measurements, whichever comes first; None ends nothing."""
 
     seconds: float | None
     measurements: int | None
@@ -107,7 +107,7 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
     return tallies
 
 
-def episode(plan: Plan, number: int) -> tuple[str, str, object]:
+def episode(plan: Plan, number: int) -> tuple[str, str, Episode]:
     """Run one episode; the name of its way, what was drawn, and what came of it.
 
     Ways come in turn, so that each gets its share however short the run; the unit is drawn.

@@ -1,6 +1,6 @@
 """The light of one exposure before any noise, and the noise that belongs to it.
 
-A way that spoils light changes mean electrons: noise is drawn of what is left. All pictures are (rows, columns).
+A way that spoils light changes mean electrons: noise is drawn of what is left. Pictures are (rows, columns).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _POOL = 1 << 22
 
 @dataclass(frozen=True, slots=True)
 class SpotShape:
-    """A laser spot in the picture: ``peak`` · exp(−2 ρ^(2·order)) with ρ² of ``form`` (uu, uv, vv) in 1/px²."""
+    """A laser spot: ``peak`` · exp(−2 ρ^(2·order)) with ρ² of ``form`` (uu, uv, vv) in 1/px²."""
 
     u_px: float
     v_px: float
@@ -35,7 +35,7 @@ class SpotShape:
     def radius_px(self) -> float:
         """Radius of the circle as large as the 1/e² ellipse."""
         uu, uv, vv = self.form
-        return (uu * vv - uv * uv) ** -0.25
+        return float((uu * vv - uv * uv) ** -0.25)
 
     def moved(self, du_px: float, dv_px: float) -> SpotShape:
         """The same spot at another place."""
@@ -77,7 +77,6 @@ class Scene:
     """What one camera sees at one instant, in electrons: the laser's light, and all the rest.
 
     ``response`` is what a pixel shows of an irradiance on the target, in the unit of the spot's ``peak``.
-    ``doubled`` are the shares of the picture that a way lays over itself, and how far aside.
     """
 
     camera: str
@@ -157,7 +156,12 @@ class Noise:
 def snapshot(mean: Exposing, noise: Image, bits: int) -> PixelArray:
     """Grey values of one exposure."""
     counts = cv2.multiply(noise, mean.noise_counts)
-    pixels = cv2.add(counts, mean.counts, dtype=cv2.CV_8U if bits <= 8 else cv2.CV_16U)
-    if bits > 8:
-        np.minimum(pixels, (1 << bits) - 1, out=pixels)
-    return pixels  # type: ignore[return-value]
+    if bits <= 8:
+        return np.asarray(cv2.add(counts, mean.counts, dtype=cv2.CV_8U), np.uint8)
+    pixels = np.asarray(cv2.add(counts, mean.counts, dtype=cv2.CV_16U), np.uint16)
+    return np.minimum(pixels, np.uint16((1 << bits) - 1))
+
+
+def blurred(picture: Image, sigma_px: float) -> Image:
+    """A picture through a Gaussian."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), np.float32)

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.campaign.scene import Image, Scene, SpotShape
+from benchmarks.campaign.scene import Image, Scene, SpotShape, blurred
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("spots")
@@ -170,9 +170,9 @@ def speckle_changed(draw: Draw) -> Spoil:
 
     def light(scene: Scene, since: int) -> Scene:
         rng = np.random.default_rng([seed, CAMERAS.index(scene.camera)])
-        grain = cv2.GaussianBlur(rng.standard_normal(scene.beam.shape, dtype=np.float32), (0, 0), grain_px)
-        grain *= np.float32(contrast) / max(float(grain.std()), 1e-6)
-        return scene.beam_times(np.maximum(1.0 + grain, 0.0))
+        grain = blurred(rng.standard_normal(scene.beam.shape, dtype=np.float32), grain_px)
+        depth = np.float32(contrast / max(float(grain.std()), 1e-6))
+        return scene.beam_times(np.maximum(1.0 + depth * grain, 0.0))
 
     return Spoil(f"contrast {contrast:.0%}, grain {grain_px:.1f} px", light=light, cameras=draw.targets())
 
@@ -221,7 +221,7 @@ def _photographs() -> tuple[Image, ...]:
     pictures = []
     for path in sorted(BEAMS.glob("*.p[gn][mg]")):
         picture = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.float32)
-        picture = cv2.GaussianBlur(picture, (0, 0), 1.0)
+        picture = blurred(picture, 1.0)
         picture -= np.median(np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]]))
         picture[picture < 0.02 * picture.max()] = 0.0
         pictures.append(picture / picture.max())
@@ -242,11 +242,10 @@ def photographed_beam(draw: Draw) -> Spoil:
         u, v = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
         diameter_px = 2.0 * math.sqrt(2.0 * (moments["mu20"] + moments["mu02"]) / moments["m00"])
         matrix = cv2.getRotationMatrix2D((u, v), turn, width_mm * scene.px_per_mm / diameter_px)
-        matrix[:, 2] += scene.spot.u_px - u, scene.spot.v_px - v
+        matrix[:, 2] += np.array([scene.spot.u_px - u, scene.spot.v_px - v])
         rows, columns = scene.beam.shape
         pasted = cv2.warpAffine(picture, matrix, (columns, rows), flags=cv2.INTER_AREA)
-        pasted *= np.float32(scene.spot.peak)
-        return scene.without_laser().beam_plus(scene.spot.scaled(1.0, 0.0)).lit(pasted)
+        return scene.without_laser().lit(np.float32(scene.spot.peak) * np.asarray(pasted, np.float32))
 
     return Spoil(f"photograph {number}, {width_mm:.0f} mm", light=light, cameras=draw.targets())
 

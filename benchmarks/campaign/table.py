@@ -30,7 +30,7 @@ def cells(name: str, tally: Tally) -> tuple[str, ...]:
     kind = way.kind if way is not None else "two at once"
     seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
     verdicts = tally.verdicts
-    wrong = f"{verdicts[Verdict.WRONG]}{' *' if way is not None and way.invisible and verdicts[Verdict.WRONG] else ''}"
+    wrong = str(verdicts[Verdict.WRONG]) + (" *" if way is not None and way.invisible else "")
     worst = ("–", "–", "–")
     if verdicts[Verdict.WRONG]:
         worst = (f"{tally.worst_mm:.3g}", f"{tally.worst_deg:.3g}", f"{tally.worst_sigmas:.3g}")
@@ -56,10 +56,11 @@ def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
             )
     yield (
         f"{spoilt + clean} measurements, {clean} of them before an onset, in "
-        f"{sum(tally.episodes for tally in tallies.values())} episodes; wrong is above {SIGMAS:g} sigma and above "
-        f"{LIMITS[0]:g} mm or {LIMITS[2]:g}°"
+        f"{sum(tally.episodes for tally in tallies.values())} episodes; wrong is above {SIGMAS:g} sigma "
+        f"and above {LIMITS[0]:g} mm or {LIMITS[2]:g}°"
     )
-    yield f"wrong ones called valid: {wrong_count(tallies)}; of physically invisible ways: {invisible_count(tallies)}"
+    yield f"wrong ones called valid: {wrong_count(tallies)}"
+    yield f"wrong ones called valid in ways that are physically invisible: {invisible_count(tallies)}"
     yield f"wrong although nothing was spoilt: {sum(tally.clean_wrong for tally in tallies.values())}"
     yield "good ones refused: " + (
         ", ".join(f"{reason} {count}" for reason, count in refused.most_common()) or "none"
@@ -108,7 +109,7 @@ def text(tallies: Mapping[str, Tally]) -> Iterator[str]:
             for column, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield "  ".join(cells_).rstrip()
-    yield "notice: frames from the onset to the first invalid measurement, median / largest, where there is one"
+    yield "notice: frames from the onset to the first invalid measurement, median / largest"
     yield from invisible(tallies)
     yield ""
     yield from totals(tallies)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from altd.records import PixelArray
 from benchmarks.campaign.scene import Scene
@@ -107,7 +108,7 @@ class Draw:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A named way. ``moving``: only a beam that moves shows it. ``invisible``: why physics hides it, with its size."""
+    """A named way. ``moving``: only a moving beam shows it. ``invisible``: why physics hides it, its size."""
 
     name: str
     kind: str
@@ -178,3 +179,10 @@ def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:
         if shot.k >= onset and shot.camera in spoil.cameras:
             shot.pixels = spoil.pixels(clean, before.get(shot.camera), shot.bits)
         before[shot.camera] = clean
+
+
+def grey(picture: npt.ArrayLike, like: PixelArray) -> PixelArray:
+    """Whole grey values of the depth of another frame."""
+    if like.dtype == np.uint8:
+        return np.ascontiguousarray(picture, np.uint8)
+    return np.ascontiguousarray(picture, np.uint16)
