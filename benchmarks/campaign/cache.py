@@ -54,10 +54,7 @@ def _scan_of(name: str) -> tuple[Path, Path | None]:
     if name == RECORDED:
         return RECORDINGS / "scan", None
     spec = SIMULATED[name]
-    kept = (
-        folder()
-        / f"{name}-{_hash_of([ROOT / 'hw_sim', Path(__file__), Path(__file__).with_name('units.py')])}"
-    )
+    kept = folder() / f"{name}-{_hash_of([ROOT / 'hw_sim', Path(__file__).with_name('units.py')])}"
     if not kept.exists():
         _say(f"recording {name}")
         draft = kept.with_name(f".{kept.name}.{os.getpid()}")

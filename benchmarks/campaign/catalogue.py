@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from altd.errors import BadInputError
-from benchmarks.campaign import ambient, cameras, frames, spots, surfaces
+from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
 from benchmarks.campaign.way import Draw, Spoil, Way
 
 CLEAN, ANOTHER_UNIT = "clean", "another_unit"
@@ -28,6 +28,8 @@ WAYS: dict[str, Way] = {
         *frames.WAYS.ways,
         *cameras.WAYS.ways,
         Way(ANOTHER_UNIT, "cameras", _foreign),
+        *times.WAYS,
+        *numbers.WAYS,
     )
 }
 

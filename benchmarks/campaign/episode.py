@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +11,8 @@ from altd.config import Installation, Measuring
 from altd.records import FloatArray, Frame, Measurement, Reason
 from altd.service.chain import MeasuringChain, View
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
-from benchmarks.campaign.judge import Judged, judge
+from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge
+from benchmarks.campaign.numbers import Misnumbered, accepted
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
 
@@ -21,14 +21,6 @@ _WARMING_UP = (str(Reason.WARMING_UP),)
 
 SPOILT = 8
 """Exposures from the onset on: the window is full of them for half of these."""
-
-
-@dataclass(frozen=True, slots=True)
-class Episode:
-    """What came of it: measurements before the onset with a full window, and all from it on."""
-
-    clean: tuple[Judged, ...]
-    spoilt: tuple[Judged, ...]
 
 
 def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:
@@ -43,7 +35,7 @@ def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:
 
 def run_episode(
     rig: Rig, spoil: Spoil, rng: np.random.Generator, moving: bool, foreign: Rig | None = None
-) -> Episode:
+) -> Outcome:
     """Measure one clip of a unit, spoilt from the onset on; with ``foreign`` that unit's frames come then."""
     onset = WINDOW if rng.random() < 0.8 else 0
     clip = rig.clip(rng, WINDOW + SPOILT, moving)
@@ -62,10 +54,29 @@ def run_episode(
         for k, one in measured
     ]
     judged = [(k, one) for k, one in judged if one.reasons != _WARMING_UP]
-    return Episode(
+    return Outcome(
         tuple(one for k, one in judged if WINDOW - 1 <= k < onset),
         tuple(one for k, one in judged if k >= onset),
     )
+
+
+def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Outcome:
+    """Measure with what the files give where a number in them is none; a refusal counts as invalid."""
+    taken = accepted(way, rig.calibration)
+    if taken is None:
+        return Outcome((), (Judged(Verdict.INVALID, reasons=("refused",)),))
+    calibration, measuring, installation = taken
+    clip = rig.clip(rng, WINDOW, False)
+    names = calibration.target_names
+    chain = MeasuringChain(
+        [View(name, name) for name in names],
+        calibration,
+        measuring.model_copy(update={"window": WINDOW}),
+        installation,
+    )
+    measured = _measured(chain, _shots(clip, Spoil(way.note), rng, 0, rig.bits))
+    judged = [judge(one, None if way.is_none else clip.truth(k)) for k, one in measured]
+    return Outcome((), tuple(one for one in judged if one.reasons != _WARMING_UP))
 
 
 def _shots(clip: Clip, spoil: Spoil, rng: np.random.Generator, onset: int, bits: int) -> list[Shot]:

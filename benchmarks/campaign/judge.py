@@ -65,6 +65,18 @@ def arrays(beam: Beam) -> tuple[FloatArray, FloatArray]:
     return values, sigma
 
 
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one episode: the measurements before the onset, and one a frame from it on.
+
+    ``recovered_s``: where a disturbance ended, how long until a measurement was valid again.
+    """
+
+    clean: tuple[Judged, ...]
+    spoilt: tuple[Judged, ...]
+    recovered_s: float | None = None
+
+
 @dataclass(slots=True)
 class Tally:
     """The sums of one way.
@@ -81,6 +93,7 @@ class Tally:
     worst_sigmas: float = 0.0
     wrong_episodes: int = 0
     noticed: list[int] = field(default_factory=list)
+    recovered_s: list[float] = field(default_factory=list)
     clean: int = 0
     clean_refused: Counter[str] = field(default_factory=Counter)
     clean_wrong: int = 0
@@ -91,10 +104,13 @@ class Tally:
         """All that were made while something was spoilt."""
         return sum(self.verdicts.values())
 
-    def add(self, clean: Sequence[Judged], spoilt: Sequence[Judged], note: str) -> None:
-        """One episode: the measurements before the onset, and one a frame from it on."""
+    def add(self, outcome: Outcome, note: str) -> None:
+        """One episode."""
+        spoilt = outcome.spoilt
         self.episodes += 1
-        for one in clean:
+        if outcome.recovered_s is not None:
+            self.recovered_s.append(outcome.recovered_s)
+        for one in outcome.clean:
             self.clean += 1
             self.clean_wrong += one.verdict is Verdict.WRONG
             if one.verdict is Verdict.INVALID:
@@ -130,6 +146,7 @@ class Tally:
         self.worst_sigmas = max(self.worst_sigmas, other.worst_sigmas)
         self.wrong_episodes += other.wrong_episodes
         self.noticed += other.noticed
+        self.recovered_s += other.recovered_s
         self.clean += other.clean
         self.clean_refused += other.clean_refused
         self.clean_wrong += other.clean_wrong

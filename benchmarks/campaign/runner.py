@@ -16,14 +16,18 @@ import numpy as np
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
-from benchmarks.campaign.episode import Episode, run_episode
-from benchmarks.campaign.judge import Tally
+from benchmarks.campaign.episode import run_episode, run_misnumbered
+from benchmarks.campaign.judge import Outcome, Tally
+from benchmarks.campaign.numbers import Misnumbered
+from benchmarks.campaign.timed import run_timed
+from benchmarks.campaign.times import Mistimed
 from benchmarks.campaign.units import SIMULATED
-from benchmarks.campaign.way import Draw, Way, both
+from benchmarks.campaign.way import Draw, Spoil, Way, both
 
 PAIRS = "pairs"
 _MOVING_SHARE = 0.2
 _BATCH = 6
+_COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,40 +106,60 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
     """Run the episodes of these numbers."""
     tallies: dict[str, Tally] = {}
     for number in numbers:
-        name, note, result = episode(plan, number)
-        tallies.setdefault(name, Tally()).add(result.clean, result.spoilt, note)
+        name, note, outcome = episode(plan, number)
+        tallies.setdefault(name, Tally()).add(outcome, note)
     return tallies
 
 
-def episode(plan: Plan, number: int) -> tuple[str, str, Episode]:
+def episode(plan: Plan, number: int) -> tuple[str, str, Outcome]:
     """Run one episode; the name of its way, what was drawn, and what came of it.
 
     Ways come in turn, so that each gets its share however short the run; the unit is drawn.
     """
     rng = np.random.default_rng([plan.seed, number])
-    draw = Draw(rng)
     way = WAYS[plan.ways[number % len(plan.ways)]]
-    unit = plan.units[(number // len(plan.ways) + int(rng.integers(len(plan.units)))) % len(plan.units)]
+    spoil = way.make(Draw(rng))
+    simulated = [name for name in plan.units if name in SIMULATED] or ["plain"]
+    units = plan.units if isinstance(spoil, Spoil) else simulated
+    unit = units[int(rng.integers(len(units)))]
     rig = _rig(unit)
-    spoil, name, moving = way.make(draw), way.name, way.moving or rng.random() < _MOVING_SHARE
-    if rng.random() < plan.pairs and way.kind not in ("good",) and not way.invisible:
-        other = _other(plan, way, rng)
-        spoil, name, moving = both(spoil, other.make(draw)), PAIRS, moving or other.moving
-        note = f"{way.name} {spoil.note.split('; ')[0]} + {other.name} {spoil.note.split('; ', 1)[-1]}"
+    if isinstance(spoil, Spoil):
+        name, note, outcome = _spoilt(plan, way, spoil, rig, rng)
+    elif isinstance(spoil, Mistimed):
+        name, note, outcome = way.name, f"{spoil.note} (by {spoil.pair_by})", run_timed(rig, spoil, rng)
+    elif isinstance(spoil, Misnumbered):
+        name, note, outcome = way.name, spoil.note, run_misnumbered(rig, spoil, rng)
     else:
-        note = spoil.note
+        raise TypeError(f"{way.name} makes {type(spoil).__name__}")
+    return name, f"#{number} {unit}: {note}", outcome
+
+
+def _spoilt(
+    plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator
+) -> tuple[str, str, Outcome]:
+    """An episode of frames, in some cases spoilt by a second way too."""
+    name, note, moving = way.name, spoil.note, way.moving or rng.random() < _MOVING_SHARE
+    if rng.random() < plan.pairs and way.kind != "good" and not way.invisible:
+        other = _other(plan, way, rng)
+        second = other.make(Draw(rng))
+        if isinstance(second, Spoil):
+            note = f"{way.name} {spoil.note} + {other.name} {second.note}"
+            spoil, name, moving = both(spoil, second), PAIRS, moving or other.moving
     foreign = None
     if way.name == ANOTHER_UNIT:
-        alike = [one.name for one in SIMULATED.values() if one.config.bits == rig.bits and one.name != unit]
+        alike = [
+            spec.name for spec in SIMULATED.values() if spec.config.bits == rig.bits and spec.name != rig.name
+        ]
         foreign = _rig(alike[int(rng.integers(len(alike)))])
-    return name, f"#{number} {unit}: {note}", run_episode(rig, spoil, rng, moving, foreign)
+    return name, note, run_episode(rig, spoil, rng, moving, foreign)
 
 
 def _other(plan: Plan, way: Way, rng: np.random.Generator) -> Way:
     """The second way of a pair."""
+    apart = (way.name, ANOTHER_UNIT)
     others = [
         WAYS[name]
         for name in plan.ways
-        if name not in (way.name, ANOTHER_UNIT) and WAYS[name].kind != "good" and not WAYS[name].invisible
+        if name not in apart and WAYS[name].kind in _COMBINED and not WAYS[name].invisible
     ]
     return others[int(rng.integers(len(others)))] if others else way

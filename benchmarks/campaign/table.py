@@ -29,13 +29,18 @@ def cells(name: str, tally: Tally) -> tuple[str, ...]:
     way = WAYS.get(name)
     kind = way.kind if way is not None else "two at once"
     seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
+    back = (
+        f"{statistics.median(tally.recovered_s):.2f} / {max(tally.recovered_s):.2f}"
+        if tally.recovered_s
+        else ""
+    )
     verdicts = tally.verdicts
     wrong = str(verdicts[Verdict.WRONG]) + (" *" if way is not None and way.invisible else "")
     worst = ("–", "–", "–")
     if verdicts[Verdict.WRONG]:
         worst = (f"{tally.worst_mm:.3g}", f"{tally.worst_deg:.3g}", f"{tally.worst_sigmas:.3g}")
     counts = (wrong, str(verdicts[Verdict.RIGHT]), str(verdicts[Verdict.INVALID]))
-    return name, kind, str(tally.episodes), str(tally.measurements), *counts, *worst, seen
+    return name, kind, str(tally.episodes), str(tally.measurements), *counts, *worst, seen, back
 
 
 def rows(tallies: Mapping[str, Tally]) -> list[tuple[str, ...]]:
@@ -110,6 +115,7 @@ def text(tallies: Mapping[str, Tally]) -> Iterator[str]:
         ]
         yield "  ".join(cells_).rstrip()
     yield "notice: frames from the onset to the first invalid measurement, median / largest"
+    yield "back: seconds from the end of a disturbance to the next valid measurement, median / largest"
     yield from invisible(tallies)
     yield ""
     yield from totals(tallies)

@@ -112,7 +112,8 @@ class Way:
 
     name: str
     kind: str
-    make: Callable[[Draw], Spoil]
+    make: Callable[[Draw], object]
+    """Draws the parameters: a ``Spoil``, or what the modules ``times`` and ``numbers`` have of their own."""
     moving: bool = False
     invisible: str = ""
 
