@@ -40,7 +40,8 @@ def calibrated(name: str) -> Calibration:
     """The calibration of a unit; made, and kept, when there is none of this code."""
     of_code = _hash_of(ROOT / "altd" / part for part in _CALIBRATES)
     scan, flat = _scan_of(name)
-    file = folder() / f"{name}-{scan.parent.name}-{of_code}.json"
+    kept_name = name if name == RECORDED else scan.parent.name
+    file = folder() / f"{kept_name}-{of_code}.json"
     if not file.exists():
         _say(f"calibrating {name}")
         recording = open_recording(scan)
