@@ -39,7 +39,7 @@ _HURRY_S = 9.0
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """What a good unit lives through. ``lux_of`` is ambient light at ``t_s``; drifts are a day's, in shares."""
+    """What a good unit lives through. ``lux_of`` is ambient light at ``t_s``; drifts are shares, of a day."""
 
     unit: str
     dust: float = 0.0
