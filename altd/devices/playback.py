@@ -101,7 +101,8 @@ class PlaybackCamera:
             frame = playback.recording.frame(row)
         except BadInputError as error:
             raise CameraError(str(error)) from error
-        return replace(frame, t_ns=t_ns, sequence=row.sequence + turn * playback.length_sequences)
+        sequence = row.sequence + turn * playback.length_sequences
+        return replace(frame, t_ns=t_ns, sequence=sequence, playthrough=turn)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Always refused: the frames were exposed when they were recorded."""
