@@ -16,7 +16,12 @@ _MAX_MARGIN_MM_PER_M = 1.0
 
 
 def range_fault(beam: Beam) -> Fault | None:
-    """Why a beam of the unit frame, before signs and offsets, is none that the unit is made for."""
+    """Why a beam of the unit frame, before signs and offsets, is none that the unit is made for.
+
+    One that is not finite is left to the gate.
+    """
+    if not (math.isfinite(beam.yaw_deg) and math.isfinite(beam.pitch_deg)):
+        return None
     for name, slope, sigma_deg, limit in (
         ("yaw", beam.yaw_mm_per_m, beam.sigma_yaw_deg, MAX_YAW_MM_PER_M),
         ("pitch", beam.pitch_mm_per_m, beam.sigma_pitch_deg, MAX_PITCH_MM_PER_M),
@@ -54,7 +59,6 @@ def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[st
     beam = measurement.beam
     assert beam is not None  # noqa: S101  an invalid one has nothing to doubt
     values = {name: getattr(beam, name) for name in Beam.__dataclass_fields__}
-    values |= {"yaw_mm_per_m": beam.yaw_mm_per_m, "pitch_mm_per_m": beam.pitch_mm_per_m}
     for target, point in measurement.points_mm.items():
         values |= {f"{target}.x_mm": point[0], f"{target}.y_mm": point[1]} if point else {target: math.nan}
     if measurement.roll_deg is not None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+import numpy as np
+
 from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.calibration.model import Calibration
@@ -188,7 +190,11 @@ class MeasuringChain:
             return self._invalid(exposure.sequence, mean.t_ns, (points,))
         z_mm = [self._calibration[target].z_mm for target in mean.targets]
         covariance = joint_covariance_mm2(mean, points)
-        beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        try:
+            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        except np.linalg.LinAlgError:
+            fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
+            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
         if (doubt := self._too_uncertain(beam) or range_fault(beam)) is not None:
             return self._invalid(exposure.sequence, mean.t_ns, (doubt,))
         return self._valid(exposure, mean, points, beam)
