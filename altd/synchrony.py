@@ -34,8 +34,8 @@ _MIN_CHI_DIFFERENCE = 6.0
 _CLIP_SIGMAS = 4.0
 _MAD_TO_SIGMA = 1.4826
 _UNEVEN = 0.25
-_NEAR_PERIODS = 0.9
-"""Lags that the stamps allow: cameras that run freely expose up to 0.6 periods apart."""
+_MAX_APART_PERIODS = 0.1
+"""Between exposures further apart than this, vibration has moved on: no lag is that of the other's motion."""
 
 
 class SynchronyCheck:
@@ -43,8 +43,8 @@ class SynchronyCheck:
 
     What cannot be seen: a machine at rest, or one that moves smoothly or in pure lines of vibration, for what
     lags there may as well be a yaw of its own (at v mm/s the wrong displacement of the late target is v times
-    the delay); a delay of less than a frame, or of more than four; cameras half a period apart, of which one
-    slipped towards the other.
+    the delay); a delay of less than a frame, or of more than four; cameras that run freely, more than a tenth
+    of a period apart.
     """
 
     def __init__(self, targets: tuple[str, ...]) -> None:
@@ -95,16 +95,15 @@ class SynchronyCheck:
         first = _normalised(_filtered(steps[:, 0], whiten))
         for index, target in enumerate(self._targets[1:], start=1):
             other = _normalised(_filtered(steps[:, index], whiten))
-            if first is None or other is None:
+            apart_ns = float((behind_ns[:, index] - behind_ns[:, 0]).mean())
+            if first is None or other is None or abs(apart_ns) > _MAX_APART_PERIODS * period_ns:
                 continue
-            apart = float((behind_ns[:, index] - behind_ns[:, 0]).mean()) / period_ns
             chi = {lag: _chi(first, other, lag) for lag in range(-_MAX_LAG, _MAX_LAG + 1)}
-            stamped = max(value for lag, value in chi.items() if abs(lag + apart) < _NEAR_PERIODS)
-            others = {lag: value for lag, value in chi.items() if abs(lag + apart) >= _NEAR_PERIODS}
-            lag = max(others, key=others.__getitem__)
-            if others[lag] > max(_MIN_CHI, stamped + _MIN_CHI_DIFFERENCE):
+            in_step = chi.pop(0)
+            lag = max(chi, key=chi.__getitem__)
+            if chi[lag] > max(_MIN_CHI, in_step + _MIN_CHI_DIFFERENCE):
                 self._late[target] = lag
-            elif stamped > max(_MIN_CHI, others[lag] + _MIN_CHI_DIFFERENCE):
+            elif in_step > max(_MIN_CHI, chi[lag] + _MIN_CHI_DIFFERENCE):
                 self._late.pop(target, None)
 
 

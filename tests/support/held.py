@@ -1,4 +1,4 @@
-"""A daemon that is held and goes on, as on a suspended computer, with controllers that poll while it wakes."""
+"""A daemon that is held and goes on, as on a suspended computer, and controllers that poll meanwhile."""
 
 from __future__ import annotations
 
