@@ -91,14 +91,14 @@ def test_cameras_in_step_are_never_accused(vibration: Vibration, seed: int) -> N
     assert set(said(fresh(), exposures(shaking(seed, vibration), count=1200))) == {""}
 
 
-@pytest.mark.parametrize("apart_ms", [-25, -10, -4, 4, 10, 25, 30])
+@pytest.mark.parametrize("apart_ms", [-25, -10, -3, 3, 10, 25, 30])
 def test_nor_are_cameras_that_run_freely_and_say_so(apart_ms: int) -> None:
     for seed in (1, 2):
         assert set(said(fresh(), exposures(shaking(seed), apart_ms=apart_ms, count=800))) == {""}
 
 
-def test_cameras_a_few_milliseconds_apart_can_be_told() -> None:
-    for apart_ms in (-4, 4):
+def test_cameras_two_milliseconds_apart_can_be_told() -> None:
+    for apart_ms in (-2, 2):
         assert said(fresh(), exposures(shaking(1), late=1, apart_ms=apart_ms))[-1]
 
 
