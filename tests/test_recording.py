@@ -114,7 +114,7 @@ def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, 
     (recording / "frames.csv").write_text("sequence,t_s,camera,file,leds,x_mm,y_mm\n")
     assert "frames.csv: has no frames" in complaint(recording)
     (recording / "recording.json").write_text('{"format": "altd-rec')
-    assert "recording.json: Invalid JSON" in complaint(recording)
+    assert "recording.json: is not JSON" in complaint(recording)
 
 
 @pytest.mark.parametrize("bits", [8, 12, 16])

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -18,18 +20,30 @@ def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("before", [None, b"old"])
-def test_when_the_second_cannot_be_written_the_first_is_as_it_was(
-    before: bytes | None, tmp_path: Path
+def test_when_the_second_cannot_be_named_the_first_is_as_it_was(
+    before: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A disk that takes both files and then refuses the second name: nothing real does that on demand."""
+
+    def replace(temporary: Path, place: Path) -> None:
+        if place.name == "b":
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        temporary.rename(place)
+
+    monkeypatch.setattr(Path, "replace", replace)
     if before is not None:
         (tmp_path / "a").write_bytes(before)
-    (tmp_path / "b").mkdir()
-    with pytest.raises(BadInputError, match="Is a directory"):
+    with pytest.raises(BadInputError, match="Input/output error"):
         write_together(tmp_path, {"a": b"new", "b": b"new"})
-    found = sorted(path.name for path in tmp_path.iterdir())
-    assert found == (["b"] if before is None else ["a", "b"])
-    if before is not None:
-        assert (tmp_path / "a").read_bytes() == before
+    found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert found == ({} if before is None else {"a": before})
+
+
+def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    with pytest.raises(BadInputError, match="is a folder, not a file that can be replaced"):
+        write_together(tmp_path, {"a": b"new", "b": b"new"})
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
 def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:

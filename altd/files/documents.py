@@ -1,0 +1,81 @@
+"""Text formats that nest, read strictly: what two readers could understand differently is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from collections import Counter
+from typing import Any, NoReturn
+
+_MOST_DOTS = 64
+"""In a line of TOML. A key of thousands of parts takes tomllib minutes: it grows with their square."""
+_DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MOST_DOTS + 1}}}", re.MULTILINE)
+
+
+def parse_json(content: bytes) -> Any:
+    """A JSON document (RFC 8259); raises ValueError that says what is wrong with it.
+
+    Refused beside what is no JSON: a key that stands twice in an object, NaN and Infinity, numbers that no
+    double can hold, and nesting too deep for this computer.
+    """
+    try:
+        return json.loads(
+            content, object_pairs_hook=_object, parse_constant=_not_a_number, parse_float=_finite
+        )
+    except RecursionError as error:
+        raise ValueError("is nested too deeply") from error
+    except ValueError as error:
+        raise ValueError(f"is not JSON: {error}") from error
+
+
+def parse_toml(content: bytes) -> dict[str, Any]:
+    """A TOML document; raises ValueError that says what is wrong with it."""
+    try:
+        text = content.decode()
+        if dotted := _DOTTED.search(text):
+            line = text.count("\n", 0, dotted.start()) + 1
+            raise ValueError(f"more than {_MOST_DOTS} dots (at line {line})")
+        document = tomllib.loads(text)
+    except UnicodeDecodeError as error:
+        raise ValueError("is not UTF-8 text") from error
+    except RecursionError as error:
+        raise ValueError("is nested too deeply") from error
+    except ValueError as error:  # also of numbers with more digits than Python reads
+        raise ValueError(f"not TOML: {error}") from error
+    if key := _key_of_nul(document):
+        raise ValueError(f"{key}: has a NUL, which no name and no path has")
+    return document
+
+
+def _key_of_nul(document: dict[str, Any]) -> str | None:
+    nodes: list[tuple[str, Any]] = list(document.items())
+    while nodes:
+        key, node = nodes.pop()
+        if isinstance(node, str) and "\0" in node:
+            return key
+        if isinstance(node, dict):
+            nodes += [(f"{key}.{name}", below) for name, below in node.items()]
+        elif isinstance(node, list):
+            nodes += [(f"{key}.{number}", below) for number, below in enumerate(node)]
+    return None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        double = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {double!r} stands twice in one object")
+    return content
+
+
+def _not_a_number(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is larger than any number")
+    return value
