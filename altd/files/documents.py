@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import tomllib
 from collections import Counter
-from typing import Any, NoReturn
+from typing import Any
 
 _MOST_DOTS = 64
 """In a line of TOML. A key of thousands of parts takes tomllib minutes: it grows with their square."""
+_MOST_DIGITS = 40
 _DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MOST_DOTS + 1}}}", re.MULTILINE)
 
 
 def parse_json(content: bytes) -> Any:
     """A JSON document (RFC 8259); raises ValueError that says what is wrong with it.
 
-    Refused beside what is no JSON: a key that stands twice in an object, NaN and Infinity, numbers that no
-    double can hold, and nesting too deep for this computer.
+    Refused beside what is no JSON: a key that stands twice in an object, whole numbers of more than 40
+    digits, and nesting too deep for this computer. NaN and infinity, which Python reads, are left to the
+    document's model, which can name their key.
     """
     try:
         return json.loads(
-            content, object_pairs_hook=_object, parse_constant=_not_a_number, parse_float=_finite
+            content,
+            object_pairs_hook=_object,
+            parse_int=_whole,
         )
     except RecursionError as error:
         raise ValueError("is nested too deeply") from error
@@ -44,22 +47,23 @@ def parse_toml(content: bytes) -> dict[str, Any]:
         raise ValueError("is nested too deeply") from error
     except ValueError as error:  # also of numbers with more digits than Python reads
         raise ValueError(f"not TOML: {error}") from error
-    if key := _key_of_nul(document):
-        raise ValueError(f"{key}: has a NUL, which no name and no path has")
+    _check_values(document)
     return document
 
 
-def _key_of_nul(document: dict[str, Any]) -> str | None:
+def _check_values(document: dict[str, Any]) -> None:
+    """No text has a NUL, which no name and no path has, and whole numbers have 64 bits (TOML 1.0)."""
     nodes: list[tuple[str, Any]] = list(document.items())
     while nodes:
         key, node = nodes.pop()
-        if isinstance(node, str) and "\0" in node:
-            return key
         if isinstance(node, dict):
             nodes += [(f"{key}.{name}", below) for name, below in node.items()]
         elif isinstance(node, list):
             nodes += [(f"{key}.{number}", below) for number, below in enumerate(node)]
-    return None
+        elif isinstance(node, str) and "\0" in node:
+            raise ValueError(f"{key}: has a NUL")
+        elif isinstance(node, int) and not -(2**63) <= node < 2**63:
+            raise ValueError(f"{key}: has more than 64 bits")
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -70,12 +74,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return content
 
 
-def _not_a_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"{text[:40]} is larger than any number")
-    return value
+def _whole(text: str) -> int:
+    if len(text) > _MOST_DIGITS:
+        raise ValueError(f"{text[:_MOST_DIGITS]}… has {len(text)} digits")
+    return int(text)
