@@ -34,7 +34,7 @@ test: programs venv kernel ## the tests
 	@exec $(python) -m pytest
 
 fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
-	@PYTHONPATH=tests exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
+	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
 check: venv ## style, types, layers, generated pages
 	@$(python) -m ruff check

@@ -27,6 +27,9 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
 
 Result = TypeVar("Result")
 
+_LONGEST_LINE = 1000
+"""Bytes of two numbers, and more."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Run the command that ``options`` names."""
@@ -287,14 +290,15 @@ def _map(options: argparse.Namespace) -> int:
     target = load_calibration(options.calibration).target(options.target)
     if target is None:
         raise BadInputError(options.calibration, f"does not know target {options.target!r}")
-    for number, line in enumerate(sys.stdin, start=1):
+    for number, line in enumerate(iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b""), start=1):
         fields = line.split()
         if not fields:
             continue
         try:
             u_px, v_px = (float(field) for field in fields)
         except ValueError as error:
-            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {line.strip()!r}") from error
+            got = line.decode(errors="backslashreplace").strip()
+            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {got!r}") from error
         point = target.point(u_px, v_px)
         if point is None:
             print(f"invalid {Reason.OUT_OF_RANGE}")

@@ -22,6 +22,7 @@ PNG_HEAD_BYTES = 26
 _LARGEST_BYTES = 1 << 30
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 _CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
 
 
@@ -36,8 +37,6 @@ def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
     png_width, png_height, depth, colour = struct.unpack_from(">IIBB", head, 16)
     if (png_width, png_height) != (width, height):
         raise ValueError(f"is {png_width} × {png_height}, expected {width} × {height}")
-    if width * height > LARGEST_PX:
-        raise ValueError(f"is {width} × {height}, more than {LARGEST_PX} pixels")
     if colour != _PNG_GREY or depth != (8 if bits == 8 else 16):
         raise ValueError(f"is not a grey PNG of {bits} bits")
 
@@ -45,7 +44,10 @@ def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
 def decode_png(data: bytes, width: int, height: int, bits: int) -> PixelArray:
     """The pixels (rows, columns) of a grey PNG of this size; raises ValueError."""
     check_png_head(data, width, height, bits)
-    pixels = _decode(_critical(data))
+    try:
+        pixels = _decode(_critical(data))
+    except ValueError as error:
+        raise ValueError(f"cannot be decoded as a frame: {error}") from error
     if pixels is None or pixels.shape != (height, width):
         raise ValueError("cannot be decoded as a frame")
     return cast("PixelArray", pixels)
@@ -62,7 +64,7 @@ def read_picture(path: Path) -> PixelArray:
     try:
         pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
     except ValueError as error:
-        raise BadInputError(path, "is not an image that can be read: it is torn or damaged") from error
+        raise BadInputError(path, f"is not an image that can be read: {error}") from error
     if pixels is None:
         raise BadInputError(path, f"is not an image that can be read, of up to {LARGEST_PX} pixels")
     if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
@@ -73,7 +75,7 @@ def read_picture(path: Path) -> PixelArray:
 
 
 def _critical(data: bytes) -> bytes:
-    """A PNG without its ancillary chunks; raises ValueError when a chunk is torn or damaged.
+    """A PNG without its ancillary chunks; raises ValueError when a chunk is torn, damaged or out of place.
 
     Of what it finds itself, libpng tells stderr on its own, and the rest of a frame is none of its business.
     """
@@ -83,12 +85,29 @@ def _critical(data: bytes) -> bytes:
         chunk = data[at : at + 12 + length]
         if len(chunk) < 12 + length or zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
             break
+        if (kind == b"IHDR") != (at == len(_PNG_SIGNATURE)):
+            break
         if kind in _CRITICAL:
             parts.append(chunk)
         if kind == b"IEND":
+            _check_header(data)
             return b"".join(parts)
         at += 12 + length
-    raise ValueError("cannot be decoded as a frame: it is torn or damaged")
+    raise ValueError("it is torn or damaged")
+
+
+def _check_header(data: bytes) -> None:
+    """PNG specification, 11.2.2."""
+    width, height, depth, colour, compression, filtering, interlace = struct.unpack_from(">IIBBBBB", data, 16)
+    if width * height > LARGEST_PX:
+        raise ValueError(f"it is {width} × {height}, more than {LARGEST_PX} pixels")
+    if (
+        not (width and height and depth in _DEPTHS.get(colour, ()))
+        or compression
+        or filtering
+        or interlace > 1
+    ):
+        raise ValueError("its header is none of a PNG")
 
 
 def _decode(data: bytes) -> npt.NDArray[Any] | None:
