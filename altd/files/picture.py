@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,6 +23,7 @@ LARGEST_PX = 1 << 28
 PNG_HEAD_BYTES = 26
 
 _LARGEST_BYTES = 1 << 30
+_MOST_SAID = 1000
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -59,12 +63,18 @@ def png_bytes(width: int, height: int, bits: int) -> int:
 
 
 def read_picture(path: Path) -> PixelArray:
-    """An 8- or 16-bit grey picture in any format that OpenCV reads; raises BadInputError."""
+    """An 8- or 16-bit grey picture in any format that OpenCV reads; raises BadInputError.
+
+    For a command, which has one thread: what a decoder says on stderr is caught, and refuses it.
+    """
     data = read_file(path, _LARGEST_BYTES)
     try:
-        pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
+        with _stderr_caught() as said:
+            pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
     except ValueError as error:
         raise BadInputError(path, f"is not an image that can be read: {error}") from error
+    if said:
+        raise BadInputError(path, f"is not an image that can be read: {said[0]}")
     if pixels is None:
         raise BadInputError(path, f"is not an image that can be read, of up to {LARGEST_PX} pixels")
     if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
@@ -72,6 +82,22 @@ def read_picture(path: Path) -> PixelArray:
     if min(pixels.shape) < 32:
         raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
     return cast("PixelArray", pixels)
+
+
+@contextmanager
+def _stderr_caught() -> Iterator[list[str]]:
+    """The lines that go to the process' stderr meanwhile, also those of libraries in C."""
+    lines: list[str] = []
+    with os.fdopen(os.memfd_create("stderr"), "rb") as caught:
+        stderr = os.dup(2)
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        caught.seek(0)
+        lines += caught.read(_MOST_SAID).decode(errors="replace").splitlines()
 
 
 def _critical(data: bytes) -> bytes:

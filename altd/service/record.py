@@ -50,6 +50,7 @@ async def record(
     ]
     sources = asyncio.gather(*grabbers)
     sources.add_done_callback(lambda _: inbox.tick())
+    sources.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
     try:
         while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
             for frame in await inbox.take():

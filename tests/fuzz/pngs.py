@@ -7,16 +7,11 @@ import zlib
 
 from fuzz.spoil import EXTREME_NUMBERS, spoilt_bytes
 from hypothesis import strategies as st
+from support.pngs import SIGNATURE, chunk
 
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SIZES = tuple(
     sorted({number for number in EXTREME_NUMBERS if isinstance(number, int) and 0 <= number < 2**32})
 )
-
-
-def chunk(kind: bytes, data: bytes) -> bytes:
-    """A chunk with its length and its CRC (PNG specification, 5.3)."""
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
 def _chunks(png: bytes) -> list[tuple[bytes, bytes]]:
