@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 from support import evidence
 from support.cli import altd, refusal, write_config
+from support.devices import full_device
 from support.pngs import png
 from support.recordings import write_beams, write_scan
 
@@ -268,18 +269,19 @@ class TestWriting:
         os.mkfifo(tmp_path / "pipe")
         (tmp_path / "kept.json").write_text("kept")
         (tmp_path / "link.json").symlink_to("kept.json")
+        device = full_device(tmp_path)
+        before = sorted(path.name for path in tmp_path.iterdir())
         for output, why in (
             (tmp_path / "pipe", "is a pipe, not a file that can be replaced"),
             (tmp_path, "is a folder, not a file that can be replaced"),
             (tmp_path / "link.json", "is a symbolic link: name the file that it points to, kept.json"),
-            ("/dev/full", "is a device, not a file that can be replaced"),
-            ("/dev/stdout", "is a symbolic link"),
+            (device, "is a device, not a file that can be replaced"),
             ("/proc/version/x", "Not a directory"),
         ):
             assert why in refusal(altd("calibrate", scan, "-o", output)), output
-        assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
+        assert stat.S_ISCHR(device.stat().st_mode)
         assert (tmp_path / "kept.json").read_text() == "kept"
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.json", "link.json", "pipe"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == before
 
     def test_the_mode_is_that_of_the_umask_or_of_the_file_that_was_there(
         self, scan: Path, tmp_path: Path
@@ -297,7 +299,7 @@ class TestWriting:
 
     def test_a_recording_is_not_written_onto_what_is_no_folder(self, unit: Path, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "pipe")
-        for output in (tmp_path / "pipe", "/dev/full"):
+        for output in (tmp_path / "pipe", full_device(tmp_path)):
             line = refusal(altd("record", "--config", unit / "altd.toml", "-o", output, "--seconds", "0.2"))
             assert "exists and is not an empty folder" in line
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.devices import full_device
 
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, write_file
@@ -53,9 +54,11 @@ def test_a_device_a_pipe_and_a_folder_are_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     assert complaint(tmp_path / "pipe") == "is a pipe, not a file that can be replaced"
     assert complaint(tmp_path / "folder") == "is a folder, not a file that can be replaced"
-    assert complaint(Path("/dev/full")) == "is a device, not a file that can be replaced"
-    assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder", "pipe"]
+    device = full_device(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert complaint(device) == "is a device, not a file that can be replaced"
+    assert stat.S_ISCHR(device.stat().st_mode)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
 def test_a_symbolic_link_is_not_replaced_and_says_where_it_leads(tmp_path: Path) -> None:
