@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hw_sim.dust import Shadow
+
 DEPTH_OF_TAIL = 1e-6
 """Below this share of the peak the beam is not drawn: 0.02 counts of 16 bits."""
 
@@ -63,7 +65,8 @@ class Footprint:
     """A beam's irradiance on a plane of constant z, around (x, y).
 
     ``form`` (xx, xy, yy) in 1/mm² gives ρ² = xx·dx² + 2·xy·dx·dy + yy·dy²; it holds the elongation by
-    1/cos of a beam that comes in aslant, and ``peak_mw_per_mm2`` the matching loss by cos.
+    1/cos of a beam that comes in aslant, and ``peak_mw_per_mm2`` the matching loss by cos. ``shadow`` is
+    that of dust which the beam has passed.
     """
 
     x_mm: float
@@ -71,6 +74,7 @@ class Footprint:
     form: tuple[float, float, float]
     order: float
     peak_mw_per_mm2: float
+    shadow: Shadow | None = None
 
     def irradiance(
         self, x_mm: npt.NDArray[np.float32], y_mm: npt.NDArray[np.float32]
@@ -83,6 +87,8 @@ class Footprint:
             rho2 = np.maximum(rho2, 0.0) ** np.float32(self.order)
         irradiance: npt.NDArray[np.float32] = np.exp(np.float32(-2.0) * rho2)
         irradiance *= np.float32(self.peak_mw_per_mm2)
+        if self.shadow is not None:
+            irradiance *= self.shadow.at(x_mm, y_mm)
         return irradiance
 
     @property

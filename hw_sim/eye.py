@@ -9,6 +9,7 @@ import numpy as np
 
 from altd.records import PixelArray
 from hw_sim.beam import Footprint
+from hw_sim.dust import Dust
 from hw_sim.sensor import Image, Sensor
 from hw_sim.view import View
 
@@ -25,6 +26,7 @@ class Settings:
 class _Backdrop:
     """All that an exposure shows without the beam, for one state of settings and lamps."""
 
+    view: View
     settings: Settings
     sensor: Sensor
     electrons: Image
@@ -40,7 +42,12 @@ class Eye:
         self.sensor = sensor
         self.settings = settings
         self._lux = lux
+        self._clean = view
         self._backdrops: dict[bool, _Backdrop] = {}
+
+    def lay(self, dust: Dust | None) -> None:
+        """Let this dust, and no other, lie on what the view shows."""
+        self.view = self._clean if dust is None else self._clean.behind(dust)
 
     def mean_e(
         self, spots: Sequence[Footprint], leds_on: bool, exposure_ms: float, even_mw_per_mm2: float = 0.0
@@ -49,10 +56,11 @@ class Eye:
 
         ``even_mw_per_mm2`` lights the whole target, as a flat field wants it.
         """
-        electrons = self.view.background_e(exposure_ms, self._lux, leds_on)
+        view = self.view
+        electrons = view.background_e(exposure_ms, self._lux, leds_on)
         if even_mw_per_mm2 > 0.0:
-            electrons += self.view.response * np.float32(even_mw_per_mm2 * exposure_ms)
-        region, beam_e = self.view.beam_e(spots, exposure_ms)
+            electrons += view.response * np.float32(even_mw_per_mm2 * exposure_ms)
+        region, beam_e = view.beam_e(spots, exposure_ms)
         electrons[region] += beam_e
         return electrons
 
@@ -71,21 +79,22 @@ class Eye:
     def sketch(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
         """Grey values with the same statistics, from standard normal ``noise`` and a kept backdrop."""
         backdrop = self._backdrop(leds_on)
-        settings, sensor = backdrop.settings, backdrop.sensor
+        view, settings, sensor = backdrop.view, backdrop.settings, backdrop.sensor
         counts = backdrop.noise_counts * noise
         counts += backdrop.counts
-        region, electrons = self.view.beam_e(spots, settings.exposure_ms)
+        region, electrons = view.beam_e(spots, settings.exposure_ms)
         electrons += backdrop.electrons[region]
         spread = sensor.noise_counts(electrons, settings.gain) * noise[region]
         counts[region] = sensor.mean_counts(electrons, settings.gain) + spread
         return sensor.quantise(counts)
 
     def _backdrop(self, leds_on: bool) -> _Backdrop:
-        settings, sensor = self.settings, self.sensor
+        view, settings, sensor = self.view, self.settings, self.sensor
         kept = self._backdrops.get(leds_on)
-        if kept is None or kept.settings != settings or kept.sensor != sensor:
-            electrons = self.view.background_e(settings.exposure_ms, self._lux, leds_on)
+        if kept is None or (kept.view, kept.settings, kept.sensor) != (view, settings, sensor):
+            electrons = view.background_e(settings.exposure_ms, self._lux, leds_on)
             kept = _Backdrop(
+                view,
                 settings,
                 sensor,
                 electrons,

@@ -12,6 +12,7 @@ import numpy as np
 from altd.records import Frame, PixelArray
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
+from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, settle
 from hw_sim.eye import Eye, Settings
 from hw_sim.faults import (
     ALL_PIXELS,
@@ -49,7 +50,8 @@ class UnitConfig:
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
     ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
     given. ``expansion`` is by how much of its length the frame between the targets has grown since it was
-    adjusted: the rear target stands at (1 + expansion) times its distance.
+    adjusted: the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on
+    window and plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
     """
 
     seed: int = 1
@@ -61,6 +63,7 @@ class UnitConfig:
     fps: float = 20.0
     target_distance_mm: float = 280.0
     expansion: float = 0.0
+    dust: float = 0.0
     dots: DotPattern | None = field(default_factory=DotPattern)
     front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
     rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
@@ -91,7 +94,7 @@ class Unit:
         self._path: Callable[[int], BeamPose] = _resting(BeamPose(0.0, 0.0))
         self._faults = self.config.faults
         self._lock = threading.Lock()
-        streams = iter(np.random.SeedSequence(self.config.seed).spawn(7))
+        streams = iter(np.random.SeedSequence(self.config.seed).spawn(8))
         rngs = (np.random.default_rng(stream) for stream in streams)
         dots = make_dots(self._pattern, next(rngs))
         lenses = {
@@ -118,6 +121,10 @@ class Unit:
         drive, vibration = self.config.drive, self.config.vibration
         self._drive = driving(drive, motion_rng) if drive else None
         self._vibration = vibrating(vibration, motion_rng) if vibration else None
+        self._dust_seeds = next(streams).spawn(len(CAMERAS))
+        self._window_dust: Dust | None = None
+        if self.config.dust:
+            self.set_dust(self.config.dust)
 
     @property
     def faults(self) -> frozenset[Fault]:
@@ -174,6 +181,20 @@ class Unit:
         if bits is not None:
             eye.sensor = Sensor(bits)
 
+    def set_dust(self, amount: float) -> None:
+        """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next exposure on.
+
+        Where a speck lies is the unit's; a larger amount adds to a smaller one. Raises ValueError.
+        """
+        dust = {
+            camera: settle(amount, np.random.default_rng(seed))
+            for camera, seed in zip(CAMERAS, self._dust_seeds, strict=True)
+        }
+        with self._lock:
+            for camera, eye in self.eyes.items():
+                eye.lay(dust[camera] if amount else None)
+            self._window_dust = dust[FRONT].washed_out(SHADOW_SIGMA_MM) if amount else None
+
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
         pose = self._displaced(t_ns)
@@ -182,6 +203,10 @@ class Unit:
         if vibration and self._vibration is not None:
             pose = self._vibration.moved(pose, t_ns)
         return pose
+
+    def spots(self, camera: str, t_ns: int) -> list[Footprint]:
+        """What the beam puts on a camera's target at ``t_ns``."""
+        return self._spots(camera, self.truth(t_ns), self._faults)
 
     def is_silent(self, camera: str) -> bool:
         """Whether a camera delivers nothing at all."""
@@ -247,6 +272,9 @@ class Unit:
             share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
             z_mm = self.config.target_distance_mm * (1.0 + self.config.expansion)
         spot = footprint(self.config.laser, pose, z_mm, share)
+        if camera == REAR and self._window_dust is not None:
+            shift_mm = (pose.slope_x * z_mm, pose.slope_y * z_mm)
+            spot = replace(spot, shadow=Shadow(self._window_dust, shift_mm))
         if _SECOND[camera] not in faults:
             return [spot]
         aside = -SECOND_SPOT_MM if spot.x_mm > 0.0 else SECOND_SPOT_MM

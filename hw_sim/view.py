@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from hw_sim.beam import Footprint
+from hw_sim.dust import Dust
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, FloatArray, Lens
 from hw_sim.sensor import FULL_WELL_E
 from hw_sim.targets import DotPrint, Image, led_cover, speckle
@@ -67,6 +68,11 @@ class View:
     """Electrons per ms with the frame LEDs on."""
     hot_e: Image
     """Electrons that leak into a pixel's storage at every read-out, whatever the exposure."""
+
+    def behind(self, dust: Dust) -> View:
+        """The same with dust on what it shows; lamps and chip are beside it."""
+        passed = _blurred(dust.at(self.x_mm, self.y_mm))
+        return replace(self, response=self.response * passed, ambient=self.ambient * passed)
 
     def background_e(self, exposure_ms: float, lux: float, leds_on: bool) -> Image:
         """Mean electrons of an exposure without the beam."""

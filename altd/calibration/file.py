@@ -27,6 +27,7 @@ from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
 from altd.records import FloatArray
 from altd.vision.flat import Flat, Source
+from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
@@ -43,6 +44,10 @@ PositivePixels = Annotated[float, Field(gt=0, le=1000)]
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 """A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
 Side = Annotated[int, Field(ge=16, le=20_000)]
+
+
+_Feature = Annotated[float, Field(ge=-1000, le=1000)]
+_Scatter = Annotated[float, Field(ge=0, le=1000)]
 
 
 class _Table(BaseModel):
@@ -102,6 +107,19 @@ class _Flat(_Table):
     png: str
 
 
+class _Shape(_Table):
+    mean: tuple[_Feature, _Feature, _Feature, _Feature]
+    sigma: tuple[_Scatter, _Scatter, _Scatter, _Scatter]
+
+
+class _Spot(_Table):
+    grain: Annotated[float, Field(gt=0, le=10)] | None
+    misfit_ratio: Annotated[float, Field(ge=1, le=1000)]
+    pattern_px: Annotated[float, Field(ge=0, le=100)] | None
+    noise_px: Annotated[float, Field(ge=0, le=100)]
+    shape: _Shape | None
+
+
 class _Target(_Table):
     name: str
     z_mm: Millimetres
@@ -116,6 +134,7 @@ class _Target(_Table):
     residuals: _Residuals
     repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
     leds_px: list[tuple[Pixels, Pixels]]
+    spot: _Spot | None = None
 
 
 class _Unit(_Table):
@@ -223,6 +242,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         },
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
+        "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
     }
 
 
@@ -281,7 +301,13 @@ def _from_target(target: _Target) -> TargetCalibration:
         residual_max_mm=target.residuals.max_mm,
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
+        spot=UNKNOWN_SPOT if target.spot is None else _from_spot(target.spot),
     )
+
+
+def _from_spot(spot: _Spot) -> SpotReference:
+    shape = None if spot.shape is None else ShapeReference(spot.shape.mean, spot.shape.sigma)
+    return SpotReference(spot.grain, spot.misfit_ratio, spot.pattern_px, spot.noise_px, shape)
 
 
 def _from_flat(target: _Target) -> Flat | None:
