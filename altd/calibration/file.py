@@ -46,8 +46,8 @@ Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
-_Feature = Annotated[float, Field(ge=-1000, le=1000)]
-_Scatter = Annotated[float, Field(ge=0, le=1000)]
+_Feature = Annotated[float, Field(ge=-10, le=10)]
+_Scatter = Annotated[float, Field(ge=0, le=10)]
 
 
 class _Table(BaseModel):
@@ -108,7 +108,7 @@ class _Flat(_Table):
 
 
 class _Shape(_Table):
-    mean: tuple[_Feature, _Feature, _Feature, _Feature]
+    mean: tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]]
     sigma: tuple[_Scatter, _Scatter, _Scatter, _Scatter]
 
 

@@ -90,6 +90,16 @@ def _folded(document: Document) -> None:
     document["targets"][0]["map"]["spectrum_u_px"][0][1] = 0.0
 
 
+def _spot_of_no_order(document: Document) -> None:
+    document["targets"][0]["spot"] = {
+        "grain": 0.02,
+        "misfit_ratio": 1.5,
+        "pattern_px": 0.03,
+        "noise_px": 0.02,
+        "shape": {"mean": [1.8, 0.0, 0.1, 0.0], "sigma": [0.1, 0.1, 0.1, 0.1]},
+    }
+
+
 def _nested(document: Document) -> None:
     node: list[Any] = []
     for _ in range(500):
@@ -119,6 +129,7 @@ def _huge_flat(document: Document) -> None:
         (_no_spread, "targets.front.map.spread: is empty"),
         (_elsewhere, "targets.front.map: puts its hull outside of the picture"),
         (_folded, "targets.front.map: puts two places of its hull on one pixel"),
+        (_spot_of_no_order, "targets.0.spot.shape.mean.3: Input should be greater than 0"),
         (_nested, "recording.note: Input should be a valid string"),
         (_huge_flat, "targets.front.flat.png: is 40000 × 40000, expected 752 × 480"),
     ],

@@ -16,6 +16,7 @@ from support import evidence
 from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.vision.flat import Flat
+from altd.vision.reference import ShapeReference, SpotReference
 
 NAME = "calibration"
 
@@ -24,7 +25,9 @@ NAME = "calibration"
 def _valid() -> dict[str, Any]:
     path = folder(NAME) / "valid.json"
     rear = evidence.replace(
-        evidence.target("rear"), flat=Flat(np.full((480, 752), 200, np.uint8), "recording")
+        evidence.target("rear"),
+        flat=Flat(np.full((480, 752), 200, np.uint8), "recording"),
+        spot=SpotReference(0.02, 1.5, 0.03, 0.02, ShapeReference((1.8, 0.0, 0.1, 2.0), (0.1,) * 4)),
     )
     save_calibration(evidence.calibration(evidence.target("front"), rear), path)
     document: dict[str, Any] = json.loads(path.read_bytes())
