@@ -18,6 +18,8 @@ _MOST_NODES = 256
 """Along an axis; a plate of LEDs has up to 100."""
 _LARGEST_DEGREE = 15
 """Above, powers lose digits (``gram_powers``)."""
+_MOST_ERRORS = 2 * (_LARGEST_DEGREE + 1) ** 2
+"""Two for each coefficient: what ``fit_tensor_map`` makes."""
 _MOST_CORNERS = 4 * _MOST_NODES
 _BESIDE = 0.25
 """By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
@@ -52,8 +54,11 @@ def _check_grid(place: str, fitted: TensorMap) -> None:
         most = min(axis.nodes - 1, _LARGEST_DEGREE)
         if not 1 <= degree <= most:
             raise ValueError(f"{place}.degree: {degree} along {name}, but it must be 1 to {most}")
-    if fitted.spread_px.shape[2] < 1:
+    errors = fitted.spread_px.shape[2]
+    if errors < 1:
         raise ValueError(f"{place}.spread: is empty, so nothing is known of the map's uncertainty")
+    if errors > _MOST_ERRORS:
+        raise ValueError(f"{place}.spread: has {errors} columns, more than {_MOST_ERRORS}")
 
 
 def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> None:

@@ -44,7 +44,7 @@ SpotPx = tuple[float, float]
 class DoneNode(BaseModel):
     """A node whose frames are kept: where the stage stood, and the mean spot per camera, px."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     position_mm: tuple[float, float]
     spots_px: dict[str, SpotPx]
@@ -52,6 +52,8 @@ class DoneNode(BaseModel):
 
 class State(BaseModel):
     """``scan.json``."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     format: Literal["altd-scan/1"] = "altd-scan/1"
     facts: Facts

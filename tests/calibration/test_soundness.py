@@ -82,6 +82,11 @@ def _no_spread(document: Document) -> None:
         document["targets"][0]["map"][name] = [[] for _ in range(4)]
 
 
+def _wide_spread(document: Document) -> None:
+    for name in ("spread_u_px", "spread_v_px"):
+        document["targets"][0]["map"][name] = [[0.01] * 10_000 for _ in range(4)]
+
+
 def _elsewhere(document: Document) -> None:
     document["targets"][0]["map"]["spectrum_u_px"][0][0] += 1e5
 
@@ -127,6 +132,7 @@ def _huge_flat(document: Document) -> None:
         (_degree_of_the_nodes, "targets.front.map.degree: 2 along x, but it must be 1 to 1"),
         (_many_nodes, "targets.front.map.x_axis: has 9999 nodes, more than 256"),
         (_no_spread, "targets.front.map.spread: is empty"),
+        (_wide_spread, "targets.front.map.spread: has 10000 columns, more than 512"),
         (_elsewhere, "targets.front.map: puts its hull outside of the picture"),
         (_folded, "targets.front.map: puts two places of its hull on one pixel"),
         (_spot_of_no_order, "targets.0.spot.shape.mean.3: Input should be greater than 0"),

@@ -16,7 +16,18 @@ def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
         write_together(tmp_path, {"a": content, "b": content})
     found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert found == {"a": b"22", "b": b"22", "other": b"stays"}
-    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
+
+
+def test_files_have_the_mode_that_the_umask_leaves_and_keep_it(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_together(tmp_path, {"a": b"1"})
+        (tmp_path / "b").write_bytes(b"1")
+        (tmp_path / "b").chmod(0o600)
+        write_together(tmp_path, {"b": b"2"})
+    finally:
+        os.umask(before)
+    assert [(tmp_path / name).stat().st_mode & 0o777 for name in "ab"] == [0o640, 0o600]
 
 
 @pytest.mark.parametrize("before", [None, b"old"])
@@ -64,11 +75,17 @@ def test_the_folder_is_made_when_it_is_written(tmp_path: Path) -> None:
         ("none/report", "No such file"),
         ("file", "is not a folder"),
         ("full", "full/calibration.pdf: is a folder"),
+        (
+            "linked",
+            "linked/calibration.html: is a symbolic link: name the file that it points to, /etc/passwd",
+        ),
     ],
 )
 def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "full" / "calibration.pdf").mkdir(parents=True)
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / "calibration.html").symlink_to("/etc/passwd")
     with pytest.raises(BadInputError, match=why) as caught:
         check_report(tmp_path / place)
     assert place in str(caught.value)
