@@ -290,7 +290,10 @@ class RecordingWriter:
         try:
             path.mkdir(parents=True, exist_ok=True)
             for camera in header.cameras:
-                (path / camera).mkdir()
+                (path / camera).mkdir()  # fails for the later one of two that began here at once
+        except OSError as error:
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+        try:
             document = header.model_dump(mode="json", exclude_none=True)
             if header.start is not None:
                 document["start"] = utc_text(header.start)
@@ -298,7 +301,7 @@ class RecordingWriter:
             self._file = (path / FRAMES_FILE).open("ab", buffering=0)
             self._append(COLUMNS)
         except OSError as error:
-            shutil.rmtree(path, ignore_errors=True)  # it was empty or new
+            shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
 
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:

@@ -174,6 +174,21 @@ def test_a_folder_in_use_is_not_written_into(recording: Path) -> None:
     assert sorted(recording.iterdir()) == before
 
 
+def test_of_two_that_begin_in_one_folder_at_once_the_first_goes_on(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both have seen an empty folder."""
+    monkeypatch.setattr("altd.recording.refuse_used_folder", lambda _: None)
+    opened = open_recording(recording)
+    first = RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[0]), 0, 0.0)
+    with pytest.raises(BadInputError, match="File exists"):
+        RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[1]), 0, 0.0)
+    first.close()
+    assert len(open_recording(tmp_path / "out").rows) == 2
+
+
 def test_the_hash_changes_with_a_frame(recording: Path) -> None:
     before = open_recording(recording).sha256()
     cv2.imwrite(str(recording / "rear0001.png"), np.zeros((480, 752), np.uint8))
