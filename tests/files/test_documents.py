@@ -36,14 +36,14 @@ def test_toml_is_read() -> None:
 
 
 def test_no_toml_of_a_config_s_size_takes_long() -> None:
-    """A key of 30,000 parts takes tomllib minutes."""
+    """A key of 30,000 parts takes tomllib 9 s."""
     line = b".".join([b"a"] * 60)
     tables = b"\n".join(b"[%s.b%d]\n%s = 1" % (line, n, line) for n in range(250))
     for content in (b".".join([b"a"] * 30_000) + b" = 1", tables, b"\n" * 60_000 + b"x = 1", b" " * 60_000):
         began = time.process_time()
         with contextlib.suppress(ValueError):
             parse_toml(content)
-        assert time.process_time() - began < 5  # computing time: minutes without the bound
+        assert time.process_time() - began < 5  # computing time, which a busy computer does not add to
 
 
 @pytest.mark.parametrize(
