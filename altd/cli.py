@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -18,6 +19,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait for
     # each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))  # 16384 × 16384; before cv2 is there
+    for stream in (sys.stdout, sys.stderr):  # a file may be called anything: also what is no letter is shown
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     from altd import commands
 
     try:

@@ -12,12 +12,12 @@ import signal
 import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 
 from altd.errors import BadInputError
-from altd.records import Frame, PixelArray, Spot
+from altd.records import Frame, Spot
 
 if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.calibration.result import CalibrationResult
@@ -26,6 +26,9 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.service.scan import Scanner
 
 Result = TypeVar("Result")
+
+_LONGEST_LINE = 1000
+"""Bytes of two numbers, and more."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -79,10 +82,10 @@ async def until_signal(work: Coroutine[None, None, Result]) -> Result | None:
 def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, write_together
+    from altd.files.writing import check_replaceable
     from altd.recording import open_recording
 
-    if not options.output.resolve().parent.is_dir():
-        raise BadInputError(options.output, "its folder does not exist")
+    check_replaceable(options.output)
     if options.report is not None:
         check_report(options.report)
     recording = open_recording(options.recording)
@@ -248,7 +251,7 @@ def _lamps(options: argparse.Namespace) -> int:
 def _locate(options: argparse.Namespace) -> int:
     from altd.vision.localise import locate, locate_ellipse
 
-    frames = [(path, _image(path)) for path in options.images]
+    frames = [(path, _frame(path)) for path in options.images]
     for path, frame in frames:
         spot = locate(frame)
         second = locate_ellipse(frame) if isinstance(spot, Spot) else None
@@ -273,18 +276,11 @@ def _locate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _image(path: Path) -> Frame:
-    """Read an 8- or 16-bit grey image of any size that OpenCV reads."""
-    if not path.is_file():
-        raise BadInputError(path, "no such file")
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise BadInputError(path, "is not an image that can be read")
-    if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
-        raise BadInputError(path, "is not an 8- or 16-bit grey image")
-    if min(pixels.shape) < 32:
-        raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
-    return Frame(path.name, 0, 0, cast("PixelArray", pixels), 8 * pixels.dtype.itemsize)
+def _frame(path: Path) -> Frame:
+    from altd.files.picture import read_picture
+
+    pixels = read_picture(path)
+    return Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize)
 
 
 def _map(options: argparse.Namespace) -> int:
@@ -294,14 +290,15 @@ def _map(options: argparse.Namespace) -> int:
     target = load_calibration(options.calibration).target(options.target)
     if target is None:
         raise BadInputError(options.calibration, f"does not know target {options.target!r}")
-    for number, line in enumerate(sys.stdin, start=1):
+    for number, line in enumerate(iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b""), start=1):
         fields = line.split()
         if not fields:
             continue
         try:
             u_px, v_px = (float(field) for field in fields)
         except ValueError as error:
-            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {line.strip()!r}") from error
+            got = line.decode(errors="backslashreplace").strip()
+            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {got!r}") from error
         point = target.point(u_px, v_px)
         if point is None:
             print(f"invalid {Reason.OUT_OF_RANGE}")

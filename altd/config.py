@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_toml
+from altd.files.reading import read_file
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 GpioLineName = Annotated[str, Field(min_length=1, max_length=64)]
@@ -20,6 +21,8 @@ OffsetDegrees = Annotated[float, Field(ge=-45, le=45)]
 """With the beam's own 14° it stays well below 90°, where mm/m has no end."""
 ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 """What the kernel's largest control holds."""
+
+_LARGEST_BYTES = 1 << 16
 
 
 class Table(BaseModel):
@@ -418,16 +421,11 @@ def load_config(path: Path) -> Config:
 
     Raises BadInputError that names the file and the key.
     """
+    content = read_file(path, _LARGEST_BYTES)
     try:
-        text = path.read_bytes().decode()
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(path, "is not UTF-8 text") from error
-    try:
-        document = _anchored(tomllib.loads(text), path.parent)
-    except tomllib.TOMLDecodeError as error:
-        raise BadInputError(path, f"not TOML: {error}") from error
+        document = _anchored(parse_toml(content), path.parent)
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error
     try:
         return Config.model_validate(document)
     except ValidationError as error:

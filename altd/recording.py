@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
+import io
 import json
 import math
 import os
-import struct
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, TextIO, cast
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
+from altd.files.reading import read_file, read_head
 from altd.measurement_json import utc_text
-from altd.records import Frame, PixelArray
+from altd.records import Frame
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -29,8 +34,9 @@ COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
 """What a recording shows."""
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_GREY = 0
+_LARGEST_HEADER_BYTES = 1 << 20
+_LARGEST_TABLE_BYTES = _LARGEST_FILE_BYTES = 1 << 28
+"""A day of two cameras at 20 a second takes 210 MB."""
 
 
 MAX_T_S = 1e9
@@ -123,20 +129,23 @@ class Recording:
 
     def frame(self, row: Row) -> Frame:
         """Decode the frame of a row; raises BadInputError that names the file and the row."""
-        path = self.path / row.file
         camera = self.header.cameras[row.camera]
-        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if pixels is None or pixels.shape != (camera.height, camera.width):
-            raise BadInputError(self._place(row), f"{row.file} cannot be decoded as a frame")
+        size = camera.width, camera.height, camera.bits
+        try:
+            pixels = decode_png(read_file(self.path / row.file, png_bytes(*size)), *size)
+        except ValueError as error:
+            raise BadInputError(self._place(row), f"{row.file} {error}") from error
+        except BadInputError as error:
+            raise BadInputError(self._place(row), f"{row.file}: {error.message}") from error
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
-        return Frame(row.camera, row.sequence, t_ns, cast("PixelArray", pixels), camera.bits, row.leds_on)
+        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""
         digest = hashlib.sha256()
         for name in (HEADER_FILE, FRAMES_FILE, *(row.file for row in self.rows)):
-            digest.update((self.path / name).read_bytes())
+            digest.update(read_file(self.path / name, _LARGEST_FILE_BYTES))
         return digest.hexdigest()
 
     def _place(self, row: Row) -> str:
@@ -159,10 +168,9 @@ def open_recording(path: Path) -> Recording:
 
 
 def _read_header(path: Path) -> RecordingHeader:
+    content = read_file(path, _LARGEST_HEADER_BYTES)
     try:
-        return RecordingHeader.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        return RecordingHeader.model_validate(parse_json(content))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -170,15 +178,20 @@ def _read_header(path: Path) -> RecordingHeader:
         if isinstance(first["input"], int | float):
             message += f", not {first['input']}"
         raise BadInputError(path, f"{place}: {message}" if place else message) from error
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error
 
 
 def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
+    table = io.BytesIO(read_file(path, _LARGEST_TABLE_BYTES))
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with io.TextIOWrapper(table, newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, strict=True)
-            absent = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-            if absent:
-                raise BadInputError(f"{path}: row 1", f"column {absent[0]!r} is missing")
+            columns = list(reader.fieldnames or ())
+            for column in COLUMNS:
+                if columns.count(column) != 1:
+                    what = "stands twice" if column in columns else "is missing"
+                    raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
             last: dict[str, Row] = {}
             for record in reader:
                 place = f"{path}: row {reader.line_num}"
@@ -187,8 +200,6 @@ def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
                     _check_order(place, above, row)
                 last[row.camera] = row
                 yield row
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
     except (csv.Error, UnicodeDecodeError) as error:
         raise BadInputError(path, f"is no CSV text: {error}") from error
 
@@ -242,23 +253,15 @@ def _number(place: str, column: str, text: str, limit: float) -> float:
 
 
 def _check_png(recording: Recording, row: Row) -> None:
-    """Signature, size, depth and colour from the PNG's first 26 bytes (PNG specification, 11.2.2)."""
-    place, path = recording._place(row), recording.path / row.file
-    try:
-        with path.open("rb") as file:
-            head = file.read(26)
-    except OSError as error:
-        raise BadInputError(place, f"{row.file}: {error.strerror or 'cannot be read'}") from error
-    if len(head) < 26 or not head.startswith(_PNG_SIGNATURE):
-        raise BadInputError(place, f"{row.file} is not a PNG")
-    width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
+    """Signature, size, depth and colour, without decoding it."""
     camera = recording.header.cameras[row.camera]
-    if (width, height) != (camera.width, camera.height):
-        raise BadInputError(
-            place, f"{row.file} is {width} × {height}, expected {camera.width} × {camera.height}"
-        )
-    if colour != _PNG_GREY or depth != (8 if camera.bits == 8 else 16):
-        raise BadInputError(place, f"{row.file} is not a grey PNG of {camera.bits} bits")
+    try:
+        head = read_head(recording.path / row.file, PNG_HEAD_BYTES)
+        check_png_head(head, camera.width, camera.height, camera.bits)
+    except ValueError as error:
+        raise BadInputError(recording._place(row), f"{row.file} {error}") from error
+    except BadInputError as error:
+        raise BadInputError(recording._place(row), f"{row.file}: {error.message}") from error
 
 
 def refuse_used_folder(path: Path) -> None:
@@ -287,28 +290,38 @@ class RecordingWriter:
         try:
             path.mkdir(parents=True, exist_ok=True)
             for camera in header.cameras:
-                (path / camera).mkdir()
+                (path / camera).mkdir()  # fails for the later one of two that began here at once
+        except OSError as error:
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+        try:
             document = header.model_dump(mode="json", exclude_none=True)
             if header.start is not None:
                 document["start"] = utc_text(header.start)
             (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
-            self._file: TextIO = (path / FRAMES_FILE).open("w", newline="", encoding="utf-8")
+            self._file = (path / FRAMES_FILE).open("ab", buffering=0)
+            self._append(COLUMNS)
         except OSError as error:
+            shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._rows.writerow(COLUMNS)
 
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = _read_header(self._path / HEADER_FILE)
         if (there.cameras, there.unit) != (header.cameras, header.unit):
             raise BadInputError(self._path / HEADER_FILE, "is of another unit or of cameras of another size")
         try:
-            self._file = (self._path / FRAMES_FILE).open("r+", newline="", encoding="utf-8")
+            self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)
             self._file.truncate(resume_at)
-            self._file.seek(0, os.SEEK_END)
         except OSError as error:
             raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
+
+    def _append(self, row: Iterable[object]) -> None:
+        """A row as a whole; raises OSError, and then there is nothing of it."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(row)
+        line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size
+        if self._file.write(line) < len(line):
+            self._file.truncate(before_bytes)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def write(
         self, frame: Frame, sequence: int, t_s: float, position_mm: tuple[float, float] | None = None
@@ -321,12 +334,13 @@ class RecordingWriter:
         done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
         if not done:
             raise OSError(f"{name} cannot be encoded")
-        (self._path / name).write_bytes(data.tobytes())
         at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
-        self._rows.writerow(
-            (sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at)
-        )
-        self._file.flush()
+        try:
+            (self._path / name).write_bytes(data.tobytes())
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at))
+        except OSError:  # a full disk: half a frame is no part of the recording
+            (self._path / name).unlink(missing_ok=True)
+            raise
         return self._path / name
 
     def synced(self) -> int:

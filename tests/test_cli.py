@@ -260,7 +260,7 @@ class TestBadInput:
         assert "colour.png: is not an 8- or 16-bit grey image" in refusal(
             altd("locate", tmp_path / "colour.png")
         )
-        assert "no such file" in refusal(altd("locate", tmp_path / "none.png"))
+        assert "No such file" in refusal(altd("locate", tmp_path / "none.png"))
 
     def test_lines_that_are_no_positions(self, folder: Path) -> None:
         arguments = ("map", "--calibration", folder / "cal.json", "--target")

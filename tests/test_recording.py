@@ -141,7 +141,7 @@ def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, 
     (recording / "frames.csv").write_text("sequence,t_s,camera,file,leds,x_mm,y_mm\n")
     assert "frames.csv: has no frames" in complaint(recording)
     (recording / "recording.json").write_text('{"format": "altd-rec')
-    assert "recording.json: Invalid JSON" in complaint(recording)
+    assert "recording.json: is not JSON" in complaint(recording)
 
 
 @pytest.mark.parametrize("bits", [8, 12, 16])
@@ -172,6 +172,21 @@ def test_a_folder_in_use_is_not_written_into(recording: Path) -> None:
     with pytest.raises(BadInputError, match="exists and is not an empty folder"):
         RecordingWriter(recording, open_recording(recording).header)
     assert sorted(recording.iterdir()) == before
+
+
+def test_of_two_that_begin_in_one_folder_at_once_the_first_goes_on(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both have seen an empty folder."""
+    monkeypatch.setattr("altd.recording.refuse_used_folder", lambda _: None)
+    opened = open_recording(recording)
+    first = RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[0]), 0, 0.0)
+    with pytest.raises(BadInputError, match="File exists"):
+        RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[1]), 0, 0.0)
+    first.close()
+    assert len(open_recording(tmp_path / "out").rows) == 2
 
 
 def test_the_hash_changes_with_a_frame(recording: Path) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.calibration.cross_check import CrossCheck
 from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.picture import decode_png
+from altd.files.reading import read_file
+from altd.files.writing import write_file
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
@@ -29,8 +32,9 @@ from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
 
+_LARGEST_BYTES = 1 << 26
+"""Two flats of 20 megapixels that no compression makes smaller."""
 
-_NotNegative = Annotated[float, Field(ge=0)]
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
 """A place in or about a picture of at most 20 000 px."""
@@ -39,6 +43,8 @@ PositivePixels = Annotated[float, Field(gt=0, le=1000)]
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 """A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
 Side = Annotated[int, Field(ge=16, le=20_000)]
+_Feature = Annotated[float, Field(ge=-10, le=10)]
+_Scatter = Annotated[float, Field(ge=0, le=10)]
 
 
 class _Table(BaseModel):
@@ -99,8 +105,8 @@ class _Flat(_Table):
 
 
 class _Shape(_Table):
-    mean: tuple[float, float, float, float]
-    sigma: tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+    mean: tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]]
+    sigma: tuple[_Scatter, _Scatter, _Scatter, _Scatter]
 
 
 class _Spot(_Table):
@@ -149,31 +155,16 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
     document = _as_document(calibration)
     document["checksum"] = _checksum(document)
-    text = json.dumps(document, indent=1) + "\n"
-    try:
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be written") from error
+    write_file(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
+    content = read_file(path, _LARGEST_BYTES)
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        document = parse_json(content)
     except ValueError as error:
-        raise BadInputError(path, f"is not JSON: {error}") from error
+        raise BadInputError(path, str(error)) from error
     if not isinstance(document, dict):
         raise BadInputError(path, "is not a calibration: no JSON object")
     if document.get("format") != FORMAT:
@@ -182,8 +173,8 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     if checksum != _checksum(document):
         raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
     try:
-        content = _File.model_validate(document)
-        calibration = _from_content(content)
+        calibration = _from_content(_File.model_validate(document))
+        check_calibration(calibration)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -322,11 +313,9 @@ def _from_flat(target: _Target) -> Flat | None:
     place = f"targets.{target.name}.flat.png"
     try:
         png = base64.b64decode(target.flat.png, validate=True)
-        levels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (ValueError, cv2.error) as error:
-        raise ValueError(f"{place}: is no picture") from error
-    if levels is None or levels.dtype != np.uint8 or levels.shape != (target.height, target.width):
-        raise ValueError(f"{place}: is no grey picture of {target.width} × {target.height}")
+        levels = decode_png(png, target.width, target.height, bits=8)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
     return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source)
 
 

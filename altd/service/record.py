@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from altd.config import Measuring
+from altd.errors import BadInputError
 from altd.pairing import Pair, Pairer
 from altd.ports import Camera
 from altd.recording import CameraHeader, Kind, RecordingHeader, RecordingWriter, UnitHeader
@@ -49,6 +50,7 @@ async def record(
     ]
     sources = asyncio.gather(*grabbers)
     sources.add_done_callback(lambda _: inbox.tick())
+    sources.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
     try:
         while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
             for frame in await inbox.take():
@@ -98,8 +100,11 @@ class _Sink:
             self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
             self._writer = RecordingWriter(self._path, self._header(pair))
         t_s = (pair.t_ns - self._first_ns) * 1e-9
-        for frame in pair.items.values():
-            self._writer.write(frame, pair.sequence - self._first_sequence, t_s)
+        try:
+            for frame in pair.items.values():
+                self._writer.write(frame, pair.sequence - self._first_sequence, t_s)
+        except OSError as error:
+            raise BadInputError(self._path, error.strerror or str(error)) from error
         self.exposures += 1
         self.length_s = t_s + 1 / self._fps
 

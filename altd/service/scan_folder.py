@@ -14,9 +14,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.reading import read_file, read_head
+from altd.files.writing import replace_file
 from altd.pairing import Pair
 from altd.recording import (
     FRAMES_FILE,
@@ -33,13 +36,15 @@ from altd.service.scan_plan import Facts
 STATE_FILE = "scan.json"
 FPS = 20.0
 
+_LARGEST_STATE_BYTES = 1 << 24
+
 SpotPx = tuple[float, float]
 
 
 class DoneNode(BaseModel):
     """A node whose frames are kept: where the stage stood, and the mean spot per camera, px."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     position_mm: tuple[float, float]
     spots_px: dict[str, SpotPx]
@@ -47,6 +52,8 @@ class DoneNode(BaseModel):
 
 class State(BaseModel):
     """``scan.json``."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     format: Literal["altd-scan/1"] = "altd-scan/1"
     facts: Facts
@@ -76,11 +83,10 @@ class ScanFolder:
     def _read(self, facts: Facts) -> State:
         file = self.path / STATE_FILE
         try:
-            state = State.model_validate_json(file.read_bytes())
-        except OSError as error:
-            why = f"{error.strerror or 'cannot be read'}; remove the folder to scan anew"
-            raise BadInputError(file, why) from error
-        except ValidationError as error:
+            state = State.model_validate(parse_json(read_file(file, _LARGEST_STATE_BYTES)))
+        except BadInputError as error:
+            raise BadInputError(file, f"{error.message}; remove the folder to scan anew") from error
+        except ValueError as error:  # also pydantic's
             raise BadInputError(file, "is no record of a scan; remove the folder to scan anew") from error
         for key in sorted({*state.facts, *facts}):
             then, now = state.facts.get(key), facts.get(key)
@@ -96,6 +102,7 @@ class ScanFolder:
     def _see_that_all_is_there(self, state: State) -> None:
         """Cut off what does not count, and check every frame that does."""
         table = self.path / FRAMES_FILE
+        read_head(table, 1)  # a regular file, or it is named here
         try:
             os.truncate(table, state.table_bytes)
         except OSError as error:
@@ -124,7 +131,8 @@ class ScanFolder:
         """Make what was written count; raises OSError."""
         if self._writer is not None:
             self.state.table_bytes = self._writer.synced()
-            _replace(self.path / STATE_FILE, self.state.model_dump_json(indent=1, exclude_none=True) + "\n")
+            state = self.state.model_dump_json(indent=1, exclude_none=True) + "\n"
+            replace_file(self.path / STATE_FILE, state.encode())
 
     def finish(self) -> None:
         """Close, and give the folder its name; raises OSError."""
@@ -172,13 +180,3 @@ class ScanFolder:
 
 def _shown(value: object) -> str:
     return "not set" if value is None else json.dumps(value)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file by a whole new one."""
-    new = path.with_suffix(".new")
-    with new.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)
