@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import ipaddress
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd.errors import BadInputError
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 GpioLineName = Annotated[str, Field(min_length=1, max_length=64)]
 TcpPort = Annotated[int, Field(ge=0, le=65535)]
+
+
+def _address(host: str) -> str:
+    """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
+    if host != "localhost":
+        try:
+            ipaddress.ip_address(host)
+        except ValueError as error:
+            every = "every address of the unit is 0.0.0.0"
+            raise ValueError(f"{host!r} is no IP address ({every})") from error
+    return host
+
+
+Host = Annotated[str, AfterValidator(_address)]
 
 
 class Table(BaseModel):
@@ -245,8 +260,8 @@ class Installation(Table):
 class ModbusTcp(Table):
     """Modbus TCP server."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 502
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
@@ -256,8 +271,8 @@ class ModbusTcp(Table):
 class Http(Table):
     """HTTP server: measurement, status and a stream."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 8080
     """TCP port."""
 
