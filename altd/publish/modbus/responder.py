@@ -23,6 +23,9 @@ READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
 """What is served beside the identification (Modbus Application Protocol V1.1b3, 6.3, 6.4); the rest is an
 illegal function."""
 
+_READ_BYTES = 5
+"""Function, address and number of registers; pymodbus would answer a longer one, too."""
+
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it logs a line for every malformed request
 
 
@@ -51,7 +54,7 @@ class Responder:
             return identification(request)
         if function not in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
             return ExcCodes.ILLEGAL_FUNCTION
-        decoded = self._decoder.decode(request)
+        decoded = self._decoder.decode(request) if len(request) == _READ_BYTES else None
         if decoded is None:
             return ExcCodes.ILLEGAL_VALUE
         response: ModbusPDU = await decoded.datastore_update(cast("ModbusServerContext", self), 0)
