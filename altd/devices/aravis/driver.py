@@ -46,6 +46,7 @@ _FRAMELESS_S = 1.0
 _HEARTBEAT_S = 3.0
 _PAST_HEARTBEAT_S = 0.5
 _LARGEST_ID = 65535
+_MAX_NAMED = 8
 _SETTLED_PERIODS = 2
 _SIMULATED = ("Aravis", "altd hw_sim")
 
@@ -171,12 +172,16 @@ class AravisCamera:
         if address == wanted:
             raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
         there = gvcp.discover(_DISCOVERY_S)
-        found = [greeting for greeting in there if greeting.is_called(wanted)]
+        claims = [greeting for greeting in there if greeting.is_called(wanted)]
+        found = [greeting for greeting in claims if gvcp.greet(greeting.address, _ANSWER_S) == greeting]
         if len(found) > 1:
             raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
         if not found:
-            others = ", ".join(f"{greeting.serial} at {greeting.address}" for greeting in there)
-            raise CameraNotFoundError(f"no camera {wanted} answers, only {others or 'none at all'}")
+            others = [f"{greeting.serial} at {greeting.address}" for greeting in there[:_MAX_NAMED]]
+            if len(there) > _MAX_NAMED:
+                others.append(f"{len(there) - _MAX_NAMED} more")
+            only = ", ".join(others) or "none at all"
+            raise CameraNotFoundError(f"no camera {wanted} answers, only {only}")
         return found[0]
 
     def _watch(self, opened: Opened) -> None:
