@@ -1,8 +1,9 @@
-"""``python -m benchmarks.live.attacker DAEMON CAMERAS SECONDS RATE SEED``: a foreign voice on the network.
+"""A foreign voice on the cameras' network: ``python -m benchmarks.live.attacker``.
 
-Sends datagrams with forged sources (raw socket) to the UDP ports that process DAEMON has at the moment, in
-ways that change each PHASE_S; it listens in to the frames of process CAMERAS, to forge frames that look like
-them. It shares no code with altd: packets are made from the GigE Vision standard.
+Arguments: process id of the daemon and of the cameras, for how long, s, how long in one way, s, datagrams a
+second, seed. Sends datagrams with forged sources (raw socket) to the UDP ports that the daemon has at the
+moment, in one way after the other; it listens in to the cameras' frames, to forge frames that look like them.
+It shares no code with altd: packets are made from the GigE Vision standard.
 """
 
 from __future__ import annotations
@@ -13,19 +14,19 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-PHASE_S = 4.0
 FOREIGN = "127.0.0.66"
 _GVCP_PORT = 3956
 _HEADER = struct.Struct(">HHI")
 _IP_UDP = struct.Struct(">BBHHHBBH4s4sHHHH")
 _LISTEN_S = 0.3
 _LOOK_INTERVAL_S = 0.25
+_IDLE_S = 0.05
 _TRAILER = struct.pack(">HHI", 0, 1, 0)
 _KILLER = bytes.fromhex("00000000820000000000000000000001f00000000000000100000000")
 """A trailer with extended ids and packet id 0xF0000000: 28 bytes for which Aravis 0.8.26 allocates 64 GB."""
@@ -55,29 +56,32 @@ class Target:
     heard: Heard
 
 
+Phase = Callable[[random.Random, Ends, list[Target]], Datagrams]
+
+
 def main() -> int:
     """Send for so long; prints how many datagrams of each phase went."""
-    daemon, cameras, seconds, rate, seed = (float(text) for text in sys.argv[1:6])
-    dice, sent = random.Random(seed), dict.fromkeys(_PHASES, 0)
+    daemon, cameras, seconds, phase_s, rate, seed = (float(text) for text in sys.argv[1:7])
+    dice, sent = random.Random(seed), dict.fromkeys(PHASES, 0)
     raw = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW)
     began_s = time.monotonic()
-    looked_s, listened_phase = -1.0, -1
+    looked_s, due_s, listened_phase = -1.0, 0.0, -1
     goals: Ends = []
     targets: list[Target] = []
     while (elapsed_s := time.monotonic() - began_s) < seconds:
-        phase_number = int(elapsed_s / PHASE_S)
-        phase = list(_PHASES)[phase_number % len(_PHASES)]
+        phase_number = int(elapsed_s / phase_s)
+        phase = list(PHASES)[phase_number % len(PHASES)]
         if elapsed_s - looked_s > _LOOK_INTERVAL_S:
             looked_s, goals = elapsed_s, list(udp_ports(int(daemon)))
             if listened_phase != phase_number or not targets:
                 listened_phase = phase_number
                 targets = list(_targets(list(udp_ports(int(cameras))), goals))
-        burst = list(_PHASES[phase](dice, goals, targets)) if goals else []
+        burst = list(PHASES[phase](dice, goals, targets)) if goals else []
         for source, goal, data in burst:
             raw.sendto(_packet(source, goal, data), goal)
         sent[phase] += len(burst)
-        ahead_s = sum(sent.values()) / rate - elapsed_s
-        time.sleep(min(max(ahead_s, 0.0 if burst else 0.05), PHASE_S))
+        due_s = max(due_s, elapsed_s) + (len(burst) / rate if burst else _IDLE_S)
+        time.sleep(max(due_s - (time.monotonic() - began_s), 0.0))
     print(", ".join(f"{phase} {count}" for phase, count in sent.items()), flush=True)
     return 0
 
@@ -129,7 +133,7 @@ def _packets_from_port(dice: random.Random, _goals: Ends, targets: list[Target])
         yield from ((target.source, target.goal, data) for data in dice.sample(packets, 20))
 
 
-_PHASES = {
+PHASES: Mapping[str, Phase] = {
     "silence": _silence,
     "foreign": _foreign,
     "noise": _noise,

@@ -12,10 +12,11 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.live.attacker import FOREIGN
+from benchmarks.live.attacker import FOREIGN, PHASES
 from benchmarks.live.parts import Running, calibrate, running
 from benchmarks.live.truth import QUANTITIES
 from benchmarks.live.unit import FRONT, REAR, SEED, both_cameras, ip, measuring_daemon
@@ -27,6 +28,7 @@ WRONG_SIGMAS = 5.0
 WRONG_BY = {"x_mm": 0.05, "y_mm": 0.05, "yaw_deg": 0.01, "pitch_deg": 0.01}
 _WITHIN_S = 30.0
 _RSS_INTERVAL_S = 5.0
+_PHASE_S = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,26 +70,20 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
     ):
         watch.first(lambda seen: seen.valid, 0.0, _WITHIN_S)
         pids = str(daemon.process.pid), str(cameras.process.pid)
-        attacker = [
-            sys.executable,
-            "-m",
-            "benchmarks.live.attacker",
-            *pids,
-            str(seconds),
-            str(rate),
-            str(seed),
-        ]
+        phase_s = min(_PHASE_S, seconds / len(PHASES))
+        how = [str(value) for value in (seconds, phase_s, rate, seed)]
+        attacker = [sys.executable, "-m", "benchmarks.live.attacker", *pids, *how]
         first, rss_mb = len(watch.seen), []
         with running(attacker, folder / "attacker.log") as attack:
             until_s = time.monotonic() + seconds + _WITHIN_S
-            while attack.process.poll() is None and time.monotonic() < until_s:
-                if daemon.process.poll() is not None:
-                    raise RuntimeError(
-                        f"the daemon ended with {daemon.process.returncode}: {daemon.said[-2000:]}"
-                    )
-                rss_mb.append(_rss_mb(daemon))
+            while {attack.process.poll(), daemon.process.poll()} == {None} and time.monotonic() < until_s:
+                with suppress(StopIteration):  # it is ending
+                    rss_mb.append(_rss_mb(daemon))
                 time.sleep(min(_RSS_INTERVAL_S, seconds / 4))
-            sent = attack.said.strip()
+        sent = attack.said.strip()
+        if daemon.process.poll() is not None:
+            status, said = daemon.process.returncode, daemon.said[-2000:]
+            raise RuntimeError(f"the daemon ended with {status}: {said}")
         if attack.process.returncode != 0:
             raise RuntimeError(f"the attack ended with {attack.process.returncode}: {sent}")
         ended_s = time.monotonic()
