@@ -8,6 +8,7 @@ It shares no code with altd: packets are made from the GigE Vision standard.
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 import socket
@@ -60,29 +61,28 @@ Phase = Callable[[random.Random, Ends, list[Target]], Datagrams]
 
 
 def main() -> int:
-    """Send for so long; prints how many datagrams of each phase went."""
+    """Send for so long; prints a line for each phase: when it began, monotonic s, datagrams, its name."""
     daemon, cameras, seconds, phase_s, rate, seed = (float(text) for text in sys.argv[1:7])
-    dice, sent = random.Random(seed), dict.fromkeys(PHASES, 0)
+    dice = random.Random(seed)
     raw = socket.socket(socket.AF_INET, socket.SOCK_RAW, socket.IPPROTO_RAW)
-    began_s = time.monotonic()
-    looked_s, due_s, listened_phase = -1.0, 0.0, -1
-    goals: Ends = []
-    targets: list[Target] = []
-    while (elapsed_s := time.monotonic() - began_s) < seconds:
-        phase_number = int(elapsed_s / phase_s)
-        phase = list(PHASES)[phase_number % len(PHASES)]
-        if elapsed_s - looked_s > _LOOK_INTERVAL_S:
-            looked_s, goals = elapsed_s, list(udp_ports(int(daemon)))
-            if listened_phase != phase_number or not targets:
-                listened_phase = phase_number
-                targets = list(_targets(list(udp_ports(int(cameras))), goals))
-        burst = list(PHASES[phase](dice, goals, targets)) if goals else []
-        for source, goal, data in burst:
-            raw.sendto(_packet(source, goal, data), goal)
-        sent[phase] += len(burst)
-        due_s = max(due_s, elapsed_s) + (len(burst) / rate if burst else _IDLE_S)
-        time.sleep(max(due_s - (time.monotonic() - began_s), 0.0))
-    print(", ".join(f"{phase} {count}" for phase, count in sent.items()), flush=True)
+    end_s = time.monotonic() + seconds
+    for phase, made_in in itertools.cycle(PHASES.items()):
+        began_s = due_s = time.monotonic()
+        if began_s >= end_s:
+            break
+        goals = list(udp_ports(int(daemon)))
+        targets = list(_targets(list(udp_ports(int(cameras))), goals))
+        looked_s, sent = began_s, 0
+        while (now_s := time.monotonic()) < min(began_s + phase_s, end_s):
+            if now_s - looked_s > _LOOK_INTERVAL_S:
+                looked_s, goals = now_s, list(udp_ports(int(daemon)))
+            burst = list(made_in(dice, goals, targets)) if goals else []
+            for source, goal, data in burst:
+                raw.sendto(_packet(source, goal, data), goal)
+            sent += len(burst)
+            due_s = max(due_s, now_s) + (len(burst) / rate if burst else _IDLE_S)
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+        print(f"{began_s:.3f} {sent} {phase}", flush=True)
     return 0
 
 

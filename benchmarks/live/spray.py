@@ -29,6 +29,17 @@ WRONG_BY = {"x_mm": 0.05, "y_mm": 0.05, "yaw_deg": 0.01, "pitch_deg": 0.01}
 _WITHIN_S = 30.0
 _RSS_INTERVAL_S = 5.0
 _PHASE_S = 4.0
+_SETTLES_S = 0.5
+
+
+@dataclass(slots=True)
+class Phase:
+    """One way to attack, all its turns together, each without its first half second."""
+
+    seconds: float = 0.0
+    sent: int = 0
+    measurements: int = 0
+    valid: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +53,7 @@ class Sprayed:
     reasons: Counter[str]
     rss_mb: list[float]
     valid_again_after_s: float
-    sent: str
+    phases: dict[str, Phase]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,12 +91,12 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
                 with suppress(StopIteration):  # it is ending
                     rss_mb.append(_rss_mb(daemon))
                 time.sleep(min(_RSS_INTERVAL_S, seconds / 4))
-        sent = attack.said.strip()
+        said = attack.said.strip()
         if daemon.process.poll() is not None:
-            status, said = daemon.process.returncode, daemon.said[-2000:]
-            raise RuntimeError(f"the daemon ended with {status}: {said}")
+            status = daemon.process.returncode
+            raise RuntimeError(f"the daemon ended with {status}: {daemon.said[-2000:]}")
         if attack.process.returncode != 0:
-            raise RuntimeError(f"the attack ended with {attack.process.returncode}: {sent}")
+            raise RuntimeError(f"the attack ended with {attack.process.returncode}: {said}")
         ended_s = time.monotonic()
         back = watch.first(lambda seen: seen.valid, ended_s, _WITHIN_S)
         seen = watch.seen[first:]
@@ -100,8 +111,23 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
         reasons=reasons,
         rss_mb=rss_mb,
         valid_again_after_s=back.arrived_s - ended_s,
-        sent=sent,
+        phases=_phases(said, ended_s, seen),
     )
+
+
+def _phases(told: str, ended_s: float, seen: list[Seen]) -> dict[str, Phase]:
+    rows = [line.split(maxsplit=2) for line in told.splitlines()]
+    began_s = [float(row[0]) for row in rows]
+    phases = {name: Phase() for name in PHASES}
+    for (_, sent, name), begin_s, to_s in zip(rows, began_s, [*began_s[1:], ended_s], strict=True):
+        from_s = begin_s + _SETTLES_S
+        inside = [one.valid for one in seen if from_s <= one.arrived_s < to_s]
+        phase = phases[name]
+        phase.seconds += max(to_s - from_s, 0.0)
+        phase.sent += int(sent)
+        phase.measurements += len(inside)
+        phase.valid += sum(inside)
+    return phases
 
 
 def _wrong(seen: Seen, unit: Unit) -> Iterator[str]:
@@ -119,7 +145,13 @@ def _rss_mb(daemon: Running) -> float:
 
 
 def _lines(sprayed: Sprayed) -> Iterator[str]:
-    yield f"sprayed for {sprayed.seconds:.0f} s from {FOREIGN} and in the cameras' names: {sprayed.sent}"
+    yield f"sprayed for {sprayed.seconds:.0f} s from {FOREIGN} and in the cameras' names"
+    yield f"{'way':<32}{'s':>7}{'datagrams':>11}{'measurements':>14}{'valid':>7}{'valid/s':>9}"
+    for name, phase in sprayed.phases.items():
+        yield (
+            f"{name:<32}{phase.seconds:>7.1f}{phase.sent:>11}{phase.measurements:>14}{phase.valid:>7}"
+            f"{phase.valid / max(phase.seconds, 1e-9):>9.1f}"
+        )
     yield (
         f"{sprayed.measurements} measurements, {sprayed.valid} valid, {len(sprayed.wrong)} of their numbers "
         f"wrong; valid again {sprayed.valid_again_after_s:.1f} s after the end"
