@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import gvsp
-from support.gige import HOME, Cameras, Grabbed, driver
+from support.gige import HOME, Cameras, Grabbed, driver, register
 
 from altd.records import Frame
 from benchmarks.live.attacker import udp_ports
@@ -31,10 +31,11 @@ def is_the_cameras(frame: Frame) -> bool:
     return bool(np.array_equal(frame.pixels, (x + y + int(frame.pixels[0, 0])) % 255))
 
 
-def stream_port(grabbed: Grabbed) -> int:
-    opened = grabbed.camera._opened
-    assert opened is not None
-    return opened.stream._receiving.port
+def stream_port() -> int:
+    """Where the frames go: the camera tells anybody (bootstrap register SCP0)."""
+    port = register(HOME, 0x0D00)
+    assert port
+    return port & 0xFFFF
 
 
 @contextmanager
@@ -54,7 +55,7 @@ def grabbed(cameras: Cameras) -> Iterator[Grabbed]:
 
 class TestAnotherAddress:
     def test_gives_no_frame_and_takes_none(self, grabbed: Grabbed) -> None:
-        goal = HOME, stream_port(grabbed)
+        goal = HOME, stream_port()
         with forger(FOREIGN) as sending:
             for number in range(40):
                 for packet in [gvsp.KILLER, *gvsp.frame(1 + number * 700, BLACK, WIDTH, PACKET_BYTES)]:
@@ -68,7 +69,7 @@ class TestAnotherAddress:
     def test_is_not_heard_at_the_control_channel(self, grabbed: Grabbed) -> None:
         """Where one acknowledgement "wait for a minute" would hold up whatever is asked of the camera."""
         wait_a_minute = struct.pack(">HHHHHH", 0, 0x89, 4, 1, 0, 60_000)
-        control = [goal for goal in udp_ports(os.getpid()) if goal[1] != stream_port(grabbed)]
+        control = [goal for goal in udp_ports(os.getpid()) if goal[1] != stream_port()]
         assert len(control) == 1
         before = dropped(control[0][1])
         with forger(FOREIGN) as sending:
@@ -79,7 +80,7 @@ class TestAnotherAddress:
 
 class TestTheCamerasAddress:
     def test_without_its_port_ends_the_frames_for_as_long(self, grabbed: Grabbed) -> None:
-        goal = HOME, stream_port(grabbed)
+        goal = HOME, stream_port()
         with forger(HOME) as sending:
             before = len(grabbed.frames)
             for number in range(20):
@@ -92,7 +93,7 @@ class TestTheCamerasAddress:
         assert all(is_the_cameras(frame) for _, frame in grabbed.frames)
 
     def test_with_what_is_no_frame_changes_nothing(self, grabbed: Grabbed) -> None:
-        goal, dice = (HOME, stream_port(grabbed)), np.random.default_rng(1)
+        goal, dice = (HOME, stream_port()), np.random.default_rng(1)
         with forger(HOME) as sending:
             for _ in range(3000):
                 sending.sendto(gvsp.KILLER, goal)
@@ -104,11 +105,12 @@ class TestTheCamerasAddress:
     def test_does_not_keep_a_camera_that_started_anew_from_being_opened(
         self, grabbed: Grabbed, cameras: Cameras
     ) -> None:
+        goal = HOME, stream_port()
         cameras.kill()
         with forger(HOME) as sending:
             for number in range(30):
                 for packet in gvsp.frame(1 + number, BLACK, WIDTH, PACKET_BYTES)[:-1]:
-                    sending.sendto(packet, (HOME, stream_port(grabbed)))
+                    sending.sendto(packet, goal)
                 time.sleep(0.02)
         cameras.start()
         assert grabbed.back_after_s(time.monotonic_ns()) < 5.0
