@@ -18,6 +18,7 @@ from support.own_network import inside
 from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
 from benchmarks.live.parts import calibrate, daemon_command, free_port, running, write_config
+from benchmarks.live.spray import spray
 from benchmarks.live.unit import (
     FRONT,
     LINKED,
@@ -80,6 +81,17 @@ def test_a_pulled_link_is_said_and_survived(calibration: Path, tmp_path: Path) -
             watch, "pulled", "front", lambda: set_link("down"), lambda: set_link("up"), 4.0
         )
         assert_it_was_said_and_is_over(pulled)
+
+
+def test_datagrams_from_forged_sources_leave_it_alive_and_right_or_invalid(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """Each way of attacking for 2 s; ``make bench-spray`` takes ten minutes."""
+    sprayed = spray(tmp_path, calibration, seconds=16.0, rate=3000.0, seed=2)
+    assert sprayed.wrong == []
+    assert sprayed.valid > 20
+    assert sprayed.measurements > sprayed.valid
+    assert max(sprayed.rss_mb) < sprayed.rss_mb[0] + 30.0
 
 
 LAMPS = '[lamps]\ndriver = "camera"\ncameras = ["front", "rear"]\nline = "Line1"\n'
