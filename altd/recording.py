@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.errors import BadInputError
 from altd.measurement_json import utc_text
-from altd.records import Frame, PixelArray
+from altd.records import CameraIdentity, Frame, PixelArray
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -41,8 +41,33 @@ class CameraHeader(BaseModel):
     width: Annotated[int, Field(ge=16, le=20_000)]
     height: Annotated[int, Field(ge=16, le=20_000)]
     bits: Annotated[int, Field(ge=8, le=16)]
+    serial: str | None = None
+    """The camera's serial number, where its driver tells one."""
+    model: str | None = None
+    """What its maker calls it."""
+    driver: str | None = None
+    """The driver that named it: ``driver`` of the config."""
     mirrored: bool | None = None
     """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Which camera it was, as far as the recording knows."""
+        return CameraIdentity(self.serial, self.model, self.driver)
+
+
+def camera_header(frame: Frame, camera: CameraIdentity | None) -> CameraHeader:
+    """The header of a camera that delivers such frames."""
+    known = camera or CameraIdentity()
+    rows, columns = frame.pixels.shape
+    return CameraHeader(
+        width=columns,
+        height=rows,
+        bits=frame.bits,
+        serial=known.serial,
+        model=known.model,
+        driver=known.driver,
+    )
 
 
 class UnitHeader(BaseModel):
@@ -272,7 +297,9 @@ class RecordingWriter:
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = _read_header(self._path / HEADER_FILE)
         if (there.cameras, there.unit) != (header.cameras, header.unit):
-            raise BadInputError(self._path / HEADER_FILE, "is of another unit or of cameras of another size")
+            raise BadInputError(
+                self._path / HEADER_FILE, "is of another unit, of other cameras or of another size"
+            )
         try:
             self._file = (self._path / FRAMES_FILE).open("r+", newline="", encoding="utf-8")
             self._file.truncate(resume_at)

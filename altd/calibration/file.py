@@ -17,12 +17,13 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.calibration.cross_check import CrossCheck
+from altd.calibration.fingerprint_file import FingerprintTable, as_document, from_table
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.errors import BadInputError
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
-from altd.records import FloatArray
+from altd.records import CameraIdentity, FloatArray
 from altd.vision.flat import Flat, Source
 from altd.vision.settings import Method, SpotSettings
 
@@ -90,6 +91,8 @@ class _Target(_Table):
     name: str
     z_mm: float
     camera_serial: str | None
+    camera_model: str | None = None
+    camera_driver: str | None = None
     width: int
     height: int
     localiser: _Localiser
@@ -100,6 +103,7 @@ class _Target(_Table):
     residuals: _Residuals
     repeatability_px: tuple[float, float]
     leds_px: list[tuple[float, float]]
+    fingerprint: FingerprintTable | None = None
 
 
 class _Unit(_Table):
@@ -181,6 +185,13 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
         )
 
 
+def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:
+    """Refuse a recording of another camera than the one that the target was calibrated with."""
+    known = calibration.target(target)
+    if known is not None and (difference := camera.difference_from(known.camera)):
+        raise BadInputError(path, f"target {target!r} was calibrated with another camera: {difference}")
+
+
 def _checksum(document: dict[str, Any]) -> str:
     """SHA-256 over the document without its checksum, keys sorted, no spaces."""
     canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
@@ -201,7 +212,9 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
     return {
         "name": target.name,
         "z_mm": target.z_mm,
-        "camera_serial": None,
+        "camera_serial": target.camera.serial,
+        "camera_model": target.camera.model,
+        "camera_driver": target.camera.driver,
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
@@ -221,6 +234,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         },
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
+        "fingerprint": as_document(target.fingerprint),
     }
 
 
@@ -259,13 +273,15 @@ def _from_content(content: _File) -> Calibration:
 
 
 def _from_target(target: _Target) -> TargetCalibration:
+    flat = _from_flat(target)
+    place = f"targets.{target.name}.fingerprint"
     return TargetCalibration(
         name=target.name,
         z_mm=target.z_mm,
         width=target.width,
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
-        flat=_from_flat(target),
+        flat=flat,
         map=_from_map(f"targets.{target.name}.map", target.map),
         cross_check=CrossCheck(
             map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
@@ -279,6 +295,8 @@ def _from_target(target: _Target) -> TargetCalibration:
         residual_max_mm=target.residuals.max_mm,
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
+        camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
+        fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 
@@ -11,7 +11,8 @@ import numpy as np
 from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.records import FloatArray, TargetPoint
+from altd.records import CameraIdentity, FloatArray, TargetPoint
+from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.settings import SpotSettings
 
@@ -24,7 +25,8 @@ class TargetCalibration:
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
-    are the frame LEDs' reference positions.
+    are the frame LEDs' reference positions. ``camera`` is the one that was calibrated, ``fingerprint`` what
+    is fixed in its picture; None: not known.
     """
 
     name: str
@@ -41,6 +43,8 @@ class TargetCalibration:
     residual_max_mm: float
     repeatability_px: FloatArray
     leds_px: FloatArray
+    camera: CameraIdentity = field(default_factory=CameraIdentity)
+    fingerprint: Fingerprint | None = None
 
     @cached_property
     def inverse(self) -> InverseMap:
