@@ -298,7 +298,8 @@ class RecordingWriter:
         there = _read_header(self._path / HEADER_FILE)
         if (there.cameras, there.unit) != (header.cameras, header.unit):
             raise BadInputError(
-                self._path / HEADER_FILE, "is of another unit, of other cameras or of another size"
+                self._path / HEADER_FILE,
+                "is of another unit, of other cameras, or of cameras of another size",
             )
         try:
             self._file = (self._path / FRAMES_FILE).open("r+", newline="", encoding="utf-8")

@@ -22,6 +22,7 @@ class Source:
     """Delivers a number of frames and then fails, or is at its end."""
 
     origin = Origin.CAMERA
+    identity = None
     waits = True
 
     def __init__(self, name: str, frames: int, end: Exception) -> None:
