@@ -21,7 +21,7 @@ MAX_PIXELS = 500
 """A sensor with more is kept with that many."""
 
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
-_RATIO = 3
+_RATIO = 5
 """A hot pixel rises over the dimmest of its eight neighbours so many times as far as the brightest: in an
 image as sharp as 0.5 px a glint does not. In even light the neighbours lie 2.8 sigma apart, so noise would
 need 7 sigma."""
