@@ -181,7 +181,7 @@ def test_cameras_that_are_exchanged_and_put_back_are_noticed_at_once(
 def test_a_spot_that_stays_where_it_was_is_examined_again_every_one_and_a_half_seconds(
     calibration: Calibration, pictures: list[Pictures]
 ) -> None:
-    """A picture that moved by so little that the spot hardly did: the half of a window later it is invalid."""
+    """A picture that moved by so little that the spot hardly did."""
     aside = [SPOILT["front 1 px aside"](*pictures[0])] * 40
     lines = measured(chain(without_hot_pixels(calibration), window=4), [*[pictures[0]] * 8, *aside])
     invalid = [number for number, line in enumerate(lines) if "front_wrong_camera" in status(line)]
