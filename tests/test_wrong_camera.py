@@ -15,15 +15,17 @@ import cv2
 import numpy as np
 import pytest
 
+from altd.app import Daemon
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
-from altd.config import Installation, Measuring
+from altd.config import Config, Installation, Measuring
 from altd.recording import open_recording
 from altd.records import CameraIdentity, Frame, Measurement
 from altd.service.chain import MeasuringChain, View
 from altd.vision.hot_pixels import HotPixels, places_of
 from hw_sim.beam import BeamPose
+from hw_sim.camera import make_cameras
 from hw_sim.scan import record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
@@ -233,6 +235,28 @@ class TestIdentities:
             expected={"rear": CameraIdentity("rear-1")},
         )
         assert status(measured(measuring, pictures[:1])[0]) == {"rear_wrong_camera"}
+
+
+def test_the_daemon_holds_its_cameras_against_the_config(
+    calibration: Calibration, pictures: list[Pictures], tmp_path: Path
+) -> None:
+    """Cameras that are there, pictures that are right; only the rear camera's name is not the one asked for."""
+    camera = {"driver": "v4l2", "device": "/dev/null", "fps": 20}
+    config = Config.model_validate(
+        {
+            "unit": {"serial": calibration.unit_serial, "calibration": tmp_path / "cal.json"},
+            "targets": [
+                {"name": "front", "z_mm": 0, "camera": "front"},
+                {"name": "rear", "z_mm": 280, "camera": "rear"},
+            ],
+            "cameras": {"front": camera, "rear": {**camera, "serial": "R-9"}},
+            "measuring": {"pair_by": "time", "window": 1},
+        }
+    )
+    cameras = {camera.name: camera for camera in make_cameras(Unit(UnitConfig(seed=5)))}
+    (measurement,) = measured(Daemon(config, calibration, cameras).chain, pictures[:1])
+    assert status(measurement) == {"rear_wrong_camera", "simulated"}
+    assert "its serial is 'SIM-5-rear', expected 'R-9'" in measurement.status[0].detail
 
 
 @pytest.fixture(scope="module")
