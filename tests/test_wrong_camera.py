@@ -240,7 +240,7 @@ class TestIdentities:
 def test_the_daemon_holds_its_cameras_against_the_config(
     calibration: Calibration, pictures: list[Pictures], tmp_path: Path
 ) -> None:
-    """Cameras that are there, pictures that are right; only the rear camera's name is not the one asked for."""
+    """Cameras that are there, pictures that are right; only the rear camera's name is another one."""
     camera = {"driver": "v4l2", "device": "/dev/null", "fps": 20}
     config = Config.model_validate(
         {

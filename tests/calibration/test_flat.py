@@ -76,7 +76,7 @@ def test_a_flat_of_another_camera_is_refused(folder: Path, tmp_path: Path) -> No
     cameras = {name: size.model_copy(update={"serial": f"{name}-1"}) for name, size in scan.cameras.items()}
     others = {**cameras, "rear": cameras["rear"].model_copy(update={"serial": "rear-2"})}
     flat = replace(flat, header=flat.header.model_copy(update={"cameras": others}))
-    with pytest.raises(BadInputError, match="rear: the flat is of another camera .* 'rear-2'"):
+    with pytest.raises(BadInputError, match=r"rear: the flat is of another camera .* 'rear-2'"):
         flats_of(flat, scan.model_copy(update={"cameras": cameras}))
 
 
