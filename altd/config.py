@@ -117,6 +117,9 @@ class LiveCamera(Table):
     """Frames a second."""
     exposure: ExposureControl = ExposureControl()
     """A table of its own, see below."""
+    serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    """The camera's serial number, as `altd devices` shows it: another one in its place is
+    ``wrong_camera``. The serial number in the calibration counts as well."""
 
 
 class V4l2Camera(LiveCamera):
