@@ -13,8 +13,8 @@ from hw_sim.recording import Progress, recording
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
-COLUMNS, ROWS, PITCH_MM = 6, 5, 25.0
-"""The grid of Fig. 3.24: 125 × 100 mm around the middle."""
+COLUMNS, ROWS, PITCH_MM = 6, 5, 28.0
+"""The grid of Fig. 3.24 over the area of App. A.1: 140 × 112 mm around the middle."""
 
 STAGE_STREAM = 6
 """Keeps the stage's random numbers apart from those of the frames."""
