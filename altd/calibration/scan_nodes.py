@@ -21,10 +21,11 @@ _SAME_NODE_MM = 0.5
 
 @dataclass(slots=True)
 class Node:
-    """The exposures at one node: stage positions mm, spots px, and why the others have none."""
+    """The exposures at one node: stage positions mm, spots and their sigmas px, and why others have none."""
 
     positions_mm: list[tuple[float, float]] = field(default_factory=list)
     spots_px: list[tuple[float, float]] = field(default_factory=list)
+    sigmas_px: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     located: list[Row] = field(default_factory=list)
     """The rows that the spots come from."""
@@ -48,6 +49,7 @@ class Node:
     def refuse(self, why: str) -> None:
         """Take its exposures out of use."""
         self.spots_px.clear()
+        self.sigmas_px.clear()
         self.located.clear()
         self.complaints.append(why)
 
@@ -58,6 +60,8 @@ class Seen:
 
     nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
+    leds_dropped: tuple[str, ...] = ()
+    """The frame LEDs of the last pair that shine and could not be located, in words."""
 
     @property
     def usable(self) -> list[Node]:
@@ -113,8 +117,9 @@ def look(job: Job, progress: Progress) -> Seen:
         elif not row.leds_on:
             dark = frame
         elif dark is not None:  # LED reference exposures come in pairs: off, then on
-            spots = locate_leds(frame, dark)
-            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
+            leds = locate_leds(frame, dark)
+            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
+            seen.leds_dropped = leds.dropped
         progress(done, len(job.rows))
     return seen
 
@@ -149,4 +154,5 @@ def _take_node(seen: Seen, frame: Frame, row: Row, position_mm: tuple[float, flo
         node.complaints.append(f"{spot.reason} in {row.file}{detail}")
     else:
         node.spots_px.append((spot.u_px, spot.v_px))
+        node.sigmas_px.append(spot.sigma_px)
         node.located.append(row)
