@@ -23,18 +23,20 @@ LED_REFERENCE = (False, True, False, True)
 """The frame LEDs in the exposures before the grid, with the beam in the middle."""
 
 
-def grid_mm() -> list[tuple[float, float]]:
+def grid_mm(pitch_mm: float = PITCH_MM) -> list[tuple[float, float]]:
     """The nodes (x, y) of the scan in mm, row by row from the smallest x and y."""
     return [
-        ((column - (COLUMNS - 1) / 2.0) * PITCH_MM, (row - (ROWS - 1) / 2.0) * PITCH_MM)
+        ((column - (COLUMNS - 1) / 2.0) * pitch_mm, (row - (ROWS - 1) / 2.0) * pitch_mm)
         for row in range(ROWS)
         for column in range(COLUMNS)
     ]
 
 
-def record_scan(folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress) -> None:
+def record_scan(
+    folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress, pitch_mm: float = PITCH_MM
+) -> None:
     """Write the scan of a unit into ``folder``: LED reference pairs, then ``exposures`` a node."""
-    nodes = grid_mm()
+    nodes = grid_mm(pitch_mm)
     planned = len(LED_REFERENCE) + len(nodes) * exposures
     with recording(folder, unit, "scan", planned, progress) as recorder:
         for leds_on in LED_REFERENCE:
