@@ -6,11 +6,12 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test check bench bench-area bench-guest bench-live bench-peers studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test check bench bench-area bench-guest bench-live bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
 LIVE_S ?= 60
+CAMPAIGN_S ?= 180
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -58,6 +59,9 @@ bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec .venv-peers/bin/python -m benchmarks.peers_measure --page docs/studies/peers.md
+
+campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=36000 for ten hours
+	@exec $(python) -m benchmarks.campaign --seconds $(CAMPAIGN_S)
 
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m hw_sim study -o docs/studies

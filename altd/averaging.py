@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot
+from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot, SpotShape
 
 _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 6.0
@@ -58,7 +58,8 @@ def mean_spots(
     last three must not all be bad. An exposure that lies six robust sigmas off the median in any
     coordinate counts for none; when that is true of more than 30 %, or when the exposures fall into two
     places, the beam moved: ``unsteady``. Where one camera exposes behind another, the mean spots are those of
-    one instant all the same: steady motion between the two is taken off.
+    one instant all the same: steady motion between the two is taken off. What light that one spot does not
+    explain adds to a spot's sigma stays in the mean: it is the same in all exposures.
     """
     usable = [exposure for exposure in exposures if not exposure.faults()]
     gone = len(exposures) >= _GONE_AFTER and all(e.faults() for e in exposures[-_GONE_AFTER:])
@@ -76,14 +77,26 @@ def mean_spots(
     since_middle_ns = np.array([exposure.t_ns - middle_ns for exposure in counted], dtype=np.float64)
     mean = px[kept].mean(axis=0)
     speed = _speed_px_per_ns(px[kept] - mean, since_middle_ns)
+    covariance_px2 = _covariance_of_mean(px[kept] - mean, speed, since_middle_ns, typical_noise)
+    by_target = [[_spot(exposure, target) for exposure in counted] for target in targets]
+    excess_px2 = [sum(spot.excess_px**2 for spot in of_target) / len(counted) for of_target in by_target]
     return MeanSpots(
         targets=targets,
         px=(mean - speed * np.repeat(_behind_ns(counted, targets), 2)).reshape(len(targets), 2),
-        covariance_px2=_covariance_of_mean(px[kept] - mean, speed, since_middle_ns, typical_noise),
+        covariance_px2=covariance_px2 + np.diag(np.repeat(excess_px2, 2)),
         t_ns=middle_ns,
         frames=int(np.count_nonzero(kept)),
         lost=len(exposures) - len(usable),
+        shapes=tuple(_mean_shape(of_target) for of_target in by_target),
     )
+
+
+def _mean_shape(spots: Sequence[Spot]) -> SpotShape | None:
+    shapes = [spot.shape for spot in spots if spot.shape is not None]
+    if not shapes:
+        return None
+    of_all = np.array([(shape.a, shape.b, shape.c, shape.order) for shape in shapes])
+    return SpotShape(*of_all.mean(axis=0).tolist())
 
 
 def _middle_ns(times_ns: Sequence[int]) -> int:

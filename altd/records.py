@@ -129,14 +129,30 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
+class SpotShape:
+    """The shape of a spot, E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); a, b, c in 1/px²."""
+
+    a: float
+    b: float
+    c: float
+    order: float
+
+
+@dataclass(frozen=True, slots=True)
 class Spot:
-    """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts."""
+    """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts.
+
+    ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain adds
+    to that of a good spot; averaging does not reduce it. ``shape`` is None where no profile was fitted.
+    """
 
     u_px: float
     v_px: float
     sigma_px: float
     diameter_px: float
     peak: float
+    excess_px: float = 0.0
+    shape: SpotShape | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +191,8 @@ class MeanSpots:
 
     ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
     is that of the means, u and v of one target after the other: vibration moves all spots together.
-    ``t_ns`` is the mean time of the ``frames`` exposures that were averaged; ``lost`` were not usable.
+    ``shapes`` holds the mean shape of each target's spots, None where one was not fitted. ``t_ns`` is the
+    mean time of the ``frames`` exposures that were averaged; ``lost`` were not usable.
     """
 
     targets: tuple[str, ...]
@@ -184,6 +201,7 @@ class MeanSpots:
     t_ns: int
     frames: int
     lost: int
+    shapes: tuple[SpotShape | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -206,6 +206,10 @@ class Unit:
             pose = self._vibration.moved(pose, t_ns)
         return pose
 
+    def spots(self, camera: str, t_ns: int) -> list[Footprint]:
+        """What the beam puts on a camera's target at ``t_ns``."""
+        return self._spots(camera, self.truth(t_ns), self._faults)
+
     def is_silent(self, camera: str) -> bool:
         """Whether a camera delivers nothing at all."""
         return _SILENT[camera] in self._faults

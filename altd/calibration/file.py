@@ -24,9 +24,13 @@ from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
 from altd.records import FloatArray
 from altd.vision.flat import Flat, Source
+from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
+
+
+_NotNegative = Annotated[float, Field(ge=0)]
 
 
 class _Table(BaseModel):
@@ -88,6 +92,19 @@ class _Flat(_Table):
     png: str
 
 
+class _Shape(_Table):
+    mean: tuple[float, float, float, float]
+    sigma: tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+
+
+class _Spot(_Table):
+    grain: Annotated[float, Field(gt=0, le=10)] | None
+    misfit_ratio: Annotated[float, Field(ge=1, le=1000)]
+    pattern_px: Annotated[float, Field(ge=0, le=100)] | None
+    noise_px: Annotated[float, Field(ge=0, le=100)]
+    shape: _Shape | None
+
+
 class _Target(_Table):
     name: str
     z_mm: float
@@ -102,6 +119,7 @@ class _Target(_Table):
     residuals: _Residuals
     repeatability_px: tuple[float, float]
     leds_px: list[tuple[float, float]]
+    spot: _Spot | None = None
 
 
 class _Unit(_Table):
@@ -223,6 +241,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         },
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
+        "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
     }
 
 
@@ -283,7 +302,13 @@ def _from_target(target: _Target) -> TargetCalibration:
         residual_max_mm=target.residuals.max_mm,
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
+        spot=UNKNOWN_SPOT if target.spot is None else _from_spot(target.spot),
     )
+
+
+def _from_spot(spot: _Spot) -> SpotReference:
+    shape = None if spot.shape is None else ShapeReference(spot.shape.mean, spot.shape.sigma)
+    return SpotReference(spot.grain, spot.misfit_ratio, spot.pattern_px, spot.noise_px, shape)
 
 
 def _from_flat(target: _Target) -> Flat | None:

@@ -13,6 +13,7 @@ from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, TargetPoint
 from altd.vision.flat import Flat
+from altd.vision.reference import UNKNOWN_SPOT, SpotReference
 from altd.vision.settings import SpotSettings
 
 
@@ -24,7 +25,7 @@ class TargetCalibration:
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
-    are the frame LEDs' reference positions.
+    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like.
     """
 
     name: str
@@ -41,6 +42,7 @@ class TargetCalibration:
     residual_max_mm: float
     repeatability_px: FloatArray
     leds_px: FloatArray
+    spot: SpotReference = UNKNOWN_SPOT
 
     @cached_property
     def inverse(self) -> InverseMap:

@@ -23,12 +23,14 @@ from altd.calibration.result import (
 )
 from altd.calibration.scan_grid import relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, look, printed_nodes
+from altd.calibration.spot_reference import spot_reference
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
 from altd.recording import Recording
 from altd.records import FloatArray
 from altd.vision.flat import Flat
+from altd.vision.reference import UNKNOWN_SPOT
 from altd.vision.settings import SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
@@ -81,8 +83,8 @@ def calibrate_scan(
         recording_note=header.note,
         recording_sha256=recording.sha256(),
         targets=tuple(
-            replace(of.target, map=replace(of.target.map, noise_px=pattern_px))
-            for of, pattern_px in zip(made, patterns_px, strict=True)
+            _with_pattern(job, of.target, pattern_px)
+            for job, of, pattern_px in zip(jobs, made, patterns_px, strict=True)
         ),
     )
     return CalibrationResult(
@@ -105,6 +107,13 @@ def calibrate_scan(
             *(of.remark for of in verdicts),
         ),
     )
+
+
+def _with_pattern(job: Job, target: TargetCalibration, pattern_px: float) -> TargetCalibration:
+    """The target with what print and speckle do to a spot, and what its spots are like."""
+    fitted = replace(target.map, noise_px=pattern_px)
+    reference = spot_reference(first_frames(job), target.localiser, target.flat, fitted, pattern_px)
+    return replace(target, map=fitted, spot=reference or UNKNOWN_SPOT)
 
 
 def _calibrate_target(job: Job, progress: Progress) -> _Made:

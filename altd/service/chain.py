@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
+import numpy as np
+
 from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.calibration.model import Calibration
@@ -25,6 +27,7 @@ from altd.records import (
     Spot,
     TargetPoint,
 )
+from altd.spot_shape import shape_doubts_mm
 from altd.vision.localise import locate
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
@@ -110,7 +113,7 @@ class MeasuringChain:
         view = self._views[frame.camera]
         target = self._calibration[view.target]
         self._changes[frame.camera] += frame.changing
-        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat)
+        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat, target.spot)
         self._watch(frame, spot)
         self._last_spots[view.target] = spot
         found = _Found(spot, self._changes[frame.camera])
@@ -164,8 +167,12 @@ class MeasuringChain:
         points = self._points(mean)
         if isinstance(points, Fault):
             return self._invalid(exposure.sequence, mean.t_ns, (points,))
-        z_mm = [self._calibration[target].z_mm for target in mean.targets]
-        covariance = joint_covariance_mm2(mean, points)
+        targets = [self._calibration[target] for target in mean.targets]
+        doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
+        if isinstance(doubts_mm, Fault):
+            return self._invalid(exposure.sequence, mean.t_ns, (doubts_mm,))
+        z_mm = [target.z_mm for target in targets]
+        covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
         if (fault := self._too_uncertain(beam)) is not None:
             return self._invalid(exposure.sequence, mean.t_ns, (fault,))

@@ -3,37 +3,57 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import Frame, NoSpot, Reason, Spot
+from altd.records import Frame, NoSpot, Reason, Spot, SpotShape
 from altd.vision.background import pixel_noise
 from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
+from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
 from altd.vision.moment import moment
 from altd.vision.patch import Outline, Patch, patch_around
-from altd.vision.profile import fit_profile
+from altd.vision.profile import Profile, fit_profile
+from altd.vision.reference import SpotReference
 from altd.vision.search import Region, Search, search
 from altd.vision.settings import SpotSettings
 
 SATURATED_FROM = 0.995
 """Share of full scale from which a pixel counts as saturated."""
 
+_EXPLAINED_SIGMAS = 1.5
+"""A chi-square that lies no higher above its mean adds nothing to a spot's sigma."""
+_BIAS_PER_EXCESS = 2.0
+"""What unexplained light may do to a centre, in sigmas of the fit per root of the chi-square it makes. A
+reflection of 10 to 20 % one sigma of the spot aside displaces it five times as far as that."""
+_DISTORTED_FROM_SIGMAS = 5.5
+"""One good spot in fifty million lies farther out."""
+_DISTORTED_FROM_DIAMETERS = 0.01
+"""What may displace a spot by less only adds to its sigma: dust on the window does."""
+
 _E2 = math.exp(-2.0)
 _PRINTED_CONTRAST = 0.35
 """Relative scatter of a spot's pixels above which it lies on print; speckle stays below 0.2."""
 
 
-def locate(frame: Frame, settings: SpotSettings | None = None, flat: Flat | None = None) -> Spot | NoSpot:
+def locate(
+    frame: Frame,
+    settings: SpotSettings | None = None,
+    flat: Flat | None = None,
+    reference: SpotReference | None = None,
+) -> Spot | NoSpot:
     """Find the one laser spot of a frame, or say why there is none.
 
     ``flat`` is the target's response, of the frame's size; without it the target is taken for plain, unless
     the spot shows that it is printed. The centre is in px, (0, 0) the middle of the top-left pixel.
     ``sigma_px`` is what read and shot noise do to it; it does not hold the fixed pattern of print and speckle
-    that is not in the flat, which the calibration knows.
+    that is not in the flat, which the calibration knows. With a ``reference`` the spot is held against what
+    the target's spots usually are: what is not explained adds to ``excess_px``, and from a certain size on
+    the spot is ``distorted``.
     """
     settings = settings or SpotSettings()
     found = search(frame.pixels)
@@ -47,11 +67,16 @@ def locate(frame: Frame, settings: SpotSettings | None = None, flat: Flat | None
         return NoSpot(
             Reason.AMBIGUOUS, f"a second spot has {rival / first.light:.0%} of the first one's light"
         )
-    return spot_in(frame, first, found, settings, flat)
+    return spot_in(frame, first, found, settings, flat, reference)
 
 
 def spot_in(
-    frame: Frame, region: Region, found: Search, settings: SpotSettings, flat: Flat | None = None
+    frame: Frame,
+    region: Region,
+    found: Search,
+    settings: SpotSettings,
+    flat: Flat | None = None,
+    reference: SpotReference | None = None,
 ) -> Spot | NoSpot:
     """The spot in one bright region of a frame, whatever else shines, or why it is none."""
     patch = patch_around(frame, region, found, settings)
@@ -62,17 +87,91 @@ def spot_in(
         return judged
     diameter_px, peak = judged
     noise = noise_of(frame, found, settings)
-    if settings.method == "moment" or (
+    by_moment = settings.method == "moment" or (
         settings.method == "auto" and flat is None and is_printed(patch, noise)
-    ):
-        centre: Centre | NoSpot = moment(patch, noise, settings)
+    )
+    if by_moment and patch.cut:
+        return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
+    profile = None
+    if not by_moment or reference is not None:
+        profile = _profile(frame, patch, diameter_px, noise, flat)
+    if by_moment:
+        centre = moment(patch, noise, settings)
+    elif profile is not None:
+        centre = profile.centre
     else:
-        centre = _profile_centre(frame, patch, diameter_px, noise, flat)
-    if isinstance(centre, NoSpot):
-        return centre
+        return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     if centre.sigma_px > settings.max_sigma_px:
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
-    return Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
+    spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
+    if profile is None:
+        return spot
+    return _held_against(reference, frame, patch, profile, spot, settings)
+
+
+def _held_against(
+    reference: SpotReference | None,
+    frame: Frame,
+    patch: Patch,
+    profile: Profile,
+    spot: Spot,
+    settings: SpotSettings,
+) -> Spot | NoSpot:
+    """The spot with its shape and what is not explained of it, or why it cannot be believed."""
+    shape = SpotShape(*profile.form, profile.order)
+    if reference is None and not patch.cut:
+        return replace(spot, shape=shape)
+    misfit = misfit_of(profile.residuals, reference.grain if reference else None)
+    if misfit is None:
+        return NoSpot(Reason.WRONG_SHAPE, "too little of it is seen to tell whether it is one spot")
+    excess_px = 0.0
+    if reference is not None:
+        excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))
+        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.freedom)
+        limit_px = _DISTORTED_FROM_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
+        if sigmas > _DISTORTED_FROM_SIGMAS and excess_px > limit_px:
+            times = misfit.chi2 / reference.misfit_ratio / misfit.freedom
+            return NoSpot(
+                Reason.DISTORTED, f"its light misses that of one spot by {times:.0f} times the usual"
+            )
+    excess_px = math.hypot(excess_px, _coarser_pattern_px(misfit, reference, patch.cut))
+    if patch.cut:
+        rows, columns = frame.pixels.shape
+        inside = 0 <= spot.u_px <= columns - 1 and 0 <= spot.v_px <= rows - 1
+        if not inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
+            return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
+        spot = replace(spot, diameter_px=_profile_diameter_px(profile))
+    return replace(spot, excess_px=excess_px, shape=shape)
+
+
+def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
+    """By how much the chi-square lies above what good spots make of it."""
+    usual = misfit.freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.freedom)
+    return max(misfit.chi2 / reference.misfit_ratio - usual, 0.0)
+
+
+def _coarser_pattern_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
+    """What grain does to this spot beyond what it does to the target's usual ones, which the map knows."""
+    if reference is None or not reference.pattern_px:
+        return misfit.pattern_px if cut else 0.0
+    coarser = max((misfit.pattern_px / reference.pattern_px) ** 2 - 1, 0.0)
+    return reference.noise_px * math.sqrt(coarser)
+
+
+def _profile_diameter_px(profile: Profile) -> float:
+    """1/e² diameter of the circle of the profile's area at that height."""
+    a, b, c = profile.form
+    return 2 * math.sqrt(2 * 2 ** (1 / profile.order) / math.sqrt(a * c - b * b))
+
+
+def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> Profile | None:
+    """The profile of the spot that ``locate`` has found in a frame; None where none fits."""
+    found = search(frame.pixels)
+    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
+    judged = _judge(frame, patch, settings) if isinstance(patch, Patch) else None
+    if not isinstance(patch, Patch) or not isinstance(judged, tuple) or patch.cut:
+        return None
+    return _profile(frame, patch, judged[0], noise_of(frame, found, settings), flat)
 
 
 def shows_print(frame: Frame, settings: SpotSettings) -> bool:
@@ -115,16 +214,13 @@ def is_printed(patch: Patch, noise: Noise) -> bool:
     return float(rest @ rest) - expected > _PRINTED_CONTRAST**2 * float(light @ smooth) * scale
 
 
-def _profile_centre(
+def _profile(
     frame: Frame, patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None
-) -> Centre | NoSpot:
-    """The centre of the fitted profile; clipped pixels do not count."""
+) -> Profile | None:
+    """The fitted profile; clipped pixels do not count."""
     full = SATURATED_FROM * frame.full_scale
     clipped = patch.pixels >= full if patch.pixels.max() >= full else None
-    profile = fit_profile(patch, flat, diameter_px, noise, clipped)
-    if profile is None:
-        return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
-    return profile.centre
+    return fit_profile(patch, flat, diameter_px, noise, clipped)
 
 
 def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, float] | NoSpot:
@@ -144,6 +240,8 @@ def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, f
         limits = f"{settings.min_diameter_px:.0f} to {largest:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
     aspect, fill = shape_of(patch.outline)
+    if patch.cut:  # what the image shows of a spot has another shape
+        return diameter_px, peak
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
     return diameter_px, peak

@@ -55,10 +55,12 @@ class Patch:
     """Of the smoothed excess."""
     mask: Mask
     outline: Outline
+    cut: bool
+    """Whether the spot reaches the edge of the image."""
 
 
 def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSettings) -> Patch | NoSpot:
-    """Cut out and smooth the region, growing it until the spot's contour lies inside."""
+    """Cut out and smooth the region, growing it until the spot's contour lies inside, or the image ends."""
     rows, columns = frame.pixels.shape
     margin = max(8, BLOCK_PX * math.ceil(_MARGIN_SIGMAS * settings.smoothing_px / BLOCK_PX))
     while True:
@@ -75,11 +77,10 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         mask = _connected(smooth > settings.threshold * peak, peak_u, peak_v)
         own_borders = left == 0, top == 0, right == columns, bottom == rows
         at_image_edge, at_patch_edge = _touches(mask, own_borders)
-        if at_image_edge:
-            return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
         if not at_patch_edge:
             middle = float(background[len(background) // 2, background.shape[1] // 2])
-            return Patch(left, top, pixels, excess, smooth, middle, peak, mask, outline_of(mask))
+            outline = outline_of(mask)
+            return Patch(left, top, pixels, excess, smooth, middle, peak, mask, outline, at_image_edge)
         margin *= 2
 
 

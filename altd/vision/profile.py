@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray
+from altd.vision.blocks import Blocks, blocks_of
 from altd.vision.centre import Centre, Noise
-from altd.vision.flat import BLOCK_PX, BlockSums, Flat, Image, block_sum, block_sums
+from altd.vision.flat import BLOCK_PX, Flat
+from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
 
 _ITERATIONS = 16
@@ -33,6 +34,8 @@ _GRAIN_AT_FIRST = 0.04
 _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
 _FARTHEST_DIAMETERS = 0.25
+_FARTHEST_DIAMETERS_CUT = 1.0
+"""The middle of what the image shows of a spot says less of its centre."""
 
 _SLOPE_SHARE_PER_PX = 2e-5
 """By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it.
@@ -45,11 +48,12 @@ _State = Sequence[float]
 """The first ten of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off.
+    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off, ``residuals`` what
+    the spot does not explain.
     """
 
     centre: Centre
@@ -57,6 +61,7 @@ class Profile:
     form: tuple[float, float, float]
     order: float
     rest: float
+    residuals: Residuals
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
         """E in counts at columns ``u_px`` (w,) and rows ``v_px`` (h,), as (h, w)."""
@@ -68,22 +73,20 @@ class Profile:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Data:
-    """Blocks as vectors: Σ F·I, the sums of F and F², where they measure, and the variances of Σ F·I."""
+class _Solution:
+    """Where the iteration came to rest, and what it knew there.
 
-    light: FloatArray
-    monomials: FloatArray
-    """1, x, y, x², xy, y² as rows; places are from the seed in units of its sigma."""
-    bends: FloatArray | None
-    """½ xx, xy, ½ yy as rows, the moments about the places; None where they are alike in all blocks and only
-    widen the spot."""
-    f1: FloatArray
-    f2: FloatArray
-    read_variance: FloatArray
-    shot_variance: FloatArray
-    """Per count of irradiance."""
+    ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes; ``rows``
+    are the derivatives and the residual.
+    """
+
+    state: _State
+    centre_variance: float
+    rows: FloatArray
+    noise_variance: FloatArray
     grain_variance: FloatArray
-    """Per squared count of irradiance and squared grain."""
+    grain2: float
+    spot: FloatArray
 
 
 def fit_profile(
@@ -104,7 +107,7 @@ def fit_profile(
     """
     seed = patch.outline
     sigma_px = diameter_px / 4
-    data = _data(patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
+    data = blocks_of(patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
     rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _LEAST_SLOPE_COUNTS_PER_PX) * sigma_px
     # an even ellipse's second moments: those of the spot but for a factor
     scale = 1 / math.sqrt(max(seed.uu * seed.vv - seed.uv**2, 1e-12))
@@ -112,85 +115,53 @@ def fit_profile(
     solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
     if solution is None:
         return None
-    state, centre_variance = solution
-    peak, u, v, a, b, c, rest, _, _, order = state
-    if math.hypot(u, v) * sigma_px > _FARTHEST_DIAMETERS * diameter_px:
+    peak, u, v, a, b, c, rest, _, _, order = solution.state
+    farthest = _FARTHEST_DIAMETERS_CUT if patch.cut else _FARTHEST_DIAMETERS
+    if math.hypot(u, v) * sigma_px > farthest * diameter_px:
         return None
     return Profile(
         Centre(
             patch.left + seed.u + u * sigma_px,
             patch.top + seed.v + v * sigma_px,
-            sigma_px * math.sqrt(centre_variance),
+            sigma_px * math.sqrt(solution.centre_variance),
         ),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         rest,
+        _residuals(data, solution, sigma_px, rise),
     )
 
 
-def _data(
-    patch: Patch,
-    flat: Flat | None,
-    clipped: npt.NDArray[np.bool_] | None,
-    noise: Noise,
-    sigma_px: float,
-    size: int,
-) -> _Data:
-    light, sums = _sums(patch, flat, clipped, size)
-    f1, f2, f3, f4, u, v = sums.planes[:6].reshape(6, -1)
-    bends = None
-    if flat is not None or clipped is not None:
-        bends = sums.planes[6:].reshape(3, -1) * (np.array([[0.5], [1.0], [0.5]]) / sigma_px**2)
-    monomials = np.empty((6, f1.size))
-    monomials[0] = 1
-    _, x, y, xx, xy, yy = monomials
-    np.multiply(u - (patch.left + patch.outline.u), 1 / sigma_px, out=x)
-    np.multiply(v - (patch.top + patch.outline.v), 1 / sigma_px, out=y)
-    np.multiply(x, x, out=xx)
-    np.multiply(x, y, out=xy)
-    np.multiply(y, y, out=yy)
-    return _Data(
-        light=np.ravel(light),
-        monomials=monomials,
-        bends=bends,
-        f1=f1,
-        f2=f2,
-        read_variance=noise.read_counts**2 * np.maximum(f2, 1e-9),
-        shot_variance=f3 / noise.electrons_per_count,
-        grain_variance=f4,
+def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) -> Residuals:
+    """What the fit leaves over, its centre in px."""
+    peak, u, v, a, b, c, *_ = solution.state
+    derivatives, light = solution.rows[:_RESIDUAL], solution.rows[_RESIDUAL]
+    derivatives[[_U, _V]] /= sigma_px
+    prior, known = np.zeros(_RESIDUAL), np.array(solution.state)
+    prior[[_RISE_X, _RISE_Y, _ORDER]] = rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2
+    known[[_RISE_X, _RISE_Y, _ORDER]] = 0.0, 0.0, 1.0
+    # a root of the form turns the ellipse into a circle and, being symmetric, keeps the directions nearly
+    root = math.sqrt(a * c - b * b)
+    x, y = data.monomials[1] - u, data.monomials[2] - v
+    places = (a + root) * x + b * y + 1j * (b * x + (c + root) * y)
+    return Residuals(
+        light=light,
+        derivatives=derivatives,
+        prior=prior,
+        pull=prior * (known - solution.state),
+        noise_variance=solution.noise_variance,
+        grain_variance=solution.grain_variance,
+        grain=math.sqrt(solution.grain2),
+        irradiance=solution.spot / peak,
+        spot_light=solution.spot * data.f2,
+        flat_light=peak * data.f1,
+        direction=places / np.maximum(np.abs(places), 1e-12),
     )
 
 
-def _sums(
-    patch: Patch, flat: Flat | None, clipped: npt.NDArray[np.bool_] | None, size: int
-) -> tuple[Image, BlockSums]:
-    """Σ F·I over the patch's blocks and the sums of F; from those that are kept where they serve."""
-    height, width = patch.excess.shape
-    if flat is None and clipped is None:
-        return block_sum(patch.excess, size), _plain_sums(height, width, size).moved(patch.left, patch.top)
-    if flat is None:
-        response = np.ones((height, width), np.float32)
-    else:
-        response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
-    if clipped is not None:
-        response = np.where(clipped, np.float32(0), response)
-    light = block_sum(patch.excess * response, size)
-    if flat is None or clipped is not None or size != BLOCK_PX:
-        return light, block_sums(response, patch.left, patch.top, size)
-    top, left = patch.top // size, patch.left // size
-    rows, columns = height // size, width // size
-    return light, flat.blocks.cut(slice(top, top + rows), slice(left, left + columns))
-
-
-@lru_cache(maxsize=64)
-def _plain_sums(height: int, width: int, size: int) -> BlockSums:
-    """Those of a plain target, which depend on a patch's size alone."""
-    return block_sums(np.ones((height, width), np.float32), 0, 0, size)
-
-
-def _solve(data: _Data, state: _State, rise: float) -> tuple[_State, float] | None:
-    """Gauss-Newton; the state and what read and shot noise do to the centre, the mean square of both axes.
+def _solve(data: Blocks, state: _State, rise: float) -> _Solution | None:
+    """Gauss-Newton; None when it does not converge.
 
     ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed. Some three
     hundred blocks are so few that numpy's calls cost more than its sums: what belongs together is one array,
@@ -233,7 +204,8 @@ def _solve(data: _Data, state: _State, rise: float) -> tuple[_State, float] | No
         even = abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
         if free and _is_settled(change, even, iteration >= _LATE):
             levers = covariance[_U : _V + 1] @ weighted
-            return state, float((np.square(levers) @ noise_variance).sum()) / 2
+            centre_variance = float((np.square(levers) @ noise_variance).sum()) / 2
+            return _Solution(state, centre_variance, rows, noise_variance, grain_variance, grain2, spot)
     return None
 
 
@@ -250,7 +222,7 @@ def _is_settled(change: Sequence[float], even: bool, late: bool) -> bool:
     return max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE
 
 
-def _linearise(data: _Data, state: _State, rows: FloatArray) -> FloatArray:
+def _linearise(data: Blocks, state: _State, rows: FloatArray) -> FloatArray:
     """Irradiance at the blocks; fills in the derivatives of the blocks' light and what is left over of it."""
     peak, u, v, a, b, c, rest, rise_x, rise_y, order = state
     pull_u, pull_v = a * u + b * v, b * u + c * v

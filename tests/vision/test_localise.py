@@ -10,6 +10,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.records import NoSpot, Reason, Spot
 from altd.vision.localise import locate
+from altd.vision.reference import UNKNOWN_SPOT
 from altd.vision.settings import SpotSettings
 
 
@@ -124,10 +125,33 @@ def test_a_spot_that_is_clipped_flat_is_saturated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("u", "v"), [(5, 200), (WIDTH - 8, 200), (300, 6), (300, HEIGHT - 4), (2, 3), (18, 240)]
+    ("u", "v"), [(5, 200), (WIDTH - 8, 200), (300, 6), (300, HEIGHT - 4), (8, 9), (18, 240), (29, 240)]
 )
-def test_a_spot_at_the_edge_is_cut(u: float, v: float) -> None:
-    assert reason(locate(frame(light(Blob(u, v)), np.random.default_rng(6)))) is Reason.CUT_BY_EDGE
+def test_a_spot_at_the_edge_is_fitted_on_what_is_there(u: float, v: float) -> None:
+    rng = np.random.default_rng(6)
+    grain = 1 + 0.1 * rng.standard_normal((HEIGHT, WIDTH))
+    errors, sigmas = [], []
+    for _ in range(20):
+        at = u + rng.uniform(-1, 1), v + rng.uniform(-1, 1)
+        spot = found(locate(frame(light(Blob(*at)) * np.roll(grain, rng.integers(99)), rng)))
+        errors.append((spot.u_px - at[0], spot.v_px - at[1]))
+        sigmas.append(np.hypot(spot.sigma_px, spot.excess_px))
+    assert 0.6 < np.sqrt(np.mean(np.square(errors))) / np.sqrt(np.mean(np.square(sigmas))) < 1.4
+
+
+def test_a_spot_at_the_edge_is_less_certain_than_a_whole_one() -> None:
+    rng = np.random.default_rng(6)
+    whole, cut = (
+        found(locate(frame(light(Blob(u, 200)), rng), reference=UNKNOWN_SPOT)) for u in (200.0, 4.0)
+    )
+    assert whole.excess_px == 0
+    assert np.hypot(cut.sigma_px, cut.excess_px) > 2 * whole.sigma_px
+
+
+@pytest.mark.parametrize(("u", "v"), [(-4, 200), (WIDTH + 6, 200), (300, -5), (300, HEIGHT + 3), (-2, -3)])
+def test_a_spot_whose_middle_is_beyond_the_edge_is_cut(u: float, v: float) -> None:
+    outcome = locate(frame(light(Blob(u, v)), np.random.default_rng(6)))
+    assert reason(outcome) in (Reason.CUT_BY_EDGE, Reason.WRONG_SHAPE)
 
 
 def test_a_spot_outside_the_size_limits_is_of_the_wrong_size() -> None:

@@ -1,0 +1,116 @@
+"""The shape of spots in the unit frame: one beam lights all targets, so their spots are alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.records import Fault, FloatArray, MeanSpots, Reason, SpotShape, TargetPoint
+from altd.vision.reference import ShapeReference
+
+_MAX_DIAMETER_MM = 17.0
+"""Spots of up to 15 mm are measured (App. A.1); a beam that comes in aslant makes a longer one."""
+_MAX_ORDER_RATIO = 2.0
+"""A laser's profile is like that of the calibration's laser; a lamp's disc is far steeper."""
+_MAX_SIZE_RATIO = 1.25
+"""Of two targets' spots, beside the ratio that the calibration saw: a beam widens less on its way."""
+_STRETCH_SIGMA = 0.001
+"""Of a stretch, beside what the calibration's nodes scatter: targets that are not quite parallel."""
+_EXPLAINED_SIGMAS = 3.0
+_DISTORTED_FROM_SIGMAS = 6.0
+_DISTORTED_FROM_STRETCH = 0.015
+"""What may displace a spot by less adds to its sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far a target's spot agrees in shape with the first target's.
+
+    ``sigma_mm`` is what the difference may mean for either centre, one sigma; ``distorted`` says in words why
+    they cannot be spots of one beam, empty when they can.
+    """
+
+    sigma_mm: float
+    distorted: str
+
+
+def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
+    """Logarithm of the mean 1/e² radius (mm), two components of the stretch, and the order: (4,).
+
+    The stretch is half the difference of the logarithms of the radii along and across x, then along and
+    across the diagonal. ``mm_per_px`` is d(x, y)/d(u, v), (2, 2).
+    """
+    px_per_mm = np.linalg.inv(mm_per_px)
+    form = px_per_mm.T @ np.array([[shape.a, shape.b], [shape.b, shape.c]]) @ px_per_mm
+    # at 1/e² of the peak q^order = 2, and q = ½ xᵀ form x
+    values, vectors = np.linalg.eigh(form / (2 * 2 ** (1 / shape.order)))
+    logs = (vectors * (-0.5 * np.log(np.maximum(values, 1e-12)))) @ vectors.T
+    return np.array([(logs[0, 0] + logs[1, 1]) / 2, (logs[0, 0] - logs[1, 1]) / 2, logs[0, 1], shape.order])
+
+
+def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str:
+    """Why a shape (4,) is not that of a spot which this unit measures, in words; empty when it is."""
+    diameter_mm = 2 * math.exp(float(shape[0]))
+    if diameter_mm > _MAX_DIAMETER_MM:
+        return f"the spot is {diameter_mm:.1f} mm wide, up to {_MAX_DIAMETER_MM:g} mm are measured"
+    if known is None:
+        return ""
+    order_ratio = float(shape[3]) / known.mean[3]
+    if max(order_ratio, 1 / order_ratio) > _MAX_ORDER_RATIO:
+        return f"the profile's order is {shape[3]:.1f}, that of the calibrated spots {known.mean[3]:.1f}"
+    return ""
+
+
+def agreement(
+    first: FloatArray, second: FloatArray, first_known: ShapeReference, second_known: ShapeReference
+) -> Agreement:
+    """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
+
+    Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
+    it by ε d/2 of its 1/e² radius: sigma is a radius times the stretch, which covers five sigmas from
+    d = 0.4 on. On nearer light neither can be seen.
+    """
+    difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
+    sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
+    stretch = float(np.hypot(difference[1], difference[2]))
+    stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
+    unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
+    sigma_mm = unexplained * math.exp(float(max(first[0], second[0])))
+    size_ratio = math.exp(abs(float(difference[0])))
+    if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):
+        return Agreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
+    if stretch > max(_DISTORTED_FROM_SIGMAS * stretch_sigma, _DISTORTED_FROM_STRETCH):
+        return Agreement(sigma_mm, f"the spots differ in elongation by {2 * stretch:.1%}")
+    return Agreement(sigma_mm, "")
+
+
+def shape_doubts_mm(
+    mean: MeanSpots, points: Sequence[TargetPoint], known: Sequence[ShapeReference | None]
+) -> FloatArray | Fault:
+    """What the spots' shapes leave uncertain of each target's point, one sigma in mm, (targets,).
+
+    Or why a spot is not the beam's. Targets without a shape or a reference have no doubts.
+    """
+    doubts_mm = np.zeros(len(points))
+    shapes = [
+        None if shape is None else shape_in_mm(shape, point.jacobian_mm_per_px)
+        for shape, point in zip(mean.shapes, points, strict=True)
+    ]
+    for target, shape, reference in zip(mean.targets, shapes, known, strict=True):
+        if shape is not None and (why := unlike_a_laser(shape, reference)):
+            return Fault(Reason.DISTORTED, target, why)
+    first, first_known = shapes[0], known[0]
+    if first is None or first_known is None:
+        return doubts_mm
+    for index, (second, second_known) in enumerate(zip(shapes[1:], known[1:], strict=True), start=1):
+        if second is None or second_known is None:
+            continue
+        compared = agreement(first, second, first_known, second_known)
+        if compared.distorted:
+            pair = f"{mean.targets[0]} and {mean.targets[index]}"
+            return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distorted}")
+        doubts_mm[[0, index]] = np.maximum(doubts_mm[[0, index]], compared.sigma_mm)
+    return doubts_mm

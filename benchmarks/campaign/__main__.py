@@ -1,0 +1,65 @@
+"""``python -m benchmarks.campaign`` (``make campaign``): spoilt measurements, judged against the truth."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from altd.errors import BadInputError
+from benchmarks.campaign import table
+from benchmarks.campaign.catalogue import WAYS, chosen
+from benchmarks.campaign.runner import Effort, Plan, run
+from benchmarks.campaign.units import NAMES
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, print the table; 1 when a wrong measurement was called valid that physics lets see."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
+    parser.add_argument("--seconds", type=float, help="end after so long (default 180 unless --measurements)")
+    parser.add_argument("--measurements", type=int, help="end after so many")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--ways", default="", metavar="NAME,...", help="names or kinds; --list shows them")
+    parser.add_argument("--units", default="", metavar="NAME,...", help=", ".join(NAMES))
+    parser.add_argument(
+        "--pairs", type=float, default=0.2, help="share spoilt in two ways at once (default 0.2)"
+    )
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--worst", action="store_true", help="show the worst of each way")
+    parser.add_argument("--list", action="store_true", help="show the ways and end")
+    options = parser.parse_args(arguments)
+    if options.list:
+        for way in WAYS.values():
+            print(f"{way.kind:<9} {way.name:<22} {(way.make.__doc__ or '').strip()}")
+        return 0
+    try:
+        return _campaign(options)
+    except BadInputError as error:
+        print(f"campaign: {error}", file=sys.stderr)
+        return 2
+
+
+def _campaign(options: argparse.Namespace) -> int:
+    units = tuple(options.units.split(",")) if options.units else NAMES
+    for unit in units:
+        if unit not in NAMES:
+            raise BadInputError("--units", f"unknown unit {unit!r}; known are {', '.join(NAMES)}")
+    plan = Plan(tuple(way.name for way in chosen(options.ways)), units, options.seed, options.pairs)
+    seconds = options.seconds or (None if options.measurements else 180.0)
+    tallies, took_s = run(plan, Effort(seconds, options.measurements, options.processes), _show)
+    if sys.stderr.isatty():
+        sys.stderr.write("\r\033[K")
+    print("\n".join(table.text(tallies)))
+    if options.worst:
+        print("\n".join(("", *table.worst(tallies))))
+    print(f"{took_s:.0f} s, seed {plan.seed}, {options.processes} processes, units {', '.join(plan.units)}")
+    return 1 if table.wrong_count(tallies) else 0
+
+
+def _show(made: int, passed_s: float) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{made} measurements, {made / max(passed_s, 1e-9):.0f} a second")
+        sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,151 @@
+"""Ways by the wrong camera, or by one that is not where it was calibrated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from altd.records import PixelArray
+from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil, grey
+
+WAYS = Registry("cameras")
+
+
+@WAYS.add()
+def exchanged(draw: Draw) -> Spoil:
+    """Front and rear are plugged into each other's place."""
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
+        other = {"front": "rear", "rear": "front"}
+        return [
+            replace(shot, pixels=pictures[other[shot.camera], shot.k]) if shot.k >= onset else shot
+            for shot in shots
+        ]
+
+    return Spoil("front and rear", stream=stream)
+
+
+@WAYS.add()
+def one_for_both(draw: Draw) -> Spoil:
+    """One camera's frames arrive as both cameras'."""
+    (only,) = draw.one()
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        pictures = {shot.k: shot.pixels for shot in shots if shot.camera == only}
+        return [replace(shot, pixels=pictures[shot.k]) if shot.k >= onset else shot for shot in shots]
+
+    return Spoil(f"{only} only", stream=stream)
+
+
+def _turned_over(draw: Draw, axis: int, words: str) -> Spoil:
+    return Spoil(
+        words,
+        pixels=lambda pixels, before, bits: np.ascontiguousarray(
+            pixels[::-1, ::-1] if axis < 0 else np.flip(pixels, axis)
+        ),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def mirrored(draw: Draw) -> Spoil:
+    """Left and right exchanged."""
+    return _turned_over(draw, 1, "left for right")
+
+
+@WAYS.add()
+def flipped(draw: Draw) -> Spoil:
+    """Top and bottom exchanged."""
+    return _turned_over(draw, 0, "top for bottom")
+
+
+@WAYS.add()
+def upside_down(draw: Draw) -> Spoil:
+    """Turned by half a turn."""
+    return _turned_over(draw, -1, "half a turn")
+
+
+def _warped(matrix_of: np.ndarray) -> OnPixels:
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        rows, columns = pixels.shape
+        warped = cv2.warpAffine(
+            pixels, matrix_of, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+        return grey(np.minimum(warped, (1 << bits) - 1), pixels)
+
+    return change
+
+
+def _shifted(draw: Draw, by_px: int) -> Spoil:
+    """Whole pixels, as another region of the chip is read."""
+    right, down = ((by_px, 0), (0, by_px), (-by_px, 0), (0, -by_px), (by_px, by_px), (-by_px, by_px))[
+        draw.whole(0, 5)
+    ]
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        return np.roll(pixels, (down, right), (0, 1))
+
+    return Spoil(f"{right}, {down} px", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def shifted_1_px(draw: Draw) -> Spoil:
+    """The picture lies a pixel off."""
+    return _shifted(draw, 1)
+
+
+@WAYS.add()
+def shifted_2_px(draw: Draw) -> Spoil:
+    """The picture lies two pixels off."""
+    return _shifted(draw, 2)
+
+
+@WAYS.add()
+def shifted_4_px(draw: Draw) -> Spoil:
+    """The picture lies four pixels off."""
+    return _shifted(draw, 4)
+
+
+@WAYS.add()
+def shifted_far(draw: Draw) -> Spoil:
+    """The picture lies 8 to 64 pixels off."""
+    return _shifted(draw, round(draw.log(8, 64)))
+
+
+@WAYS.add()
+def turned(draw: Draw) -> Spoil:
+    """The camera is turned about its axis."""
+    degrees = draw.sign() * draw.log(0.1, 1.0)
+    matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
+    return Spoil(f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=draw.targets())
+
+
+@WAYS.add()
+def scaled(draw: Draw) -> Spoil:
+    """The picture is a little larger or smaller: another lens, another distance."""
+    scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
+    matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
+    return Spoil(f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=draw.targets())
+
+
+@WAYS.add()
+def tilted(draw: Draw) -> Spoil:
+    """The camera leans: one side of the picture is drawn out."""
+    lean, angle = draw.log(0.002, 0.02), draw.angle()
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        rows, columns = pixels.shape
+        half = max(rows, columns) / 2
+        to_middle = np.array([[1, 0, -columns / 2], [0, 1, -rows / 2], [0, 0, 1.0]])
+        bent = np.array(
+            [[1, 0, 0], [0, 1, 0], [lean * math.cos(angle) / half, lean * math.sin(angle) / half, 1.0]]
+        )
+        matrix = np.linalg.inv(to_middle) @ bent @ to_middle
+        warped = cv2.warpPerspective(pixels, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
+        return grey(warped, pixels)
+
+    return Spoil(f"by {lean:.3f}", pixels=change, cameras=draw.one())

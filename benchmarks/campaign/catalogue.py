@@ -1,0 +1,48 @@
+"""All ways, by name."""
+
+from __future__ import annotations
+
+from altd.errors import BadInputError
+from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
+from benchmarks.campaign.way import Draw, Spoil, Way
+
+CLEAN, ANOTHER_UNIT = "clean", "another_unit"
+
+
+def _nothing(draw: Draw) -> Spoil:
+    return Spoil("nothing spoilt")
+
+
+def _foreign(draw: Draw) -> Spoil:
+    return Spoil("its frames under this unit's calibration")
+
+
+WAYS: dict[str, Way] = {
+    way.name: way
+    for way in (
+        Way(CLEAN, "good", _nothing),
+        Way("clean_driving", "good", _nothing, moving=True),
+        *spots.WAYS.ways,
+        *surfaces.WAYS.ways,
+        *ambient.WAYS.ways,
+        *frames.WAYS.ways,
+        *cameras.WAYS.ways,
+        Way(ANOTHER_UNIT, "cameras", _foreign),
+        *times.WAYS,
+        *numbers.WAYS,
+    )
+}
+
+
+def chosen(names: str) -> list[Way]:
+    """The ways of these names or kinds, comma-separated; all where there is none. Raises BadInputError."""
+    if not names:
+        return list(WAYS.values())
+    found = []
+    for name in names.split(","):
+        of_kind = [way for way in WAYS.values() if name in (way.name, way.kind)]
+        if not of_kind:
+            kinds = dict.fromkeys(way.kind for way in WAYS.values())
+            raise BadInputError("--ways", f"unknown way {name!r}; kinds are {', '.join(kinds)}")
+        found += of_kind
+    return list(dict.fromkeys(found))

@@ -1,0 +1,298 @@
+"""Clean exposures of one episode, with their truth: of a simulated unit, or of the recorded one."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from altd.calibration.model import Calibration
+from altd.recording import Recording, open_recording
+from altd.records import FloatArray, PixelArray
+from benchmarks.campaign.cache import RECORDINGS, calibrated
+from benchmarks.campaign.scene import Exposing, Image, Noise, Scene, SpotShape, exposing, snapshot
+from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
+from benchmarks.campaign.way import CAMERAS
+from hw_sim.beam import BeamPose
+from hw_sim.measure import random_poses
+from hw_sim.sensor import BLACK_LEVEL, FULL_WELL_E, Sensor
+from hw_sim.unit import Unit
+
+PERIOD_NS = 50_000_000
+START_NS = 1_000_000_000_000
+
+_DRIVING_MM_PER_S, _DRIVING_RAD_PER_S = 5.0, 0.01
+"""A machine in a hurry: four times as fast as hw_sim's drive."""
+
+
+class Clip(Protocol):
+    """One episode's exposures, counted by ``k`` from 0."""
+
+    length: int
+    still: bool
+    """Whether all exposures show the same light."""
+
+    def scene(self, camera: str, k: int) -> Scene:
+        """The light of a camera's exposure."""
+
+    def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
+        """A frame of this scene, spoilt or not."""
+
+    def truth(self, k: int) -> FloatArray:
+        """X mm, y mm, yaw °, pitch ° in the middle of exposure ``k``."""
+
+
+class Rig(Protocol):
+    """A calibrated unit that makes clips."""
+
+    name: str
+    bits: int
+    calibration: Calibration
+
+    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
+        """Exposures at a pose drawn from ``rng``; ``moving``: along a way."""
+
+
+def t_ns_of(k: int) -> int:
+    """The middle of exposure ``k``."""
+    return START_NS + k * PERIOD_NS
+
+
+def rig_of(name: str) -> Rig:
+    """The unit of that name, calibrated."""
+    return RecordedRig() if name == RECORDED else SimulatedRig(SIMULATED[name])
+
+
+class SimulatedRig:
+    """A unit of ``hw_sim``."""
+
+    def __init__(self, spec: UnitSpec) -> None:
+        self.name = spec.name
+        self.bits = spec.config.bits
+        self.calibration = calibrated(spec.name)
+        self.spec = spec
+        self.unit = Unit(spec.measuring)
+        self.noise = Noise(spec.config.seed)
+        self.sensor = Sensor(self.bits)
+        for camera in CAMERAS:
+            self.unit.set_camera(camera, exposure_ms=spec.exposure_ms)
+        self.rest = {camera: self._rest(camera, spec.lux) for camera in CAMERAS}
+
+    def _rest(self, camera: str, lux: float) -> Image:
+        return self.unit.eyes[camera].view.background_e(self.spec.exposure_ms, lux, False)
+
+    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
+        """At any pose that meets both targets within the scanned area."""
+        distance_mm = self.spec.config.target_distance_mm
+        (pose,) = random_poses(1, distance_mm, rng)
+        speed = np.zeros(4)
+        if moving or self.spec.drives:
+            speed[:2] = rng.uniform(-1, 1, 2) * _DRIVING_MM_PER_S
+            speed[2:] = rng.uniform(-1, 1, 2) * _DRIVING_RAD_PER_S
+        late_ns = int(rng.integers(1_000_000_000_000))
+        return SimulatedClip(self, pose, speed, late_ns, length)
+
+    def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
+        """The light of an exposure at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
+        eye, exposure_ms = self.unit.eyes[camera], self.spec.exposure_ms
+        rest = self.rest[camera]
+        if self.spec.lux_of is not None:
+            rest = self._rest(camera, self.spec.lux_of(since_s))
+        (spot,) = spots = self.unit.spots(camera, t_ns)
+        region, beam_e = eye.view.beam_e(spots, exposure_ms)
+        beam = np.zeros_like(rest)
+        beam[region] = beam_e
+        u, v = (float(value) for value in eye.view.lens.project(spot.x_mm, spot.y_mm))
+        ends = np.array(
+            [eye.view.lens.project(spot.x_mm + dx, spot.y_mm + dy) for dx, dy in ((1, 0), (0, 1))]
+        )
+        to_px = (ends - (u, v)).T
+        to_mm = np.linalg.inv(to_px)
+        xx, xy, yy = spot.form
+        form = to_mm.T @ np.array([[xx, xy], [xy, yy]]) @ to_mm
+        shape = SpotShape(
+            u,
+            v,
+            (float(form[0, 0]), float(form[0, 1]), float(form[1, 1])),
+            spot.order,
+            spot.peak_mw_per_mm2 * exposure_ms,
+        )
+        return Scene(
+            camera, beam, rest, eye.view.response, shape, math.sqrt(abs(float(np.linalg.det(to_px))))
+        )
+
+
+class SimulatedClip:
+    """An episode of a simulated unit: at rest, or along a straight way."""
+
+    def __init__(
+        self, rig: SimulatedRig, pose: BeamPose, speed: FloatArray, late_ns: int, length: int
+    ) -> None:
+        self._rig = rig
+        self._pose = pose
+        self._speed = speed
+        self._late_ns = late_ns
+        self.length = length
+        self.still = not speed.any() and rig.spec.vibration is None and rig.spec.lux_of is None
+        self._kept: dict[str, Scene] = {}
+        self._means: dict[str, tuple[Scene, Exposing]] = {}
+        rig.unit.follow(self._at)
+
+    def _at(self, t_ns: int) -> BeamPose:
+        middle_s = (t_ns - self._late_ns - self.length * PERIOD_NS / 2) * 1e-9
+        x, y, slope_x, slope_y = self._speed * middle_s
+        pose = self._pose
+        return BeamPose(pose.x_mm + x, pose.y_mm + y, pose.slope_x + slope_x, pose.slope_y + slope_y)
+
+    def scene(self, camera: str, k: int) -> Scene:
+        """The light of a camera's exposure."""
+        if self.still and camera in self._kept:
+            return self._kept[camera]
+        self._rig.unit.follow(self._at)
+        scene = self._rig.scene(camera, self._late_ns + k * PERIOD_NS, k * PERIOD_NS * 1e-9)
+        self._kept[camera] = scene
+        return scene
+
+    def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
+        """A frame with noise of its own."""
+        kept = self._means.get(scene.camera)
+        if kept is None or kept[0] is not scene:
+            kept = self._means[scene.camera] = scene, exposing(scene.electrons, self._rig.sensor)
+        noise = self._rig.noise.picture(scene.beam.shape, rng)
+        return snapshot(kept[1], noise, self._rig.bits)
+
+    def truth(self, k: int) -> FloatArray:
+        """As the unit's formulas have it, vibration included."""
+        self._rig.unit.follow(self._at)
+        pose = self._rig.unit.truth(self._late_ns + k * PERIOD_NS)
+        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+
+
+class RecordedRig:
+    """unit-a: its poses as they were recorded, four exposures each."""
+
+    def __init__(self) -> None:
+        self.name = RECORDED
+        self.bits = 8
+        self.calibration = calibrated(RECORDED)
+        self.recording: Recording = open_recording(RECORDINGS / "poses")
+        truth = json.loads((RECORDINGS / "poses.truth.json").read_text())
+        self.window = int(truth["window"])
+        self.poses = [
+            BeamPose(*(pose[key] for key in ("x_mm", "y_mm", "slope_x", "slope_y")))
+            for pose in truth["poses"]
+        ]
+        self.noise = Noise(0)
+        self._frames = {
+            (row.camera, row.sequence): self.recording.frame(row).pixels for row in self.recording.rows
+        }
+
+    def frame(self, camera: str, pose: int, k: int) -> PixelArray:
+        """Exposure ``k`` of a pose."""
+        return self._frames[camera, pose * self.window + k]
+
+    def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
+        """One of the recorded poses: it has four exposures and does not move."""
+        return RecordedClip(self, int(rng.integers(len(self.poses))))
+
+    @cached_property
+    def responses(self) -> dict[str, Image]:
+        """What the pixels show, mean 1: the flat of the calibration, or even."""
+        shape = self.frame("front", 0, 0).shape
+        return {
+            target.name: np.ones(shape, np.float32) if target.flat is None else target.flat.response
+            for target in self.calibration.targets
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RecordedScene:
+    scene: Scene
+    electrons: Image
+    """As they were recorded, their noise in them."""
+    pixels: PixelArray
+
+
+class RecordedClip:
+    """The exposures of one pose of unit-a; noise is added for added light alone, the rest has its own."""
+
+    still = False
+
+    def __init__(self, rig: RecordedRig, pose: int) -> None:
+        self._rig = rig
+        self._pose = pose
+        self.length = rig.window
+        self._sensor = Sensor(rig.bits)
+        self._kept: dict[tuple[str, int], _RecordedScene] = {}
+
+    def scene(self, camera: str, k: int) -> Scene:
+        """What the frame shows, in electrons of a full well of 15 000."""
+        if (camera, k) not in self._kept:
+            self._kept[camera, k] = self._read(camera, k)
+        return self._kept[camera, k].scene
+
+    def _read(self, camera: str, k: int) -> _RecordedScene:
+        pixels = self._rig.frame(camera, self._pose, k)
+        slope = self._sensor.counts_per_electron(1.0)
+        electrons = (
+            pixels.astype(np.float32) - np.float32(BLACK_LEVEL * self._sensor.full_scale)
+        ) / np.float32(slope)
+        response = self._rig.responses[camera]
+        shape, near = _spot_of(electrons)
+        here = float(response[near].mean())
+        level = np.float32(np.median(electrons))
+        beam = np.where(near, electrons - level, np.float32(0))
+        point = next(t for t in self._rig.calibration.targets if t.name == camera).point(
+            shape.u_px, shape.v_px
+        )
+        assert point is not None  # noqa: S101  poses lie within the scan
+        px_per_mm = abs(float(np.linalg.det(point.jacobian_mm_per_px))) ** -0.5
+        scene = Scene(
+            camera, beam, electrons - beam, response, replace(shape, peak=shape.peak / here), px_per_mm
+        )
+        return _RecordedScene(scene, electrons, pixels)
+
+    def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
+        """The recorded frame, with what the way has changed."""
+        kept = self._kept[scene.camera, k]
+        if scene is kept.scene:
+            return kept.pixels
+        mean = scene.electrons
+        added = np.maximum(np.minimum(mean, FULL_WELL_E) - kept.electrons, 0.0)
+        slope = self._sensor.counts_per_electron(1.0)
+        spoilt = Exposing(self._sensor.mean_counts(mean, 1.0), np.float32(slope) * np.sqrt(added))
+        return snapshot(spoilt, self._rig.noise.picture(mean.shape, rng), self._rig.bits)
+
+    def truth(self, k: int) -> FloatArray:
+        """As the recording's maker gives it."""
+        pose = self._rig.poses[self._pose]
+        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+
+
+def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
+    """The Gaussian of a spot's moments above a tenth of its peak, and the pixels around it."""
+    smooth = cv2.GaussianBlur(electrons - np.median(electrons), (0, 0), 4.0)
+    _, peak, _, (u_peak, v_peak) = cv2.minMaxLoc(smooth)
+    _, labels = cv2.connectedComponents((smooth > 0.1 * peak).astype(np.uint8))
+    weights = np.where(labels == labels[v_peak, u_peak], smooth, np.float32(0))
+    m = cv2.moments(weights)
+    u, v = m["m10"] / m["m00"], m["m01"] / m["m00"]
+    cut = 1.0 - 0.1 * math.log(10.0) / 0.9  # what a tenth cuts off a Gaussian's variance
+    moments = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / m["m00"] / cut
+    blur = np.eye(2) * 16.0
+    form = np.linalg.inv(4.0 * (moments - blur))
+    lowered = math.sqrt(np.linalg.det(moments) / np.linalg.det(moments - blur))
+    shape = SpotShape(u, v, (float(form[0, 0]), float(form[0, 1]), float(form[1, 1])), 1.0, peak * lowered)
+    rows, columns = shape.window(electrons.shape)
+    near = np.zeros(electrons.shape, bool)
+    near[rows, columns] = True
+    return shape, near
+
+
+Progress = Callable[[str], None]

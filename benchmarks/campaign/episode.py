@@ -1,0 +1,120 @@
+"""One episode: clean exposures, then spoilt ones, through the daemon's own measuring chain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.calibration.model import Calibration
+from altd.config import Installation, Measuring
+from altd.records import FloatArray, Frame, Measurement, Reason
+from altd.service.chain import MeasuringChain, View
+from benchmarks.campaign.clips import Clip, Rig, t_ns_of
+from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge
+from benchmarks.campaign.numbers import Misnumbered, accepted
+from benchmarks.campaign.scene import Scene
+from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
+
+WINDOW = 4
+_WARMING_UP = (str(Reason.WARMING_UP),)
+
+SPOILT = 8
+"""Exposures from the onset on: the window is full of them for half of these."""
+
+
+def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:
+    """A chain as the daemon makes it."""
+    return MeasuringChain(
+        [View(name, name) for name in calibration.target_names],
+        calibration,
+        Measuring(window=window, every=1),
+        Installation(),
+    )
+
+
+def run_episode(
+    rig: Rig, spoil: Spoil, rng: np.random.Generator, moving: bool, foreign: Rig | None = None
+) -> Outcome:
+    """Measure one clip of a unit, spoilt from the onset on; with ``foreign`` that unit's frames come then."""
+    onset = WINDOW if rng.random() < 0.8 else 0
+    clip = rig.clip(rng, WINDOW + SPOILT, moving)
+    if clip.length < WINDOW + SPOILT:
+        onset = 0
+    shots = _shots(clip, spoil, rng, onset, rig.bits)
+    if foreign is not None:
+        others = _shots(foreign.clip(rng, clip.length, moving), spoil, rng, onset, foreign.bits)
+        shots = [other if shot.k >= onset else shot for shot, other in zip(shots, others, strict=True)]
+    if spoil.stream is not None:
+        shots = spoil.stream(shots, onset)
+    measured = _measured(chain_of(rig.calibration), shots)
+    truth = [clip.truth(k) for k in range(clip.length)]
+    judged = [
+        (k, judge(one, None if spoil.no_beam and k >= onset else _truth_of(one, truth, k)))
+        for k, one in measured
+    ]
+    judged = [(k, one) for k, one in judged if one.reasons != _WARMING_UP]
+    return Outcome(
+        tuple(one for k, one in judged if WINDOW - 1 <= k < onset),
+        tuple(one for k, one in judged if k >= onset),
+    )
+
+
+def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Outcome:
+    """Measure with what the files give where a number in them is none; a refusal counts as invalid."""
+    taken = accepted(way, rig.calibration)
+    if taken is None:
+        return Outcome((), (Judged(Verdict.INVALID, reasons=("refused",)),))
+    calibration, measuring, installation = taken
+    clip = rig.clip(rng, WINDOW, False)
+    names = calibration.target_names
+    chain = MeasuringChain(
+        [View(name, name) for name in names],
+        calibration,
+        measuring.model_copy(update={"window": WINDOW}),
+        installation,
+    )
+    measured = _measured(chain, _shots(clip, Spoil(way.note), rng, 0, rig.bits))
+    judged = [judge(one, None if way.is_none else clip.truth(k)) for k, one in measured]
+    return Outcome((), tuple(one for one in judged if one.reasons != _WARMING_UP))
+
+
+def _shots(clip: Clip, spoil: Spoil, rng: np.random.Generator, onset: int, bits: int) -> list[Shot]:
+    shots = []
+    kept: dict[str, Scene] = {}
+    for k in range(clip.length):
+        for camera in CAMERAS:
+            scene = clip.scene(camera, k)
+            if spoil.light is not None and k >= onset and camera in spoil.cameras:
+                if camera not in kept or not clip.still or spoil.varies:
+                    kept[camera] = spoil.light(scene, k - onset)
+                scene = kept[camera]
+            shots.append(Shot(camera, k, k + 1000, t_ns_of(k), clip.snap(scene, k, rng), bits))
+    spoil_pixels(spoil, shots, onset)
+    return shots
+
+
+def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, Measurement]]:
+    """Each measurement with the number of the exposure that completed it."""
+    measured = []
+    for shot in shots:
+        shot.pixels.flags.writeable = False
+        frame = Frame(shot.camera, shot.sequence, shot.t_ns, shot.pixels, shot.bits)
+        measured += [(shot.k, measurement) for measurement in chain.push(frame)]
+    return measured
+
+
+def _truth_of(measurement: Measurement, truth: Sequence[FloatArray], k: int) -> FloatArray:
+    """The mean of where the beam was in the window's exposures, those lost aside.
+
+    Steady motion over the window is known for the very time that the measurement gives.
+    """
+    window = range(max(k - WINDOW + 1, 0), k + 1)
+    places = np.array([truth[n] for n in window])
+    times_ns = np.array([t_ns_of(n) for n in window], dtype=np.float64)
+    mean: FloatArray = places.mean(axis=0)
+    since = times_ns - times_ns.mean()
+    if len(window) > 1 and measurement.frames < len(window):
+        speed = since @ places / (since @ since)
+        mean = mean + speed * (measurement.t_ns - times_ns.mean())
+    return mean

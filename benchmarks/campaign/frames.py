@@ -1,0 +1,406 @@
+"""Ways by the electronics: what happens to grey values and to whole frames on their way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from altd.records import PixelArray
+from benchmarks.campaign.way import CAMERAS, Draw, OnPixels, Registry, Shot, Spoil, grey
+
+WAYS = Registry("frames")
+
+
+def _sometimes(share: float, seed: int, change: OnPixels) -> OnPixels:
+    """Only some of the frames."""
+    rng = np.random.default_rng(seed)
+
+    def maybe(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        return change(pixels, before, bits) if rng.random() < share else pixels
+
+    return maybe
+
+
+def _written(pixels: PixelArray, write: Callable[[PixelArray], None]) -> PixelArray:
+    """A copy that was written to."""
+    copy = pixels.copy()
+    write(copy)
+    return copy
+
+
+def _often(draw: Draw) -> tuple[float, str]:
+    """All frames, or a share of them."""
+    share = 1.0 if draw.rng.random() < 0.5 else draw.uniform(0.1, 0.9)
+    return share, f", {share:.0%} of the frames" if share < 1 else ""
+
+
+@WAYS.add(moving=True)
+def torn(draw: Draw) -> Spoil:
+    """The upper part is of the frame before."""
+    row, (share, words) = draw.uniform(0.1, 0.9), _often(draw)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        if before is None:
+            return pixels
+        cut = int(row * len(pixels))
+        return _written(pixels, lambda copy: np.copyto(copy[:cut], before[:cut]))
+
+    return Spoil(
+        f"at {row:.0%}{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets()
+    )
+
+
+@WAYS.add()
+def zeroed_rows(draw: Draw) -> Spoil:
+    """Some rows read 0: lost on the way."""
+    first, rows, (share, words) = draw.uniform(0.0, 1.0), draw.log(1, 200), _often(draw)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        start = int(first * (len(pixels) - rows))
+        return _written(pixels, lambda copy: copy[max(start, 0) : start + int(rows)].fill(0))
+
+    return Spoil(
+        f"{rows:.0f} rows{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets()
+    )
+
+
+@WAYS.add()
+def repeated_rows(draw: Draw) -> Spoil:
+    """One row stands for many below it."""
+    first, rows, (share, words) = draw.uniform(0.1, 0.9), draw.whole(2, 120), _often(draw)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        start = int(first * len(pixels))
+
+        def write(copy: PixelArray) -> None:
+            copy[start : start + rows] = copy[start]
+
+        return _written(pixels, write)
+
+    return Spoil(f"{rows} rows{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets())
+
+
+@WAYS.add()
+def row_shift(draw: Draw) -> Spoil:
+    """From some row on, the picture is shifted by some pixels: bytes lost on the way."""
+    first, by, (share, words) = draw.uniform(0.0, 0.9), draw.sign() * round(draw.log(1, 300)), _often(draw)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        def write(copy: PixelArray) -> None:
+            start = int(first * copy.size)
+            copy.reshape(-1)[start:] = np.roll(pixels.reshape(-1)[start:], by)
+
+        return _written(pixels, write)
+
+    return Spoil(f"{by} px{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets())
+
+
+@WAYS.add()
+def packets_zero(draw: Draw) -> Spoil:
+    """Packets of 1 to 9 kB are lost: their pixels read 0."""
+    size, count, seed = draw.whole(1400, 9000), draw.whole(1, 20), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        def write(copy: PixelArray) -> None:
+            flat = copy.reshape(-1)
+            step = max(1, size // copy.itemsize)
+            for packet in rng.integers(0, flat.size // step + 1, count):
+                flat[packet * step : (packet + 1) * step] = 0
+
+        return _written(pixels, write)
+
+    return Spoil(f"{count} of {size} bytes", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add(moving=True)
+def packets_old(draw: Draw) -> Spoil:
+    """Packets are lost: their pixels are those of the frame before."""
+    size, count, seed = draw.whole(1400, 9000), draw.whole(1, 60), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        if before is None:
+            return pixels
+
+        def write(copy: PixelArray) -> None:
+            flat = copy.reshape(-1)
+            step = max(1, size // copy.itemsize)
+            for packet in rng.integers(0, flat.size // step + 1, count):
+                flat[packet * step : (packet + 1) * step] = before.reshape(-1)[
+                    packet * step : (packet + 1) * step
+                ]
+
+        return _written(pixels, write)
+
+    return Spoil(f"{count} of {size} bytes", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def stuck_bit(draw: Draw) -> Spoil:
+    """One bit of every pixel is always 0, or always 1."""
+    place, one = draw.uniform(0, 1), draw.of("0", "1")
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        bit = pixels.dtype.type(1 << int(place * bits))
+        return pixels | bit if one == "1" else pixels & ~bit
+
+    return Spoil(f"bit at {place:.0%} of the word is {one}", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def swapped_bytes(draw: Draw) -> Spoil:
+    """Neighbouring bytes exchanged: of a pixel of 16 bits, or two pixels of 8."""
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        if pixels.dtype == np.uint16:
+            return np.asarray(np.minimum(pixels.byteswap(), (1 << bits) - 1), np.uint16)
+        rows, columns = pixels.shape
+        swapped = pixels.reshape(rows, columns // 2, 2)[:, :, ::-1].reshape(rows, columns)
+        return np.asarray(swapped, np.uint8)
+
+    return Spoil("everywhere", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def bit_errors(draw: Draw) -> Spoil:
+    """Single bits fall over, anywhere."""
+    share, seed = draw.log(1e-5, 3e-2), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        def write(copy: PixelArray) -> None:
+            where = rng.integers(0, copy.size, int(share * copy.size))
+            copy.reshape(-1)[where] ^= (1 << rng.integers(0, bits, len(where))).astype(copy.dtype)
+
+        return _written(pixels, write)
+
+    return Spoil(f"{share:.2%} of the pixels", pixels=change, cameras=draw.targets())
+
+
+def _recounted(pixels: PixelArray, counts: np.ndarray, bits: int) -> PixelArray:
+    recounted: PixelArray = np.clip(np.rint(counts), 0, (1 << bits) - 1).astype(pixels.dtype)
+    return recounted
+
+
+@WAYS.add()
+def gain_step(draw: Draw) -> Spoil:
+    """Left and right half of the chip are amplified differently."""
+    gain, at = draw.log(0.7, 1.4), draw.uniform(0.2, 0.8)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        counts = pixels.astype(np.float32)
+        counts[:, int(at * pixels.shape[1]) :] *= np.float32(gain)
+        return _recounted(pixels, counts, bits)
+
+    return Spoil(f"{gain:.2f} times from {at:.0%} on", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def black_step(draw: Draw) -> Spoil:
+    """Another black level, everywhere or from some column on."""
+    level, at = draw.uniform(-0.05, 0.3), draw.of("everywhere", "from a column on")
+    column = 0.0 if at == "everywhere" else draw.uniform(0.2, 0.8)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        counts = pixels.astype(np.float32)
+        counts[:, int(column * pixels.shape[1]) :] += np.float32(level * ((1 << bits) - 1))
+        return _recounted(pixels, counts, bits)
+
+    return Spoil(f"{level:+.0%} {at}", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def gamma(draw: Draw) -> Spoil:
+    """A camera whose grey values are not in proportion to the light."""
+    power = draw.log(0.4, 2.2)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        full = np.float32((1 << bits) - 1)
+        return _recounted(pixels, full * (pixels / full) ** np.float32(power), bits)
+
+    return Spoil(f"power {power:.2f}", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def inverted(draw: Draw) -> Spoil:
+    """A negative."""
+    return Spoil(
+        "everywhere",
+        pixels=lambda pixels, before, bits: np.asarray((1 << bits) - 1 - pixels, pixels.dtype),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def hot_columns(draw: Draw) -> Spoil:
+    """Columns that are bright from top to bottom."""
+    level, count, seed = draw.log(0.02, 1.0), draw.whole(1, 20), draw.seed()
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        counts = pixels.astype(np.float32)
+        columns = np.random.default_rng(seed).integers(0, pixels.shape[1], count)
+        counts[:, columns] += np.float32(level * ((1 << bits) - 1))
+        return _recounted(pixels, counts, bits)
+
+    return Spoil(f"{count}, {level:.0%} of full scale", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def jpeg(draw: Draw) -> Spoil:
+    """Compressed with loss."""
+    quality = draw.whole(3, 80)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        shift = max(bits - 8, 0)
+        _, data = cv2.imencode(
+            ".jpg", (pixels >> shift).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, quality]
+        )
+        decoded = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+        return _recounted(pixels, np.asarray(decoded, np.float32) * np.float32(1 << shift), bits)
+
+    return Spoil(f"quality {quality}", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def binned(draw: Draw) -> Spoil:
+    """Blocks of pixels carry one value, or a binned picture stands in a corner of the frame."""
+    by, corner = draw.whole(2, 4), draw.of("blocks", "corner")
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        rows, columns = pixels.shape
+        small = cv2.resize(pixels, (columns // by, rows // by), interpolation=cv2.INTER_AREA)
+        if corner == "blocks":
+            return grey(cv2.resize(small, (columns, rows), interpolation=cv2.INTER_NEAREST), pixels)
+
+        def write(copy: PixelArray) -> None:
+            copy[:] = np.median(pixels[::8, ::8]).astype(copy.dtype)
+            copy[: rows // by, : columns // by] = small
+
+        return _written(pixels, write)
+
+    return Spoil(f"{by} × {by}, {corner}", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def clipped_grey(draw: Draw) -> Spoil:
+    """Grey values end below full scale: a converter that saturates early."""
+    level = draw.uniform(0.1, 0.9)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        return np.minimum(pixels, pixels.dtype.type(level * ((1 << bits) - 1)))
+
+    return Spoil(f"at {level:.0%} of full scale", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def salt_noise(draw: Draw) -> Spoil:
+    """White and black pixels strewn over each frame anew."""
+    share, seed = draw.log(1e-4, 0.1), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        def write(copy: PixelArray) -> None:
+            where = rng.integers(0, copy.size, int(share * copy.size))
+            copy.reshape(-1)[where] = rng.choice([0, (1 << bits) - 1], len(where)).astype(copy.dtype)
+
+        return _written(pixels, write)
+
+    return Spoil(f"{share:.2%} of the pixels", pixels=change, cameras=draw.targets())
+
+
+@WAYS.add()
+def row_noise(draw: Draw) -> Spoil:
+    """Rows or columns jump up and down together: a disturbed supply."""
+    level, axis, seed = draw.log(0.003, 0.05), draw.whole(0, 1), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        size = (pixels.shape[0], 1) if axis == 0 else (1, pixels.shape[1])
+        jumps = rng.standard_normal(size, dtype=np.float32)
+        return _recounted(pixels, pixels + np.float32(level * ((1 << bits) - 1)) * jumps, bits)
+
+    return Spoil(f"{level:.1%} of full scale", pixels=change, cameras=draw.targets())
+
+
+def _pixels_from(
+    draw: Draw, cameras: frozenset[str], source: Callable[[int, int], int]
+) -> Callable[[list[Shot], int], list[Shot]]:
+    """A stream in which exposure k of some cameras shows what exposure ``source(k, onset)`` showed."""
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
+        first = min(shot.k for shot in shots)
+        return [
+            replace(shot, pixels=pictures[shot.camera, max(source(shot.k, onset), first)])
+            if shot.k >= onset and shot.camera in cameras
+            else shot
+            for shot in shots
+        ]
+
+    return stream
+
+
+@WAYS.add(moving=True)
+def frozen(draw: Draw) -> Spoil:
+    """The same picture again and again, with new numbers and times."""
+    cameras = draw.targets()
+    return Spoil(
+        " and ".join(sorted(cameras)), stream=_pixels_from(draw, cameras, lambda k, onset: onset - 1)
+    )
+
+
+@WAYS.add(moving=True)
+def loop(draw: Draw) -> Spoil:
+    """The last pictures before the onset, over and over."""
+    length, cameras = draw.whole(2, 4), draw.targets()
+    source = lambda k, onset: onset - length + (k - onset) % length  # noqa: E731
+    return Spoil(f"of {length} frames", stream=_pixels_from(draw, cameras, source))
+
+
+@WAYS.add(moving=True)
+def every_second_repeated(draw: Draw) -> Spoil:
+    """Every second frame is the one before once more."""
+    cameras = draw.targets()
+    return Spoil(
+        " and ".join(sorted(cameras)),
+        stream=_pixels_from(draw, cameras, lambda k, onset: k - (k - onset) % 2),
+    )
+
+
+@WAYS.add(moving=True)
+def one_camera_late(draw: Draw) -> Spoil:
+    """One camera shows what was some frames ago, with the number and the time of now."""
+    late, cameras = draw.whole(1, 3), draw.one()
+    return Spoil(
+        f"{', '.join(cameras)} {late} late", stream=_pixels_from(draw, cameras, lambda k, onset: k - late)
+    )
+
+
+@WAYS.add(moving=True)
+def both_cameras_late(draw: Draw) -> Spoil:
+    """Both cameras show what was some frames ago, with the number and the time of now."""
+    late = draw.whole(1, 3)
+    return Spoil(f"{late} late", stream=_pixels_from(draw, frozenset(CAMERAS), lambda k, onset: k - late))
+
+
+@WAYS.add(moving=True)
+def played_backwards(draw: Draw) -> Spoil:
+    """Buffers come in the wrong order: pairs of pictures exchanged."""
+    cameras = draw.targets()
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
+
+        def swapped(shot: Shot) -> Shot:
+            other = (shot.camera, shot.k + 1 - 2 * ((shot.k - onset) % 2))
+            if shot.k < onset or shot.camera not in cameras or other not in pictures:
+                return shot
+            return replace(shot, pixels=pictures[other])
+
+        return [swapped(shot) for shot in shots]
+
+    return Spoil(" and ".join(sorted(cameras)), stream=stream)

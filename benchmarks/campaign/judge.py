@@ -1,0 +1,153 @@
+"""What a measurement is worth against the truth, and the sums of many."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from altd.records import Beam, FloatArray, Measurement
+
+SIGMAS = 5.0
+LIMITS = np.array([0.05, 0.05, 0.01, 0.01])
+"""Mm, mm, °, °: an error is wrong above five sigmas and above this."""
+
+
+class Verdict(StrEnum):
+    """What a measurement turned out to be."""
+
+    RIGHT = "valid and right"
+    WRONG = "valid and wrong"
+    INVALID = "invalid"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A measurement beside the truth: the largest errors in mm, in ° and in sigmas; 0 where it is invalid."""
+
+    verdict: Verdict
+    error_mm: float = 0.0
+    error_deg: float = 0.0
+    sigmas: float = 0.0
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def judge(measurement: Measurement, truth: FloatArray | None) -> Judged:
+    """Hold a measurement against x mm, y mm, yaw °, pitch °; without a truth every number is wrong."""
+    reasons = tuple(str(fault) for fault in measurement.status if not fault.reason.is_warning)
+    warnings = tuple(str(fault) for fault in measurement.status if fault.reason.is_warning)
+    if measurement.beam is None:
+        return Judged(Verdict.INVALID, reasons=reasons, warnings=warnings)
+    if truth is None:
+        return Judged(Verdict.WRONG, np.inf, np.inf, np.inf, warnings=warnings)
+    values, sigma = arrays(measurement.beam)
+    error = np.abs(values - truth)
+    error[~np.isfinite(values)] = np.inf
+    in_sigmas = error / sigma
+    wrong = bool(np.any((in_sigmas > SIGMAS) & (error > LIMITS))) or not np.isfinite(in_sigmas).all()
+    return Judged(
+        Verdict.WRONG if wrong else Verdict.RIGHT,
+        float(error[:2].max()),
+        float(error[2:].max()),
+        float(in_sigmas.max()),
+        warnings=warnings,
+    )
+
+
+def arrays(beam: Beam) -> tuple[FloatArray, FloatArray]:
+    """The values x mm, y mm, yaw °, pitch ° and their sigmas."""
+    values = np.array([beam.x_mm, beam.y_mm, beam.yaw_deg, beam.pitch_deg])
+    sigma = np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
+    return values, sigma
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one episode: the measurements before the onset, and one a frame from it on.
+
+    ``recovered_s``: where a disturbance ended, how long until a measurement was valid again.
+    """
+
+    clean: tuple[Judged, ...]
+    spoilt: tuple[Judged, ...]
+    recovered_s: float | None = None
+
+
+@dataclass(slots=True)
+class Tally:
+    """The sums of one way.
+
+    ``noticed`` are frames from the onset until the first invalid measurement, of the episodes that had one;
+    ``worst`` the wrong ones' notes with their errors, largest in sigmas first.
+    """
+
+    episodes: int = 0
+    verdicts: Counter[Verdict] = field(default_factory=Counter)
+    reasons: Counter[str] = field(default_factory=Counter)
+    worst_mm: float = 0.0
+    worst_deg: float = 0.0
+    worst_sigmas: float = 0.0
+    wrong_episodes: int = 0
+    noticed: list[int] = field(default_factory=list)
+    recovered_s: list[float] = field(default_factory=list)
+    clean: int = 0
+    clean_refused: Counter[str] = field(default_factory=Counter)
+    clean_wrong: int = 0
+    worst: list[tuple[float, float, float, str]] = field(default_factory=list)
+
+    @property
+    def measurements(self) -> int:
+        """All that were made while something was spoilt."""
+        return sum(self.verdicts.values())
+
+    def add(self, outcome: Outcome, note: str) -> None:
+        """One episode."""
+        spoilt = outcome.spoilt
+        self.episodes += 1
+        if outcome.recovered_s is not None:
+            self.recovered_s.append(outcome.recovered_s)
+        for one in outcome.clean:
+            self.clean += 1
+            self.clean_wrong += one.verdict is Verdict.WRONG
+            if one.verdict is Verdict.INVALID:
+                self.clean_refused[", ".join(one.reasons)] += 1
+        for one in spoilt:
+            self.verdicts[one.verdict] += 1
+            self.reasons.update(one.reasons)
+        wrong = [one for one in spoilt if one.verdict is Verdict.WRONG]
+        self._remember(wrong, note)
+        first = next((n for n, one in enumerate(spoilt) if one.verdict is Verdict.INVALID), None)
+        if first is not None:
+            self.noticed.append(first + 1)
+
+    def _remember(self, wrong: Sequence[Judged], note: str) -> None:
+        if not wrong:
+            return
+        self.wrong_episodes += 1
+        self.worst_mm = max(self.worst_mm, *(one.error_mm for one in wrong))
+        self.worst_deg = max(self.worst_deg, *(one.error_deg for one in wrong))
+        worst = max(wrong, key=lambda one: one.sigmas)
+        self.worst_sigmas = max(self.worst_sigmas, worst.sigmas)
+        self.worst = sorted(
+            [*self.worst, (worst.sigmas, worst.error_mm, worst.error_deg, note)], reverse=True
+        )[:5]
+
+    def merge(self, other: Tally) -> None:
+        """Add what another process has counted."""
+        self.episodes += other.episodes
+        self.verdicts += other.verdicts
+        self.reasons += other.reasons
+        self.worst_mm = max(self.worst_mm, other.worst_mm)
+        self.worst_deg = max(self.worst_deg, other.worst_deg)
+        self.worst_sigmas = max(self.worst_sigmas, other.worst_sigmas)
+        self.wrong_episodes += other.wrong_episodes
+        self.noticed += other.noticed
+        self.recovered_s += other.recovered_s
+        self.clean += other.clean
+        self.clean_refused += other.clean_refused
+        self.clean_wrong += other.clean_wrong
+        self.worst = sorted([*self.worst, *other.worst], reverse=True)[:5]

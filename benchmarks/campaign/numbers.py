@@ -1,0 +1,142 @@
+"""Ways by numbers that none can be: in the config and in the calibration file, which must be refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.model import Calibration
+from altd.config import Installation, Measuring, load_config
+from altd.errors import BadInputError
+from benchmarks.campaign.way import Draw, Way
+
+_ABSURD = ("nan", "inf", "-inf", "1e200", "-1e200", "1e15", "-1e9", "1e308")
+
+_CONFIG_KEYS = (
+    *(
+        ("measuring", key)
+        for key in (
+            "max_skew_ms",
+            "max_lag_ms",
+            "max_sigma_mm",
+            "max_sigma_mm_per_m",
+            "silent_after_s",
+            "stale_after_s",
+        )
+    ),
+    *(
+        ("installation", key)
+        for key in ("reference_plane_mm", "offset_x_mm", "offset_y_mm", "offset_yaw_deg", "offset_pitch_deg")
+    ),
+)
+
+_CONFIG = """
+[unit]
+serial = "X"
+calibration = "calibration.json"
+
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+
+[cameras.front]
+driver = "recording"
+path = "recording"
+
+[cameras.rear]
+driver = "recording"
+path = "recording"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Misnumbered:
+    """An absurd number at a key of the config, or at a place of the calibration drawn by ``seed``."""
+
+    note: str
+    file: str
+    key: tuple[str, str]
+    value: str
+    seed: float
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the number is NaN or infinite: whatever is measured with it is wrong."""
+        return not math.isfinite(float(self.value))
+
+
+def _number_in_config(draw: Draw) -> Misnumbered:
+    """A number of the config is none, or absurd."""
+    key, value = _CONFIG_KEYS[draw.whole(0, len(_CONFIG_KEYS) - 1)], draw.of(*_ABSURD)
+    return Misnumbered(f"{'.'.join(key)} = {value}", "config", key, value, 0.0)
+
+
+def _number_in_calibration(draw: Draw) -> Misnumbered:
+    """A number of the calibration file is none, or absurd; its checksum fits."""
+    value, seed = draw.of(*_ABSURD), draw.uniform(0, 1)
+    return Misnumbered(f"{value} at {seed:.4f}", "calibration", ("", ""), value, seed)
+
+
+WAYS = [
+    Way("number_in_config", "numbers", _number_in_config),
+    Way("number_in_calibration", "numbers", _number_in_calibration),
+]
+
+
+def accepted(
+    way: Misnumbered, calibration: Calibration
+) -> tuple[Calibration, Measuring, Installation] | None:
+    """What the files give when they are taken in; None when they are refused, as they must be."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            if way.file == "config":
+                file = Path(folder) / "altd.toml"
+                table, key = way.key
+                file.write_text(f"{_CONFIG}\n[{table}]\n{key} = {way.value}\n")
+                config = load_config(file)
+                return calibration, config.measuring, config.installation
+            file = Path(folder) / "calibration.json"
+            save_calibration(calibration, file)
+            _spoil(file, way)
+            return load_calibration(file), Measuring(), Installation()
+        except BadInputError:
+            return None
+
+
+def _spoil(file: Path, way: Misnumbered) -> None:
+    """Put the number in; the checksum is that of the spoilt content."""
+    document: dict[str, Any] = json.loads(file.read_text())
+    document.pop("checksum")
+    groups: dict[str, list[tuple[Any, Any]]] = {}
+    for group, holder, key in _numbers(document, ""):
+        groups.setdefault(group, []).append((holder, key))
+    at = way.seed * len(groups)
+    alike = list(groups.values())[int(at)]
+    holder, key = alike[int((at - int(at)) * len(alike))]
+    holder[key] = float(way.value)
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    document["checksum"] = "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+    file.write_text(json.dumps(document))
+
+
+def _numbers(value: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
+    """Where the numbers of a document stand, with their keys; those of one list are one group."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        if isinstance(inner, float | int) and not isinstance(inner, bool):
+            yield f"{path}.{key if isinstance(key, str) else ''}", value, key
+        else:
+            yield from _numbers(inner, f"{path}.{key}" if isinstance(key, str) else path)

@@ -1,0 +1,165 @@
+"""Runs episodes, each from a seed of its own, in one or two processes, until enough was measured."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import get_context
+
+import cv2
+import numpy as np
+
+from benchmarks.campaign.cache import calibrated
+from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
+from benchmarks.campaign.clips import Rig, rig_of
+from benchmarks.campaign.episode import run_episode, run_misnumbered
+from benchmarks.campaign.judge import Outcome, Tally
+from benchmarks.campaign.numbers import Misnumbered
+from benchmarks.campaign.timed import run_timed
+from benchmarks.campaign.times import Mistimed
+from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.way import Draw, Spoil, Way, both
+
+PAIRS = "pairs"
+_MOVING_SHARE = 0.2
+_BATCH = 6
+_COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is drawn from; ``pairs`` is the share of episodes that are spoilt in two ways at once."""
+
+    ways: tuple[str, ...]
+    units: tuple[str, ...]
+    seed: int
+    pairs: float
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """When it is enough: so many seconds or measurements, whichever comes first; None ends nothing."""
+
+    seconds: float | None
+    measurements: int | None
+    processes: int
+
+
+def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> tuple[dict[str, Tally], float]:
+    """The sums by way, and the seconds that it took."""
+    for unit in plan.units:
+        calibrated(unit)  # makes the calibrations before processes do so together
+    tallies: dict[str, Tally] = {}
+    began_s = time.monotonic()
+    made = 0
+    for results in _batches(plan, effort.processes):
+        for name, tally in results.items():
+            tallies.setdefault(name, Tally()).merge(tally)
+            made += tally.measurements + tally.clean
+        passed_s = time.monotonic() - began_s
+        progress(made, passed_s)
+        out_of_time = effort.seconds is not None and passed_s >= effort.seconds
+        if out_of_time or (effort.measurements is not None and made >= effort.measurements):
+            break
+    order = {name: number for number, name in enumerate((*WAYS, PAIRS))}
+    return dict(sorted(tallies.items(), key=lambda item: order[item[0]])), time.monotonic() - began_s
+
+
+def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
+    """The sums of a few episodes at a time, in the order of their numbers."""
+    if processes == 1:
+        _prepare()
+        number = 0
+        while True:
+            yield batch(plan, range(number, number + _BATCH))
+            number += _BATCH
+    # not forked: OpenCV's threads do not live on in a fork
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_prepare) as pool:
+        waiting = [
+            pool.submit(batch, plan, range(n * _BATCH, (n + 1) * _BATCH)) for n in range(3 * processes)
+        ]
+        number = len(waiting)
+        try:
+            while True:
+                yield waiting.pop(0).result()
+                waiting.append(pool.submit(batch, plan, range(number * _BATCH, (number + 1) * _BATCH)))
+                number += 1
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _prepare() -> None:
+    os.nice(5)
+    cv2.setNumThreads(1)
+
+
+@cache
+def _rig(name: str) -> Rig:
+    return rig_of(name)
+
+
+def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
+    """Run the episodes of these numbers."""
+    tallies: dict[str, Tally] = {}
+    for number in numbers:
+        name, note, outcome = episode(plan, number)
+        tallies.setdefault(name, Tally()).add(outcome, note)
+    return tallies
+
+
+def episode(plan: Plan, number: int) -> tuple[str, str, Outcome]:
+    """Run one episode; the name of its way, what was drawn, and what came of it.
+
+    Ways come in turn, so that each gets its share however short the run; the unit is drawn.
+    """
+    rng = np.random.default_rng([plan.seed, number])
+    way = WAYS[plan.ways[number % len(plan.ways)]]
+    spoil = way.make(Draw(rng))
+    simulated = [name for name in plan.units if name in SIMULATED] or ["plain"]
+    units = plan.units if isinstance(spoil, Spoil) else simulated
+    unit = units[int(rng.integers(len(units)))]
+    rig = _rig(unit)
+    if isinstance(spoil, Spoil):
+        name, note, outcome = _spoilt(plan, way, spoil, rig, rng)
+    elif isinstance(spoil, Mistimed):
+        name, note, outcome = way.name, f"{spoil.note} (by {spoil.pair_by})", run_timed(rig, spoil, rng)
+    elif isinstance(spoil, Misnumbered):
+        name, note, outcome = way.name, spoil.note, run_misnumbered(rig, spoil, rng)
+    else:
+        raise TypeError(f"{way.name} makes {type(spoil).__name__}")
+    return name, f"#{number} {unit}: {note}", outcome
+
+
+def _spoilt(
+    plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator
+) -> tuple[str, str, Outcome]:
+    """An episode of frames, in some cases spoilt by a second way too."""
+    name, note, moving = way.name, spoil.note, way.moving or rng.random() < _MOVING_SHARE
+    if rng.random() < plan.pairs and way.kind != "good" and not way.invisible:
+        other = _other(plan, way, rng)
+        second = other.make(Draw(rng))
+        if isinstance(second, Spoil):
+            note = f"{way.name} {spoil.note} + {other.name} {second.note}"
+            spoil, name, moving = both(spoil, second), PAIRS, moving or other.moving
+    foreign = None
+    if way.name == ANOTHER_UNIT:
+        alike = [
+            spec.name for spec in SIMULATED.values() if spec.config.bits == rig.bits and spec.name != rig.name
+        ]
+        foreign = _rig(alike[int(rng.integers(len(alike)))])
+    return name, note, run_episode(rig, spoil, rng, moving, foreign)
+
+
+def _other(plan: Plan, way: Way, rng: np.random.Generator) -> Way:
+    """The second way of a pair."""
+    apart = (way.name, ANOTHER_UNIT)
+    others = [
+        WAYS[name]
+        for name in plan.ways
+        if name not in apart and WAYS[name].kind in _COMBINED and not WAYS[name].invisible
+    ]
+    return others[int(rng.integers(len(others)))] if others else way

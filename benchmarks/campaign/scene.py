@@ -1,0 +1,167 @@
+"""The light of one exposure before any noise, and the noise that belongs to it.
+
+A way that spoils light changes mean electrons: noise is drawn of what is left. Pictures are (rows, columns).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import PixelArray
+from hw_sim.beam import DEPTH_OF_TAIL
+from hw_sim.sensor import Sensor
+
+Image = npt.NDArray[np.float32]
+
+_POOL = 1 << 22
+
+
+@dataclass(frozen=True, slots=True)
+class SpotShape:
+    """A laser spot: ``peak`` · exp(−2 ρ^(2·order)) with ρ² of ``form`` (uu, uv, vv) in 1/px²."""
+
+    u_px: float
+    v_px: float
+    form: tuple[float, float, float]
+    order: float
+    peak: float
+
+    @property
+    def radius_px(self) -> float:
+        """Radius of the circle as large as the 1/e² ellipse."""
+        uu, uv, vv = self.form
+        return float((uu * vv - uv * uv) ** -0.25)
+
+    def moved(self, du_px: float, dv_px: float) -> SpotShape:
+        """The same spot at another place."""
+        return replace(self, u_px=self.u_px + du_px, v_px=self.v_px + dv_px)
+
+    def scaled(self, scale: float, share: float) -> SpotShape:
+        """A spot ``scale`` times as wide that has ``share`` of the light."""
+        uu, uv, vv = self.form
+        by = scale**-2
+        return replace(self, form=(uu * by, uv * by, vv * by), peak=self.peak * share * by)
+
+    def window(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns that hold the spot."""
+        uu, uv, vv = self.form
+        rho2 = (-0.5 * math.log(DEPTH_OF_TAIL)) ** (1.0 / self.order)
+        determinant = uu * vv - uv * uv
+        half_u, half_v = math.sqrt(rho2 * vv / determinant), math.sqrt(rho2 * uu / determinant)
+        return _span(self.v_px, half_v, shape[0]), _span(self.u_px, half_u, shape[1])
+
+    def light(self, rows: slice, columns: slice) -> Image:
+        """Irradiance in a part of the picture."""
+        du = np.arange(columns.start, columns.stop, dtype=np.float32)[None, :] - np.float32(self.u_px)
+        dv = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] - np.float32(self.v_px)
+        uu, uv, vv = (np.float32(term) for term in self.form)
+        rho2 = uu * du * du + (uv + uv) * du * dv + vv * dv * dv
+        if self.order != 1.0:
+            rho2 = np.maximum(rho2, 0.0) ** np.float32(self.order)
+        light: Image = np.float32(self.peak) * np.exp(np.float32(-2.0) * rho2)
+        return light
+
+
+def _span(middle: float, half: float, size: int) -> slice:
+    low = min(max(math.floor(middle - half), 0), size)
+    return slice(low, min(max(math.ceil(middle + half) + 1, low), size))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What one camera sees at one instant, in electrons: the laser's light, and all the rest.
+
+    ``response`` is what a pixel shows of an irradiance on the target, in the unit of the spot's ``peak``.
+    """
+
+    camera: str
+    beam: Image
+    rest: Image
+    response: Image
+    spot: SpotShape
+    px_per_mm: float
+
+    @property
+    def electrons(self) -> Image:
+        """Mean electrons of the exposure."""
+        return self.beam + self.rest
+
+    def beam_times(self, gain: Image | float) -> Scene:
+        """The laser's light passed by something before the target."""
+        return replace(self, beam=self.beam * np.asarray(gain, np.float32))
+
+    def all_times(self, gain: Image | float) -> Scene:
+        """All light passed by something between target and camera, or on the target."""
+        factor = np.asarray(gain, np.float32)
+        return replace(self, beam=self.beam * factor, rest=self.rest * factor)
+
+    def beam_plus(self, spot: SpotShape) -> Scene:
+        """More laser light on the target, seen through its print."""
+        rows, columns = spot.window(self.beam.shape)
+        beam = self.beam.copy()
+        beam[rows, columns] += spot.light(rows, columns) * self.response[rows, columns]
+        return replace(self, beam=beam)
+
+    def lit(self, irradiance: Image | float) -> Scene:
+        """More light of any kind on the target, seen through its print."""
+        return replace(self, rest=self.rest + np.asarray(irradiance, np.float32) * self.response)
+
+    def veiled(self, electrons: Image | float) -> Scene:
+        """Light that comes to the camera without meeting the target."""
+        return replace(self, rest=self.rest + np.asarray(electrons, np.float32))
+
+    def without_laser(self) -> Scene:
+        """The same in the laser's absence."""
+        return replace(self, beam=np.zeros_like(self.beam))
+
+    def from_spot(self) -> tuple[Image, Image]:
+        """How far right of and below the spot's middle the pixels lie, px: (1, columns) and (rows, 1)."""
+        rows, columns = self.beam.shape
+        right = np.arange(columns, dtype=np.float32)[None, :] - np.float32(self.spot.u_px)
+        below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self.spot.v_px)
+        return right, below
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exposing:
+    """Mean grey values of a scene and their noise (1 sigma), before quantisation."""
+
+    counts: Image
+    noise_counts: Image
+
+
+def exposing(electrons: Image, sensor: Sensor) -> Exposing:
+    """What a chip makes of mean electrons."""
+    return Exposing(sensor.mean_counts(electrons, 1.0), sensor.noise_counts(electrons, 1.0))
+
+
+class Noise:
+    """Standard normal numbers drawn once; each frame takes a stretch from a place of its own."""
+
+    def __init__(self, seed: int) -> None:
+        self._numbers = np.random.default_rng(seed).standard_normal(_POOL, dtype=np.float32)
+
+    def picture(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
+        """Noise (rows, columns); not to be written to."""
+        size = shape[0] * shape[1]
+        start = int(rng.integers(_POOL - size))
+        return self._numbers[start : start + size].reshape(shape)
+
+
+def snapshot(mean: Exposing, noise: Image, bits: int) -> PixelArray:
+    """Grey values of one exposure."""
+    counts = cv2.multiply(noise, mean.noise_counts)
+    if bits <= 8:
+        return np.asarray(cv2.add(counts, mean.counts, dtype=cv2.CV_8U), np.uint8)
+    pixels = np.asarray(cv2.add(counts, mean.counts, dtype=cv2.CV_16U), np.uint16)
+    return np.minimum(pixels, np.uint16((1 << bits) - 1))
+
+
+def blurred(picture: Image, sigma_px: float) -> Image:
+    """A picture through a Gaussian."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), np.float32)

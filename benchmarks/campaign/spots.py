@@ -1,0 +1,306 @@
+"""Ways that spoil the laser's own light: reflections, lobes, tails, a beam that is cut or has changed."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.campaign.scene import Image, Scene, SpotShape, blurred
+from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+
+WAYS = Registry("spots")
+BEAMS = Path(__file__).resolve().parents[3] / "shared/data/beams"
+
+
+def _aside(draw: Draw, low_mm: float = 1.0, high_mm: float = 15.0) -> tuple[float, float, str]:
+    """A direction and distance in mm, and both in words."""
+    far_mm, angle = draw.log(low_mm, high_mm), draw.angle()
+    return far_mm * math.cos(angle), far_mm * math.sin(angle), f"{far_mm:.1f} mm aside"
+
+
+def _second_spot(scene: Scene, right_mm: float, down_mm: float, scale: float, share: float) -> Scene:
+    ghost = scene.spot.moved(right_mm * scene.px_per_mm, down_mm * scene.px_per_mm).scaled(scale, share)
+    return scene.beam_plus(ghost)
+
+
+@WAYS.add()
+def reflection(draw: Draw) -> Spoil:
+    """A second spot of the same shape that moves with the first."""
+    share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
+    return Spoil(
+        f"{share:.0%} {words}",
+        light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
+        cameras=draw.one(),
+    )
+
+
+@WAYS.add()
+def reflection_on_both(draw: Draw) -> Spoil:
+    """The same second spot on both targets, as of a ghost that runs beside the beam."""
+    share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
+    return Spoil(
+        f"{share:.0%} {words}", light=lambda scene, since: _second_spot(scene, right, down, 1.0, share)
+    )
+
+
+@WAYS.add()
+def reflection_blurred(draw: Draw) -> Spoil:
+    """A wider second spot."""
+    share, scale, (right, down, words) = draw.log(0.03, 1.0), draw.uniform(1.3, 3.0), _aside(draw)
+    return Spoil(
+        f"{share:.0%} {words}, {scale:.1f} times as wide",
+        light=lambda scene, since: _second_spot(scene, right, down, scale, share),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def reflection_sharper(draw: Draw) -> Spoil:
+    """A narrower second spot."""
+    share, scale, (right, down, words) = draw.log(0.03, 0.6), draw.uniform(0.25, 0.8), _aside(draw)
+    return Spoil(
+        f"{share:.0%} {words}, {scale:.2f} times as wide",
+        light=lambda scene, since: _second_spot(scene, right, down, scale, share),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def reflection_ring(draw: Draw) -> Spoil:
+    """A ring of light, as a curved rim throws it."""
+    share, (right, down, words) = draw.log(0.03, 0.6), _aside(draw, 0.5)
+    radius_mm, width_mm = draw.uniform(1.0, 8.0), draw.uniform(0.3, 1.5)
+
+    def light(scene: Scene, since: int) -> Scene:
+        u, v = scene.from_spot()
+        mm = scene.px_per_mm
+        far = np.hypot(u - np.float32(right * mm), v - np.float32(down * mm)) - np.float32(radius_mm * mm)
+        ring = np.exp(-2.0 * (far / np.float32(width_mm * mm)) ** 2)
+        area_px = 2 * math.pi * radius_mm * width_mm * math.sqrt(math.pi / 2) * mm * mm
+        peak = share * scene.spot.peak * math.pi * scene.spot.radius_px**2 / 2 / area_px
+        return scene.lit(np.float32(peak) * ring)
+
+    return Spoil(f"{share:.0%} in a ring {words}", light=light, cameras=draw.targets())
+
+
+@WAYS.add(moving=True)
+def reflection_fixed(draw: Draw) -> Spoil:
+    """A second spot that stays where it is while the first one moves."""
+    share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
+    ghosts: dict[str, SpotShape] = {}
+
+    def light(scene: Scene, since: int) -> Scene:
+        mm = scene.px_per_mm
+        ghost = ghosts.setdefault(scene.camera, scene.spot.moved(right * mm, down * mm).scaled(1.0, share))
+        return scene.beam_plus(ghost)
+
+    return Spoil(f"{share:.0%} {words}, at rest", light=light, cameras=draw.targets(), varies=True)
+
+
+@WAYS.add()
+def twin_spots(draw: Draw) -> Spoil:
+    """A second spot as bright as the first, 2 to 6 mm aside."""
+    right, down, words = _aside(draw, 2.0, 6.0)
+    share = draw.uniform(0.9, 1.1)
+    return Spoil(
+        words, light=lambda scene, since: _second_spot(scene, right, down, 1.0, share), cameras=draw.targets()
+    )
+
+
+@WAYS.add()
+def comet_tail(draw: Draw) -> Spoil:
+    """Light smeared to one side, fading over some millimetres."""
+    share, length_mm, angle = draw.log(0.02, 0.2), draw.uniform(1.5, 10.0), draw.angle()
+
+    def light(scene: Scene, since: int) -> Scene:
+        steps = np.linspace(0.2, 3.0, 8)
+        weights = np.exp(-steps) / np.exp(-steps).sum()
+        for step, weight in zip(steps * length_mm, weights, strict=True):
+            scene = _second_spot(scene, step * math.cos(angle), step * math.sin(angle), 1.0, share * weight)
+        return scene
+
+    return Spoil(f"{share:.0%} over {length_mm:.1f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def fringes(draw: Draw) -> Spoil:
+    """Interference of the window's faces: stripes over the beam."""
+    contrast, period_mm, angle, phase = (
+        draw.uniform(0.05, 0.3),
+        draw.log(0.5, 5.0),
+        draw.angle(),
+        draw.angle(),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        u, v = scene.from_spot()
+        turns = (u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))) / np.float32(
+            period_mm * scene.px_per_mm
+        )
+        return scene.beam_times(
+            1.0 + np.float32(contrast) * np.cos(np.float32(2 * math.pi) * turns + np.float32(phase))
+        )
+
+    return Spoil(f"contrast {contrast:.0%}, period {period_mm:.1f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def clipped_beam(draw: Draw) -> Spoil:
+    """An aperture cuts one side of the beam before the window: the same side on both targets."""
+    depth, angle, soft_mm = draw.uniform(-0.6, 0.95), draw.angle(), draw.uniform(0.1, 1.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        # the front picture is mirrored: right there is left here
+        direction = angle if scene.camera == "rear" else math.pi - angle
+        return scene.beam_times(
+            edge(scene, direction, depth * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        )
+
+    return Spoil(f"from {depth:.2f} radii on", light=light)
+
+
+@WAYS.add()
+def speckle_changed(draw: Draw) -> Spoil:
+    """Other speckle than at the calibration, coarse or fine."""
+    contrast, grain_px, seed = draw.uniform(0.05, 0.3), draw.uniform(0.6, 6.0), draw.seed()
+
+    def light(scene: Scene, since: int) -> Scene:
+        rng = np.random.default_rng([seed, CAMERAS.index(scene.camera)])
+        grain = blurred(rng.standard_normal(scene.beam.shape, dtype=np.float32), grain_px)
+        depth = np.float32(contrast / max(float(grain.std()), 1e-6))
+        return scene.beam_times(np.maximum(1.0 + depth * grain, 0.0))
+
+    return Spoil(f"contrast {contrast:.0%}, grain {grain_px:.1f} px", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def spot_larger(draw: Draw) -> Spoil:
+    """A spot wider than at the calibration, at its right place."""
+    scale = draw.uniform(1.3, 3.0)
+    return Spoil(
+        f"{scale:.1f} times as wide",
+        light=lambda scene, since: scene.without_laser().beam_plus(scene.spot.scaled(scale, 1.0)),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def spot_smaller(draw: Draw) -> Spoil:
+    """A spot narrower than at the calibration, at its right place."""
+    scale = draw.uniform(0.25, 0.75)
+    return Spoil(
+        f"{scale:.2f} times as wide",
+        light=lambda scene, since: scene.without_laser().beam_plus(scene.spot.scaled(scale, 1.0)),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def two_lobes(draw: Draw) -> Spoil:
+    """The laser in mode TEM01 or TEM10, its lobes as bright or up to twice as bright as each other."""
+    angle, uneven = draw.angle(), draw.of("even", "uneven")
+    slope = 0.0 if uneven == "even" else draw.uniform(0.1, 0.33)
+
+    def light(scene: Scene, since: int) -> Scene:
+        u, v = scene.from_spot()
+        along = (u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))) / np.float32(
+            scene.spot.radius_px
+        )
+        return scene.beam_times(4.0 * along * along * (1.0 + np.float32(slope) * np.sign(along)))
+
+    return Spoil(f"{uneven} lobes", light=light, cameras=draw.targets())
+
+
+@cache
+def _photographs() -> tuple[Image, ...]:
+    """The beams' photographs less their background, each with its brightest pixel at 1."""
+    pictures = []
+    for path in sorted(BEAMS.glob("*.p[gn][mg]")):
+        picture = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), np.float32)
+        picture = blurred(picture, 1.0)
+        picture -= np.median(np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]]))
+        picture[picture < 0.02 * picture.max()] = 0.0
+        pictures.append(picture / picture.max())
+    return tuple(pictures)
+
+
+@WAYS.add()
+def photographed_beam(draw: Draw) -> Spoil:
+    """The photograph of a real beam in place of the spot, its centroid (ISO 11146) where the beam is."""
+    pictures = _photographs()
+    if not pictures:
+        return Spoil("no photographs here")
+    number, width_mm, turn = draw.whole(0, len(pictures) - 1), draw.uniform(6.0, 15.0), draw.uniform(0, 360)
+    picture = pictures[number]
+
+    def light(scene: Scene, since: int) -> Scene:
+        moments = cv2.moments(picture)
+        u, v = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
+        diameter_px = 2.0 * math.sqrt(2.0 * (moments["mu20"] + moments["mu02"]) / moments["m00"])
+        matrix = cv2.getRotationMatrix2D((u, v), turn, width_mm * scene.px_per_mm / diameter_px)
+        matrix[:, 2] += np.array([scene.spot.u_px - u, scene.spot.v_px - v])
+        rows, columns = scene.beam.shape
+        pasted = cv2.warpAffine(picture, matrix, (columns, rows), flags=cv2.INTER_AREA)
+        return scene.without_laser().lit(np.float32(scene.spot.peak) * np.asarray(pasted, np.float32))
+
+    return Spoil(f"photograph {number}, {width_mm:.0f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def dim_laser(draw: Draw) -> Spoil:
+    """A hundredth to a half of the light."""
+    share = draw.log(0.01, 0.5)
+    return Spoil(
+        f"{share:.1%} of the light",
+        light=lambda scene, since: scene.beam_times(share),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def dazzling_laser(draw: Draw) -> Spoil:
+    """Too much light for the exposure."""
+    times = draw.log(1.3, 30.0)
+    return Spoil(
+        f"{times:.1f} times the light",
+        light=lambda scene, since: scene.beam_times(times),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def flickering_laser(draw: Draw) -> Spoil:
+    """The laser's power jumps from exposure to exposure."""
+    depth, seed = draw.uniform(0.3, 1.0), draw.seed()
+
+    def light(scene: Scene, since: int) -> Scene:
+        return scene.beam_times(1.0 - depth * float(np.random.default_rng([seed, since]).random()))
+
+    return Spoil(f"by up to {depth:.0%}", light=light, varies=True)
+
+
+@WAYS.add(
+    invisible="the laser itself is turned away before the window: 0.1 to 20 mm, as if the machine had moved"
+)
+def deflected_laser(draw: Draw) -> Spoil:
+    """The whole beam is elsewhere."""
+    right, down, words = _aside(draw, 0.1, 20.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        to_right = right if scene.camera == "rear" else -right
+        moved = scene.spot.moved(to_right * scene.px_per_mm, down * scene.px_per_mm)
+        return scene.without_laser().beam_plus(moved)
+
+    return Spoil(words, light=light)
+
+
+def edge(scene: Scene, angle: float, at_px: float, soft_px: float) -> Image:
+    """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's middle, ``soft_px`` wide."""
+    u, v = scene.from_spot()
+    along = u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle)) - np.float32(at_px)
+    shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+    return shadow

@@ -1,0 +1,295 @@
+"""Ways that spoil what the light meets: dirt, water, scratches, hands and cables, print that is lost."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from benchmarks.campaign.scene import Image, Scene, blurred
+from benchmarks.campaign.spots import edge
+from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+
+WAYS = Registry("surfaces")
+
+
+def _disc(scene: Scene, right_px: float, down_px: float, radius_px: float, soft_px: float) -> Image:
+    """1 inside a disc beside the spot's middle, 0 outside."""
+    u, v = scene.from_spot()
+    far = np.sqrt((u - np.float32(right_px)) ** 2 + (v - np.float32(down_px)) ** 2)
+    disc: Image = np.clip(0.5 - (far - np.float32(radius_px)) / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+    return disc
+
+
+@WAYS.add()
+def half_black(draw: Draw) -> Spoil:
+    """A hand, a sheet or a tape with a sharp edge over about half the spot."""
+    at, angle, left = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.0, 0.3)
+    return Spoil(
+        f"from {at:.2f} radii on",
+        light=lambda scene, since: scene.all_times(
+            left + (1 - left) * edge(scene, angle, at * scene.spot.radius_px, 0.1 * scene.px_per_mm)
+        ),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def half_black_soft(draw: Draw) -> Spoil:
+    """The shadow of something that stands before the target: a soft edge."""
+    at, angle, soft_mm = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.5, 6.0)
+    return Spoil(
+        f"from {at:.2f} radii on, edge of {soft_mm:.1f} mm",
+        light=lambda scene, since: scene.all_times(
+            edge(scene, angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        ),
+        cameras=draw.targets(),
+    )
+
+
+@WAYS.add()
+def quarter_black(draw: Draw) -> Spoil:
+    """A corner of something over a quarter of the spot."""
+    angle, at_1, at_2, soft_mm = (
+        draw.angle(),
+        draw.uniform(-0.4, 0.6),
+        draw.uniform(-0.4, 0.6),
+        draw.log(0.1, 3.0),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        radius_px, soft_px = scene.spot.radius_px, soft_mm * scene.px_per_mm
+        one = edge(scene, angle, at_1 * radius_px, soft_px)
+        other = edge(scene, angle + math.pi / 2, at_2 * radius_px, soft_px)
+        return scene.all_times(np.maximum(one, other))
+
+    return Spoil(f"corner at {at_1:.2f}, {at_2:.2f} radii", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def cable(draw: Draw) -> Spoil:
+    """A dark line across the spot."""
+    at, angle, width_mm, left = (
+        draw.uniform(-1.0, 1.0),
+        draw.angle(),
+        draw.log(0.3, 6.0),
+        draw.uniform(0.0, 0.5),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        middle, half = at * scene.spot.radius_px, width_mm * scene.px_per_mm / 2
+        dark = edge(scene, angle, middle + half, 1.0) - edge(scene, angle, middle - half, 1.0)
+        return scene.all_times(1.0 - (1 - left) * dark)
+
+    return Spoil(f"{width_mm:.1f} mm wide, {at:.2f} radii aside", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def grease(draw: Draw) -> Spoil:
+    """A smear that takes some of the light of about half the spot."""
+    loss, at, angle, soft_mm = (
+        draw.uniform(0.03, 0.3),
+        draw.uniform(-0.6, 0.6),
+        draw.angle(),
+        draw.log(0.2, 6.0),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        clear = edge(scene, angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        return scene.all_times(1.0 - loss * (1.0 - clear))
+
+    return Spoil(f"{loss:.0%} darker, edge of {soft_mm:.1f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add(
+    invisible="a Gaussian times a ramp is, to first order, a Gaussian elsewhere: "
+    "2 to 30 % over a diameter, up to 0.3 mm on the target"
+)
+def smear_gradient(draw: Draw) -> Spoil:
+    """A film whose thickness grows steadily over the spot: a ramp without any edge."""
+    slope, angle = draw.uniform(0.02, 0.3), draw.angle()
+
+    def light(scene: Scene, since: int) -> Scene:
+        u, v = scene.from_spot()
+        along = u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
+        return scene.all_times(np.clip(0.7 + slope * along / np.float32(2 * scene.spot.radius_px), 0.05, 1.0))
+
+    return Spoil(f"{slope:.0%} over a diameter", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def particle(draw: Draw) -> Spoil:
+    """A grain of dirt, dark, on the spot."""
+    at, angle, width_mm, left = (
+        draw.uniform(0.0, 1.1),
+        draw.angle(),
+        draw.log(0.4, 6.0),
+        draw.uniform(0.0, 0.6),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
+        return scene.all_times(
+            1.0 - (1 - left) * _disc(scene, right, down, width_mm * scene.px_per_mm / 2, 1.0)
+        )
+
+    return Spoil(f"{width_mm:.1f} mm, {at:.2f} radii aside", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def water_drop(draw: Draw) -> Spoil:
+    """A drop: dark inside, with what it took in a bright ring or in a focus."""
+    at, angle, width_mm = draw.uniform(0.0, 1.1), draw.angle(), draw.log(1.0, 6.0)
+    dark, shape = draw.uniform(0.2, 0.9), draw.of("ring", "focus")
+
+    def light(scene: Scene, since: int) -> Scene:
+        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
+        radius_px = width_mm * scene.px_per_mm / 2
+        inner = _disc(scene, right, down, radius_px, 1.5)
+        if shape == "ring":
+            bright = _disc(scene, right, down, 1.25 * radius_px, 1.5) - inner
+            gain = 1.0 - dark * inner + dark * bright / np.float32(1.25**2 - 1.0)
+        else:
+            focus = _disc(scene, right, down, 0.35 * radius_px, 1.0)
+            gain = 1.0 - dark * inner + dark * focus / np.float32(0.35**2)
+        return scene.all_times(gain)
+
+    return Spoil(f"{shape} of {width_mm:.1f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def condensation(draw: Draw) -> Spoil:
+    """Many fine drops: what passes differs from place to place."""
+    depth, grain_mm, seed = draw.uniform(0.1, 0.8), draw.log(0.3, 4.0), draw.seed()
+
+    def light(scene: Scene, since: int) -> Scene:
+        rng = np.random.default_rng([seed, CAMERAS.index(scene.camera)])
+        rows, columns = scene.beam.shape
+        grain_px = grain_mm * scene.px_per_mm
+        shrunk = max(1, int(grain_px / 2))
+        field = rng.standard_normal((rows // shrunk + 2, columns // shrunk + 2), dtype=np.float32)
+        field = blurred(field, grain_px / shrunk / 2)
+        field = np.asarray(cv2.resize(field, (columns, rows), interpolation=cv2.INTER_LINEAR), np.float32)
+        field = np.clip(0.5 + field / np.float32(4 * max(float(field.std()), 1e-6)), 0.0, 1.0)
+        return scene.all_times(1.0 - depth * field)
+
+    return Spoil(f"{depth:.0%}, drops of {grain_mm:.1f} mm", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def fog(draw: Draw) -> Spoil:
+    """Fog or dust in the air: light goes from the beam into a broad halo, even or to one side."""
+    share, scale, side = draw.uniform(0.05, 0.7), draw.uniform(2.0, 8.0), draw.uniform(0.0, 1.5)
+    angle = draw.angle()
+
+    def light(scene: Scene, since: int) -> Scene:
+        spot, far = scene.spot, side * scene.spot.radius_px
+        halo = spot.moved(far * math.cos(angle), far * math.sin(angle)).scaled(scale, share)
+        return scene.beam_times(1.0 - share).beam_plus(halo)
+
+    return Spoil(f"{share:.0%} in a halo {scale:.1f} times as wide, {side:.1f} radii aside", light=light)
+
+
+@WAYS.add()
+def scratch(draw: Draw) -> Spoil:
+    """A fine line across the spot, dark or glinting."""
+    at, angle, width_mm = draw.uniform(-1.0, 1.0), draw.angle(), draw.log(0.1, 0.8)
+    gain = draw.uniform(0.0, 0.5) if draw.sign() < 0 else draw.uniform(1.5, 6.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        middle, half = at * scene.spot.radius_px, width_mm * scene.px_per_mm / 2
+        line = edge(scene, angle, middle + half, 1.0) - edge(scene, angle, middle - half, 1.0)
+        return scene.all_times(1.0 + (gain - 1.0) * line)
+
+    return Spoil(f"{width_mm:.1f} mm wide, {gain:.1f} times the light", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def print_lost(draw: Draw) -> Spoil:
+    """Ink scratched off the window in a patch; on the plate, paint that has gone."""
+    at, angle, width_mm, left = (
+        draw.uniform(0.2, 1.2),
+        draw.angle(),
+        draw.log(1.0, 10.0),
+        draw.uniform(0.05, 0.5),
+    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
+        patch = _disc(scene, right, down, width_mm * scene.px_per_mm / 2, 2.0)
+        return scene.all_times(1.0 - (1.0 - left) * patch)
+
+    return Spoil(f"{width_mm:.1f} mm, {left:.0%} left", light=light, cameras=draw.one())
+
+
+@WAYS.add()
+def bleached_patch(draw: Draw) -> Spoil:
+    """A patch of the plate that has become brighter."""
+    at, angle, width_mm, gain = (
+        draw.uniform(0.3, 1.2),
+        draw.angle(),
+        draw.log(2.0, 15.0),
+        draw.uniform(1.05, 1.6),
+    )
+    soft_mm = draw.log(0.2, 5.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
+        patch = _disc(scene, right, down, width_mm * scene.px_per_mm / 2, soft_mm * scene.px_per_mm)
+        return scene.all_times(1.0 + (gain - 1.0) * patch)
+
+    return Spoil(f"{width_mm:.1f} mm, {gain:.2f} times", light=light, cameras=frozenset(("rear",)))
+
+
+@WAYS.add()
+def wet_window(draw: Draw) -> Spoil:
+    """The whole picture doubled: seen through water or a second pane."""
+    share, far_px, angle = draw.log(0.03, 0.5), draw.log(1.0, 40.0), draw.angle()
+
+    def light(scene: Scene, since: int) -> Scene:
+        matrix = np.array([[1.0, 0.0, far_px * math.cos(angle)], [0.0, 1.0, far_px * math.sin(angle)]])
+        rows, columns = scene.beam.shape
+        ghost = cv2.warpAffine(scene.electrons, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
+        return scene.all_times(1.0 - share).veiled(np.float32(share) * np.asarray(ghost, np.float32))
+
+    return Spoil(f"{share:.0%} {far_px:.0f} px aside", light=light, cameras=draw.targets())
+
+
+@WAYS.add()
+def defocused(draw: Draw) -> Spoil:
+    """The camera's focus lost: blurred by 2 to 8 px."""
+    blur_px = draw.uniform(2.0, 8.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        return scene.all_times(0.0).veiled(blurred(scene.electrons, blur_px))
+
+    return Spoil(f"{blur_px:.1f} px", light=light, cameras=draw.targets())
+
+
+def _bent(draw: Draw, camera: str) -> Spoil:
+    """The picture around the spot is drawn aside: by heat, by a drop on the lens, by a pane."""
+    shift_px, angle, size_px = draw.log(0.5, 6.0), draw.angle(), draw.uniform(40.0, 200.0)
+
+    def light(scene: Scene, since: int) -> Scene:
+        u, v = scene.from_spot()
+        hump = np.exp(-(u * u + v * v) / np.float32(2 * size_px**2)) * np.float32(shift_px)
+        rows, columns = scene.beam.shape
+        grid_u = np.arange(columns, dtype=np.float32)[None, :] - hump * np.float32(math.cos(angle))
+        grid_v = np.arange(rows, dtype=np.float32)[:, None] - hump * np.float32(math.sin(angle))
+        seen = cv2.remap(scene.electrons, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return scene.all_times(0.0).veiled(np.asarray(seen, np.float32))
+
+    return Spoil(f"by {shift_px:.1f} px within {size_px:.0f} px", light=light, cameras=frozenset((camera,)))
+
+
+@WAYS.add()
+def bent_view_of_window(draw: Draw) -> Spoil:
+    """The view of the front target is bent; its print goes with the spot."""
+    return _bent(draw, "front")
+
+
+@WAYS.add(invisible="on a plain plate nothing but its grain lies beside the spot: 0.5 to 6 px, 0.1 to 1.4 mm")
+def bent_view_of_plate(draw: Draw) -> Spoil:
+    """The view of the rear target is bent."""
+    return _bent(draw, "rear")

@@ -1,0 +1,129 @@
+"""A run through pipeline and board on a driven clock: what a reader of the board is told, and when."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.config import Installation, Measuring
+from altd.records import FloatArray, Frame, Measurement, PixelArray
+from altd.service.board import Board
+from altd.service.chain import MeasuringChain, View
+from altd.service.health import Health
+from altd.service.inbox import Inbox
+from altd.service.pipeline import Pipeline
+from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
+from benchmarks.campaign.held_clock import HeldClock
+from benchmarks.campaign.judge import LIMITS, SIGMAS, Judged, Outcome, Verdict, arrays, judge
+from benchmarks.campaign.times import MS, PERIOD_NS, Delivery, Mistimed
+from benchmarks.campaign.way import CAMERAS
+from hw_sim.beam import BeamPose
+
+WINDOW = 8
+BEFORE, AFTER = 20, 60
+"""Exposures before the onset, and after the disturbance is over."""
+
+START_NS = 1_000_000_000_000
+_TRANSFER_NS = 5 * MS
+_OLDEST_NS = 1_000 * MS + WINDOW * PERIOD_NS
+"""What a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
+
+
+def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:
+    """Let a machine drive, disturb its frames' times, and judge what the board shows every 50 ms."""
+    if not isinstance(rig, SimulatedRig):
+        raise TypeError("only a simulated unit drives")
+    onset_ns = START_NS + BEFORE * PERIOD_NS
+    end_ns = onset_ns + (0 if way.end_ns is None else way.end_ns)
+    count = math.ceil((end_ns - START_NS) / PERIOD_NS) + AFTER
+    x, y = rng.uniform(-15, 15, 2)
+    speed = rng.uniform(-1, 1, 4) * (4.0, 4.0, 0.006, 0.006) * min(1.0, 100 / count)
+    clip = SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, count)
+    deliveries = [
+        Delivery(
+            camera,
+            START_NS + k * PERIOD_NS,
+            k,
+            START_NS + k * PERIOD_NS,
+            START_NS + k * PERIOD_NS + _TRANSFER_NS,
+        )
+        for k in range(count)
+        for camera in CAMERAS
+    ]
+    arrivals = sorted(way.change(deliveries, onset_ns), key=lambda one: one.arrives_ns)
+    shots = {
+        (camera, k): clip.snap(clip.scene(camera, k), k, rng) for k in range(count) for camera in CAMERAS
+    }
+    read = asyncio.run(_read(rig, way, arrivals, shots, onset_ns, START_NS + count * PERIOD_NS))
+    truth = np.array([clip.truth(k) for k in range(count)])
+    judged = [(now_ns, _judged(one, truth, now_ns)) for now_ns, one in read if one is not None]
+    told = [(now_ns, one) for now_ns, one in judged if one.reasons != ("warming_up",)]
+    recovered_s = None
+    if way.end_ns is not None:
+        valid = [now_ns for now_ns, one in told if now_ns >= end_ns and one.verdict is not Verdict.INVALID]
+        recovered_s = (valid[0] - end_ns) * 1e-9 if valid else math.inf
+    return Outcome(
+        tuple(one for now_ns, one in told if now_ns < onset_ns),
+        tuple(one for now_ns, one in told if now_ns >= onset_ns),
+        recovered_s,
+    )
+
+
+async def _read(
+    rig: SimulatedRig,
+    way: Mistimed,
+    arrivals: Sequence[Delivery],
+    shots: dict[tuple[str, int], PixelArray],
+    onset_ns: int,
+    end_ns: int,
+) -> list[tuple[int, Measurement | None]]:
+    """The board as it is found every 50 ms."""
+    clock = HeldClock(START_NS)
+    board = Board(clock, Measuring().stale_after_s)
+    inbox = Inbox(CAMERAS)
+    chain = MeasuringChain(
+        [View(name, name) for name in rig.calibration.target_names],
+        rig.calibration,
+        Measuring(window=WINDOW, pair_by=way.pair_by),
+        Installation(),
+    )
+    pipeline = Pipeline(
+        inbox, chain, board, Health(clock).component("measuring"), clock, Measuring().silent_after_s
+    )
+    task = asyncio.create_task(pipeline.run())
+    found: list[tuple[int, Measurement | None]] = []
+    waiting = list(arrivals)
+    for now_ns in range(START_NS, end_ns, PERIOD_NS // 2):
+        if 0 < now_ns - onset_ns < way.held_ns:
+            continue
+        was_held = way.held_ns > 0 and 0 <= now_ns - onset_ns - way.held_ns < PERIOD_NS // 2
+        while waiting and waiting[0].arrives_ns <= now_ns:
+            one = waiting.pop(0)
+            await clock.pass_to(one.arrives_ns, at_one_blow=was_held)
+            pixels = shots[one.camera, (one.true_ns - START_NS) // PERIOD_NS]
+            inbox.put(Frame(one.camera, one.sequence, one.t_ns, pixels, rig.bits), wait=False)
+            await clock.settle()
+        await clock.pass_to(now_ns, at_one_blow=was_held)
+        await clock.settle()
+        found.append((now_ns, board.read()))
+        if task.done():
+            task.result()
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    return found
+
+
+def _judged(measurement: Measurement, truth: FloatArray, now_ns: int) -> Judged:
+    """Against where the machine was at the time that fits best, of those that a reader may be shown."""
+    if measurement.beam is None:
+        return judge(measurement, None)
+    values, sigma = arrays(measurement.beam)
+    oldest, newest = (int((t_ns - START_NS) // PERIOD_NS) for t_ns in (now_ns - _OLDEST_NS, now_ns))
+    fine = np.linspace(max(oldest, 0), min(newest, len(truth) - 1), 8 * (newest - max(oldest, 0)) + 1)
+    places = np.stack([np.interp(fine, np.arange(len(truth)), column) for column in truth.T], axis=1)
+    errors = np.abs(places - values)
+    worth = np.minimum(errors / (SIGMAS * sigma), errors / LIMITS).max(axis=1)
+    return judge(measurement, places[int(worth.argmin())])

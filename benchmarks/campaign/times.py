@@ -1,0 +1,288 @@
+"""Ways by times and numbers of frames that are not true, and by a process that was held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from benchmarks.campaign.way import CAMERAS, Draw, Way
+
+MS, S = 1_000_000, 1_000_000_000
+PERIOD_NS = 50 * MS
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """A frame on its way: ``true_ns`` when its light fell, what it says of itself, and when it arrives."""
+
+    camera: str
+    true_ns: int
+    sequence: int
+    t_ns: int
+    arrives_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Mistimed:
+    """One way with its parameters drawn.
+
+    ``change`` turns the deliveries of a run, whose disturbance begins at ``onset_ns``, into what arrives. It
+    is over at ``end_ns`` after the onset, None: never. ``held_ns``: the process stands still for so long.
+    """
+
+    note: str
+    change: Callable[[list[Delivery], int], list[Delivery]]
+    pair_by: Literal["sequence", "time"]
+    end_ns: int | None = None
+    held_ns: int = 0
+
+
+WAYS: list[Way] = []
+
+_One = Callable[[Delivery], Delivery]
+
+
+def _enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
+    WAYS.append(Way(make.__name__, "times", make))
+    return make
+
+
+def _each(
+    change: _One, cameras: frozenset[str], length_ns: int | None
+) -> Callable[[list[Delivery], int], list[Delivery]]:
+    """Change the frames of some cameras from the onset on, for so long."""
+
+    def changed(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        def of(one: Delivery) -> Delivery:
+            since_ns = one.true_ns - onset_ns
+            meant = one.camera in cameras and since_ns >= 0 and (length_ns is None or since_ns < length_ns)
+            return change(one) if meant else one
+
+        return [of(one) for one in deliveries]
+
+    return changed
+
+
+def _pairing(draw: Draw) -> Literal["sequence", "time"]:
+    return "time" if draw.rng.random() < 0.75 else "sequence"
+
+
+def _far_ns(draw: Draw) -> int:
+    return round(draw.log(0.02, 7200.0) * S)
+
+
+@_enter
+def clean_times(draw: Draw) -> Mistimed:
+    """Nothing is wrong."""
+    return Mistimed("nothing spoilt", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
+
+
+@_enter
+def stamp_ahead(draw: Draw) -> Mistimed:
+    """One frame, of one camera or of both, is stamped too late."""
+    far_ns, cameras = _far_ns(draw), draw.targets()
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, PERIOD_NS)
+    return Mistimed(
+        f"by {far_ns / S:.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw), PERIOD_NS
+    )
+
+
+@_enter
+def stamp_back(draw: Draw) -> Mistimed:
+    """One frame is stamped too early."""
+    far_ns, cameras = _far_ns(draw), draw.targets()
+    change = _each(lambda one: replace(one, t_ns=one.t_ns - far_ns), cameras, PERIOD_NS)
+    return Mistimed(
+        f"by {far_ns / S:.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw), PERIOD_NS
+    )
+
+
+@_enter
+def clock_steps(draw: Draw) -> Mistimed:
+    """A camera's clock, or both, jumps and stays there."""
+    far_ns, cameras = draw.sign() * _far_ns(draw), draw.targets()
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, None)
+    return Mistimed(f"by {far_ns / S:+.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+
+
+@_enter
+def stamps_stuck(draw: Draw) -> Mistimed:
+    """The stamps of a camera stand still for a while."""
+    length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        return _each(lambda one: replace(one, t_ns=onset_ns), cameras, length_ns)(deliveries, onset_ns)
+
+    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+
+
+@_enter
+def stamps_zero(draw: Draw) -> Mistimed:
+    """The stamps of a camera are 0."""
+    length_ns, cameras = draw.whole(1, 20) * PERIOD_NS, draw.targets()
+    return Mistimed(
+        f"for {length_ns / S:.2f} s",
+        _each(lambda one: replace(one, t_ns=0), cameras, length_ns),
+        _pairing(draw),
+        length_ns,
+    )
+
+
+@_enter
+def stamps_jitter(draw: Draw) -> Mistimed:
+    """The stamps of a camera tremble."""
+    sigma_ns, cameras, rng = draw.log(1, 60) * MS, draw.targets(), draw.rng
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + round(rng.normal(0, sigma_ns))), cameras, None)
+    return Mistimed(f"by {sigma_ns / MS:.0f} ms", change, _pairing(draw))
+
+
+def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
+    cameras = draw.targets()
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        def faster(one: Delivery) -> Delivery:
+            return replace(one, t_ns=one.t_ns + round(rate * (one.true_ns - onset_ns)))
+
+        return _each(faster, cameras, None)(deliveries, onset_ns)
+
+    return Mistimed(f"{words}, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+
+
+@_enter
+def stamps_doubled(draw: Draw) -> Mistimed:
+    """Stamps in a wrong unit: they go twice or half as fast."""
+    rate = 1.0 if draw.sign() > 0 else -0.5
+    return _rated(draw, rate, f"{1 + rate:g} times as fast")
+
+
+@_enter
+def clock_drifts(draw: Draw) -> Mistimed:
+    """A camera's clock goes wrong by 0.01 to 20 %."""
+    rate = draw.sign() * draw.log(1e-4, 0.2)
+    return _rated(draw, rate, f"{rate:+.2%}")
+
+
+def _renumbered(draw: Draw, by: int, length_ns: int | None) -> Mistimed:
+    cameras = draw.targets()
+    change = _each(lambda one: replace(one, sequence=max(one.sequence + by, 0)), cameras, length_ns)
+    return Mistimed(f"by {by:+d}, {' and '.join(sorted(cameras))}", change, _pairing(draw), length_ns)
+
+
+@_enter
+def numbers_jump(draw: Draw) -> Mistimed:
+    """The numbers jump and go on from there."""
+    return _renumbered(draw, draw.sign() * round(draw.log(1, 5000)), None)
+
+
+@_enter
+def number_once(draw: Draw) -> Mistimed:
+    """One frame has a number that is not its own."""
+    return _renumbered(draw, draw.sign() * round(draw.log(1, 1e9)), PERIOD_NS)
+
+
+@_enter
+def numbers_stuck(draw: Draw) -> Mistimed:
+    """The numbers stand still for a while."""
+    length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        first = next(one.sequence for one in deliveries if one.true_ns >= onset_ns)
+        return _each(lambda one: replace(one, sequence=first), cameras, length_ns)(deliveries, onset_ns)
+
+    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+
+
+@_enter
+def process_held(draw: Draw) -> Mistimed:
+    """The process is stopped and goes on: first comes what the drivers had kept."""
+    held_ns, kept = round(draw.log(0.2, 12.0) * S), draw.whole(0, 8)
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        arrived = []
+        for camera in CAMERAS:
+            waiting = [
+                one for one in deliveries if one.camera == camera and 0 <= one.true_ns - onset_ns < held_ns
+            ]
+            arrived += [replace(one, arrives_ns=onset_ns + held_ns) for one in waiting[:kept]]
+        outside = [one for one in deliveries if not 0 <= one.true_ns - onset_ns < held_ns]
+        return outside + arrived
+
+    return Mistimed(f"{held_ns / S:.1f} s, {kept} frames kept", change, _pairing(draw), held_ns, held_ns)
+
+
+@_enter
+def frames_delayed(draw: Draw) -> Mistimed:
+    """The frames of a camera, or of both, arrive late with true stamps."""
+    late_ns, cameras, length_ns = (
+        round(draw.log(0.05, 4.0) * S),
+        draw.targets(),
+        draw.whole(1, 40) * PERIOD_NS,
+    )
+    change = _each(lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns), cameras, length_ns)
+    return Mistimed(
+        f"by {late_ns / S:.2f} s for {length_ns / S:.2f} s", change, _pairing(draw), length_ns + late_ns
+    )
+
+
+@_enter
+def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
+    """Frames arrive late by up to a second, and the driver stamps them when they do."""
+    late_ns, cameras = round(draw.log(0.05, 1.0) * S), draw.one()
+    change = _each(
+        lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns, t_ns=one.t_ns + late_ns), cameras, None
+    )
+    return Mistimed(f"by {late_ns / S:.2f} s, {' and '.join(cameras)}", change, "time")
+
+
+@_enter
+def bursts(draw: Draw) -> Mistimed:
+    """Frames come some at a time."""
+    size, cameras = draw.whole(2, 12), draw.targets()
+
+    def together(one: Delivery) -> Delivery:
+        step = size * PERIOD_NS
+        return replace(one, arrives_ns=-(-one.arrives_ns // step) * step)
+
+    return Mistimed(f"of {size}", _each(together, cameras, None), _pairing(draw))
+
+
+@_enter
+def out_of_order(draw: Draw) -> Mistimed:
+    """Neighbouring frames of a camera arrive in the wrong order."""
+    cameras = draw.targets()
+
+    def later(one: Delivery) -> Delivery:
+        return replace(one, arrives_ns=one.arrives_ns + (3 * PERIOD_NS // 2 if one.sequence % 2 else 0))
+
+    return Mistimed(" and ".join(sorted(cameras)), _each(later, cameras, None), _pairing(draw))
+
+
+@_enter
+def frames_lost(draw: Draw) -> Mistimed:
+    """Some frames never arrive."""
+    share, cameras, rng = draw.uniform(0.02, 0.9), draw.targets(), draw.rng
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        return [
+            one
+            for one in deliveries
+            if one.true_ns < onset_ns or one.camera not in cameras or rng.random() >= share
+        ]
+
+    return Mistimed(f"{share:.0%}, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+
+
+@_enter
+def camera_silent(draw: Draw) -> Mistimed:
+    """A camera, or both, delivers nothing for a while."""
+    length_ns, cameras = round(draw.log(0.1, 4.0) * S), draw.targets()
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        return [
+            one
+            for one in deliveries
+            if one.camera not in cameras or not 0 <= one.true_ns - onset_ns < length_ns
+        ]
+
+    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)

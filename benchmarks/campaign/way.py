@@ -1,0 +1,189 @@
+"""A way to spoil measurements: what it does to light, to grey values and to the stream of frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import PixelArray
+from benchmarks.campaign.scene import Scene
+
+CAMERAS = ("front", "rear")
+
+
+@dataclass(slots=True)
+class Shot:
+    """One frame on its way to the chain: ``k`` counts the episode's exposures."""
+
+    camera: str
+    k: int
+    sequence: int
+    t_ns: int
+    pixels: PixelArray
+    bits: int
+
+
+class OnLight(Protocol):
+    """Changes the light of exposure ``since`` after the onset."""
+
+    def __call__(self, scene: Scene, since: int) -> Scene:
+        """The scene as it is spoilt."""
+
+
+class OnPixels(Protocol):
+    """Changes grey values; ``before`` is the camera's frame before this one, None for the first."""
+
+    def __call__(self, pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        """The frame as it is spoilt."""
+
+
+OnStream = Callable[[list[Shot], int], list[Shot]]
+"""Changes the frames of an episode, in order, from exposure ``onset`` on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spoil:
+    """One way with its parameters drawn; what it does not touch is None.
+
+    ``cameras`` are those that light and pixels are spoilt of. ``varies``: its light is another one at each
+    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong.
+    """
+
+    note: str
+    light: OnLight | None = None
+    pixels: OnPixels | None = None
+    stream: OnStream | None = None
+    cameras: frozenset[str] = frozenset(CAMERAS)
+    varies: bool = False
+    no_beam: bool = False
+
+
+class Draw:
+    """The parameters of one episode, from its own random numbers."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+
+    def uniform(self, low: float, high: float) -> float:
+        """Even between two numbers."""
+        return float(self.rng.uniform(low, high))
+
+    def log(self, low: float, high: float) -> float:
+        """Even in the logarithm: as many small ones as large ones."""
+        return math.exp(self.uniform(math.log(low), math.log(high)))
+
+    def whole(self, low: int, high: int) -> int:
+        """A whole number, both ends included."""
+        return int(self.rng.integers(low, high + 1))
+
+    def angle(self) -> float:
+        """Any direction, radians."""
+        return self.uniform(-math.pi, math.pi)
+
+    def of(self, *choices: str) -> str:
+        """One of several."""
+        return choices[int(self.rng.integers(len(choices)))]
+
+    def sign(self) -> int:
+        """-1 or 1."""
+        return 1 if self.rng.random() < 0.5 else -1
+
+    def targets(self) -> frozenset[str]:
+        """Front, rear or both."""
+        return frozenset(CAMERAS if self.rng.random() < 1 / 3 else (self.of(*CAMERAS),))
+
+    def one(self) -> frozenset[str]:
+        """Front or rear."""
+        return frozenset((self.of(*CAMERAS),))
+
+    def seed(self) -> int:
+        """For random numbers that must be the same at each exposure."""
+        return int(self.rng.integers(1 << 31))
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A named way. ``moving``: only a moving beam shows it. ``invisible``: why physics hides it, its size."""
+
+    name: str
+    kind: str
+    make: Callable[[Draw], object]
+    """Draws the parameters: a ``Spoil``, or what the modules ``times`` and ``numbers`` have of their own."""
+    moving: bool = False
+    invisible: str = ""
+
+
+@dataclass(slots=True)
+class Registry:
+    """The ways of one kind, in the order in which they are written."""
+
+    kind: str
+    ways: list[Way] = field(default_factory=list)
+
+    def add(
+        self, *, moving: bool = False, invisible: str = ""
+    ) -> Callable[[Callable[[Draw], Spoil]], Callable[[Draw], Spoil]]:
+        """A decorator that enters a function under its own name."""
+
+        def enter(make: Callable[[Draw], Spoil]) -> Callable[[Draw], Spoil]:
+            self.ways.append(Way(make.__name__, self.kind, make, moving, invisible))
+            return make
+
+        return enter
+
+
+def both(first: Spoil, second: Spoil) -> Spoil:
+    """Two ways at once, the first one's light first; each on its own cameras."""
+    parts = (first, second)
+
+    def light(scene: Scene, since: int) -> Scene:
+        for part in parts:
+            if part.light is not None and scene.camera in part.cameras:
+                scene = part.light(scene, since)
+        return scene
+
+    return Spoil(
+        note="; ".join(part.note for part in parts),
+        light=light,
+        stream=_streams(parts),
+        pixels=None,
+        varies=first.varies or second.varies,
+        no_beam=first.no_beam or second.no_beam,
+    )
+
+
+def _streams(parts: Sequence[Spoil]) -> OnStream:
+    """Grey values and streams of several ways, one after the other."""
+
+    def stream(shots: list[Shot], onset: int) -> list[Shot]:
+        for part in parts:
+            spoil_pixels(part, shots, onset)
+            if part.stream is not None:
+                shots = part.stream(shots, onset)
+        return shots
+
+    return stream
+
+
+def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:
+    """Change the grey values of the shots from ``onset`` on, each with what its camera had before."""
+    if spoil.pixels is None:
+        return
+    before: dict[str, PixelArray] = {}
+    for shot in shots:
+        clean = shot.pixels
+        if shot.k >= onset and shot.camera in spoil.cameras:
+            shot.pixels = spoil.pixels(clean, before.get(shot.camera), shot.bits)
+        before[shot.camera] = clean
+
+
+def grey(picture: npt.ArrayLike, like: PixelArray) -> PixelArray:
+    """Whole grey values of the depth of another frame."""
+    if like.dtype == np.uint8:
+        return np.ascontiguousarray(picture, np.uint8)
+    return np.ascontiguousarray(picture, np.uint16)
