@@ -11,9 +11,8 @@ from altd.calibration.scan_nodes import Node, Seen
 from altd.mapping.grid import Axis, Block
 from altd.records import FloatArray
 
-_ORDINARY_RATIO = 1.5
-"""Up to so many times the median sigma a spot is as good as any: what nodes scatter about the map is print
-and speckle, which a dimmer spot shows no worse. One of which a part is missing is known worse in both."""
+_USUAL_PATTERN_PX = 0.04
+"""What print and speckle move an ordinary spot by: the nodes of unit-a and of simulated units scatter so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +53,12 @@ def scan_grid(seen: Seen) -> ScanGrid:
 
 
 def relative_sigmas(nodes: Sequence[Node]) -> FloatArray:
-    """By how much each node (n,) scatters more than an ordinary one, by what its spots are known to."""
+    """By how much each node (n,) scatters more than an ordinary one, by what its spots are known to.
+
+    A dim spot hardly does, since print and speckle move it as they move a bright one. One that the border of
+    the picture cuts is moved by them more, which its sigmas say.
+    """
     sigmas_px = np.array([np.sqrt(np.mean(np.square(node.sigmas_px))) for node in nodes])
-    relative: FloatArray = np.maximum(sigmas_px / (_ORDINARY_RATIO * np.median(sigmas_px)), 1.0)
+    ordinary_px = np.hypot(np.median(sigmas_px), _USUAL_PATTERN_PX)
+    relative: FloatArray = np.maximum(sigmas_px / ordinary_px, 1.0)
     return relative

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from altd.calibration.result import Progress
 from altd.recording import Recording, Row
-from altd.records import FloatArray, Frame, NoSpot
+from altd.records import FloatArray, Frame, NoSpot, Reason, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
 from altd.vision.localise import locate, shows_print
@@ -145,14 +146,22 @@ def node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
     return round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)
 
 
+def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot | NoSpot:
+    """The spot at a node. One that the border of the picture cuts has a profile where it has no moment."""
+    spot = locate(frame, localiser, flat)
+    if isinstance(spot, NoSpot) and spot.reason is Reason.CUT_BY_EDGE and localiser.method != "profile":
+        return locate(frame, replace(localiser, method="profile"), flat)
+    return spot
+
+
 def _take_node(seen: Seen, frame: Frame, row: Row, position_mm: tuple[float, float], job: Job) -> None:
     node = seen.nodes.setdefault(node_key(position_mm), Node())
     node.positions_mm.append(position_mm)
-    spot = locate(frame, job.localiser, job.flat)
+    spot = node_spot(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
         detail = f" ({spot.detail})" if spot.detail else ""
         node.complaints.append(f"{spot.reason} in {row.file}{detail}")
     else:
         node.spots_px.append((spot.u_px, spot.v_px))
-        node.sigmas_px.append(spot.sigma_px)
+        node.sigmas_px.append(math.hypot(spot.sigma_px, spot.excess_px))
         node.located.append(row)
