@@ -361,8 +361,8 @@ class Scan(Table):
     """Nodes along x."""
     rows: Annotated[int, Field(ge=4, le=64)] = 5
     """Nodes along y."""
-    pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 25.0
-    """Distance from node to node."""
+    pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 28.0
+    """Distance from node to node. 6 × 5 nodes at 28 mm hold the 140 × 110 mm that the unit measures."""
     centre_x_mm: StageMillimetres = 0.0
     """The middle of the grid in the unit frame."""
     centre_y_mm: StageMillimetres = 0.0

@@ -70,6 +70,8 @@ class _Map(_Table):
     spread_v_px: list[list[Coefficient]]
     noise_px: PositivePixels
     hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
+    margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
 
 
 class _CrossCheck(_Table):
@@ -278,6 +280,8 @@ def _map_document(fitted: TensorMap) -> dict[str, Any]:
         "spread_v_px": fitted.spread_px[1].tolist(),
         "noise_px": fitted.noise_px,
         "hull_mm": fitted.hull_mm.tolist(),
+        "margin_mm": fitted.margin_mm,
+        "beyond_px_per_mm": fitted.beyond_px_per_mm,
     }
 
 
@@ -353,6 +357,8 @@ def _from_map(place: str, content: _Map) -> TensorMap:
         ),
         noise_px=content.noise_px,
         hull_mm=np.array(content.hull_mm),
+        margin_mm=content.margin_mm,
+        beyond_px_per_mm=content.beyond_px_per_mm,
     )
 
 

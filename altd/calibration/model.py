@@ -63,11 +63,13 @@ class TargetCalibration:
     def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str:
         """Why the point that ``point`` found for (u, v) cannot be believed, in words; empty when it can."""
         apart_px = self.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
-        if apart_px <= self.cross_check.bound_px:
+        outside_mm = self.inverse.outside_mm(point.x_mm, point.y_mm)
+        bound_px = self.cross_check.allowed_px(self.map, outside_mm)
+        if apart_px <= bound_px:
             return ""
         return (
             f"the {self.map.model} and the {self.cross_check.map.model} map are {apart_px:.2f} px apart at "
-            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {self.cross_check.bound_px:.2f} px"
+            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {bound_px:.2f} px"
         )
 
 

@@ -181,9 +181,11 @@ def _target(
         nodes_px=fit.map.to_px(nodes_mm[kept]) + fit.residuals_px,
         residuals_px=fit.residuals_px,
         missed_px=fit.missed_px,
+        relative_sigma=fit.relative_sigma,
         scatter_px=scatter_px,
         exposures=exposures,
         left_out=tuple(missing + [(tuple(nodes_mm[row].tolist()), why) for row, why in complaints.items()]),
+        leds_dropped=(),
         candidates=fitted.candidates,
     )
     return target, evidence, leds.lights
