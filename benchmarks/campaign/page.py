@@ -19,11 +19,11 @@ Written by `{command}` ({took_s:.0f} s; seed {seed}; units {units}). Each episod
 to spoil it and its parameters from the seed; clean exposures come first in four of five, then spoilt ones,
 all through the daemon's own measuring chain (window {window}), which measures at every exposure. *Wrong* is
 one that is called valid with an error above 5 sigma and above 0.05 mm or 0.01°; where no laser is left, any
-number is wrong. *Invalid* are refused ones. *Notice*: frames from the onset to the first invalid measurement, median /
-largest; a mean of several exposures is wrong only once enough of them are. *Back*: seconds from the end of
-a disturbance to the next valid measurement. Ways of times run through pipeline and board on a clock that
-is driven, and a reader of the board is judged every 25 ms: its numbers must be those of some moment within
-the last second and a window.
+number is wrong. *Invalid* are refused ones. *Notice*: frames from the onset to the first invalid measurement,
+median / largest; a mean of several exposures is wrong only once enough of them are. *Back*: seconds from the
+end of a disturbance to the next valid measurement. Ways of times run through pipeline and board on a clock
+that is driven, and a reader of the board is judged every 25 ms: its numbers must be those of some moment
+within the last second and a window.
 
 What it is worth: all but unit-a is simulated, and ways are those that their authors thought of.
 
