@@ -380,7 +380,11 @@ def one_camera_late(draw: Draw) -> Spoil:
     )
 
 
-@WAYS.add(moving=True)
+@WAYS.add(
+    moving=True,
+    invisible="what comes late from both cameras and is stamped now is a steady delay: 50 to 150 ms, "
+    "up to 1 mm of a machine's way at 5 mm/s",
+)
 def both_cameras_late(draw: Draw) -> Spoil:
     """Both cameras show what was some frames ago, with the number and the time of now."""
     late = draw.whole(1, 3)
