@@ -16,7 +16,7 @@ from typing import Annotated, Literal, TextIO, cast
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from altd.errors import BadInputError
 from altd.measurement_json import utc_text
@@ -33,10 +33,28 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
 
 
-class CameraHeader(BaseModel):
-    """Size and depth of one camera's frames."""
+MAX_T_S = 1e9
+"""Thirty years: the times of a recording count from its start."""
+MAX_SEQUENCE = 2**53
+"""Whole numbers up to here are exact as floats, thus in every JSON reader."""
+MAX_POSITION_MM = 10_000.0
 
-    model_config = ConfigDict(frozen=True)
+Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
+Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
+
+
+def _in_our_time(start: datetime) -> datetime:
+    if not 1970 <= start.year <= 2200:
+        raise ValueError(f"the year {start.year} is none of a recording")
+    return start
+
+
+class _Header(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class CameraHeader(_Header):
+    """Size and depth of one camera's frames."""
 
     width: Annotated[int, Field(ge=16, le=20_000)]
     height: Annotated[int, Field(ge=16, le=20_000)]
@@ -45,46 +63,38 @@ class CameraHeader(BaseModel):
     """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
 
 
-class UnitHeader(BaseModel):
+class UnitHeader(_Header):
     """The unit that was recorded."""
 
-    model_config = ConfigDict(frozen=True)
-
     serial: str
-    target_distance_mm: Annotated[float, Field(gt=0)]
+    target_distance_mm: Annotated[float, Field(gt=0, le=100_000)]
 
 
-class PlateHeader(BaseModel):
+class PlateHeader(_Header):
     """A grid of lit LEDs; ``origin_mm`` is the LED with the smallest x and the smallest y.
 
     ``disc_mm`` is the diameter of an LED's even disc, ``beam_mm`` the 1/e² diameter of the laser spot that
     will be measured.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     columns: Annotated[int, Field(ge=4, le=100)]
     rows: Annotated[int, Field(ge=4, le=100)]
-    pitch_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    origin_mm: tuple[
-        Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]
-    ]
-    disc_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    pitch_mm: Length
+    origin_mm: tuple[Position, Position]
+    disc_mm: Length | None = None
     beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
 
 
-class RecordingHeader(BaseModel):
+class RecordingHeader(_Header):
     """``recording.json``; unknown keys are ignored."""
-
-    model_config = ConfigDict(frozen=True)
 
     format: Literal["altd-recording/1"]
     kind: Kind
-    fps: Annotated[float, Field(gt=0)]
+    fps: Annotated[float, Field(ge=0.001, le=100_000)]
     cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
     unit: UnitHeader
     note: str = ""
-    start: datetime | None = None
+    start: Annotated[datetime, AfterValidator(_in_our_time)] | None = None
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
     """In a recording of kind ``plate``."""
@@ -156,7 +166,10 @@ def _read_header(path: Path) -> RecordingHeader:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BadInputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+        message = first["msg"].removeprefix("Value error, ")
+        if isinstance(first["input"], int | float):
+            message += f", not {first['input']}"
+        raise BadInputError(path, f"{place}: {message}" if place else message) from error
 
 
 def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
@@ -166,18 +179,31 @@ def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
             absent = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
             if absent:
                 raise BadInputError(f"{path}: row 1", f"column {absent[0]!r} is missing")
-            last_t_s: dict[str, float] = {}
+            last: dict[str, Row] = {}
             for record in reader:
                 place = f"{path}: row {reader.line_num}"
                 row = _read_row(place, reader.line_num, record, header)
-                if row.t_s < last_t_s.get(row.camera, row.t_s):
-                    raise BadInputError(place, f"t_s {row.t_s} is before the camera's frame above it")
-                last_t_s[row.camera] = row.t_s
+                if (above := last.get(row.camera)) is not None:
+                    _check_order(place, above, row)
+                last[row.camera] = row
                 yield row
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be read") from error
     except (csv.Error, UnicodeDecodeError) as error:
         raise BadInputError(path, f"is no CSV text: {error}") from error
+
+
+def _check_order(place: str, above: Row, row: Row) -> None:
+    """One camera's rows stand in the order of their exposures, and none stands there twice."""
+    for column, value, before in (
+        ("sequence", row.sequence, above.sequence),
+        ("t_s", row.t_s, above.t_s),
+    ):
+        if value <= before:
+            where = "that of" if value == before else "before"
+            raise BadInputError(
+                place, f"{column} {value} is {where} the camera's frame above it, row {above.number}"
+            )
 
 
 def _read_row(place: str, number: int, record: Mapping[str, str | None], header: RecordingHeader) -> Row:
@@ -194,21 +220,24 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], header:
         raise BadInputError(place, "x_mm and y_mm must both be given or both be empty")
     position = None
     if text["x_mm"]:
-        position = _number(place, "x_mm", text["x_mm"]), _number(place, "y_mm", text["y_mm"])
-    sequence = _number(place, "sequence", text["sequence"])
+        x_mm = _number(place, "x_mm", text["x_mm"], MAX_POSITION_MM)
+        position = x_mm, _number(place, "y_mm", text["y_mm"], MAX_POSITION_MM)
+    sequence = _number(place, "sequence", text["sequence"], MAX_SEQUENCE)
     if sequence != int(sequence) or sequence < 0:
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
-    t_s = _number(place, "t_s", text["t_s"])
+    t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
     return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position)
 
 
-def _number(place: str, column: str, text: str) -> float:
+def _number(place: str, column: str, text: str, limit: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise BadInputError(place, f"{column} {text!r} is not a number")
+    if abs(value) > limit:
+        raise BadInputError(place, f"{column} {text!r} is larger than {limit:g}")
     return value
 
 

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pytest
 from support.gige import register
+from support.held import hold
 from support.own_network import inside
 
+from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate, free_port, running, write_config
+from benchmarks.live.parts import calibrate, daemon_command, free_port, running, write_config
 from benchmarks.live.unit import (
     FRONT,
     LINKED,
@@ -129,3 +131,27 @@ def await_lamps(watch: Watch, state: str, within_s: float = 20.0) -> None:
     while (lamps := watch.status()["components"]["lamps"])["state"] != state:
         assert time.monotonic() < deadline_s, lamps
         time.sleep(0.05)
+
+
+def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """Its cameras go on sending meanwhile; takes ten seconds of holding."""
+    http_port, modbus_port = free_port(), free_port()
+    config = write_config(
+        tmp_path / "altd.toml", f"SIM-{SEED}", calibration, (FRONT, REAR), http_port, modbus_port
+    )
+    log = tmp_path / "altd.log"
+    log.write_bytes(b"")
+    with (
+        Camera(tmp_path, "front", FRONT),
+        Camera(tmp_path, "rear", REAR),
+        running(daemon_command(config), log) as daemon,
+    ):
+        daemon.await_word("measuring")
+        answers = hold(daemon.process.pid, modbus_port, http_port, hold_s=10.0, polls_s=6.0)
+    settings = load_config(config).measuring
+    oldest_s = settings.stale_after_s + settings.window / 2 / 20.0 + 0.1
+    assert [each for each in answers if each.valid and each.age_s > oldest_s] == []
+    assert any(not each.valid for each in answers)
+    assert answers[-1].valid

@@ -31,6 +31,14 @@ FORMAT = "altd-calibration/1"
 
 
 _NotNegative = Annotated[float, Field(ge=0)]
+Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
+Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A place in or about a picture of at most 20 000 px."""
+PositivePixels = Annotated[float, Field(gt=0, le=1000)]
+"""A misfit, a noise, a limit."""
+Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
+Side = Annotated[int, Field(ge=16, le=20_000)]
 
 
 class _Table(BaseModel):
@@ -38,9 +46,9 @@ class _Table(BaseModel):
 
 
 class _Axis(_Table):
-    first_mm: float
-    step_mm: Annotated[float, Field(gt=0)]
-    nodes: Annotated[int, Field(ge=2)]
+    first_mm: Millimetres
+    step_mm: Annotated[float, Field(gt=0, le=10_000)]
+    nodes: Annotated[int, Field(ge=2, le=10_000)]
 
 
 class _Map(_Table):
@@ -48,41 +56,41 @@ class _Map(_Table):
     model: Model
     x_axis: _Axis
     y_axis: _Axis
-    degree: tuple[int, int]
-    spectrum_u_px: list[list[float]]
-    spectrum_v_px: list[list[float]]
-    spread_u_px: list[list[float]]
-    spread_v_px: list[list[float]]
-    noise_px: Annotated[float, Field(gt=0)]
-    hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
+    degree: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]]
+    spectrum_u_px: list[list[Coefficient]]
+    spectrum_v_px: list[list[Coefficient]]
+    spread_u_px: list[list[Coefficient]]
+    spread_v_px: list[list[Coefficient]]
+    noise_px: PositivePixels
+    hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
 
 
 class _CrossCheck(_Table):
     map: _Map
-    left_out_px: Annotated[float, Field(gt=0)]
-    bound_px: Annotated[float, Field(gt=0)]
-    largest_px: Annotated[float, Field(ge=0)]
+    left_out_px: PositivePixels
+    bound_px: PositivePixels
+    largest_px: Annotated[float, Field(ge=0, le=1000)]
 
 
 class _Residuals(_Table):
-    mean_mm: float
-    std_mm: float
-    max_mm: float
+    mean_mm: Annotated[float, Field(ge=0, le=1000)]
+    std_mm: Annotated[float, Field(ge=0, le=1000)]
+    max_mm: Annotated[float, Field(ge=0, le=1000)]
 
 
 class _Localiser(_Table):
     method: Method
-    smoothing_px: float
-    threshold: float
-    power: float
-    min_diameter_px: float
-    max_diameter_px: float | None
-    max_aspect: float
-    min_fill: float
-    like_size: float
-    max_saturated: float
-    max_sigma_px: float
-    full_well_electrons: float
+    smoothing_px: Annotated[float, Field(ge=0, le=100)]
+    threshold: Annotated[float, Field(gt=0, lt=1)]
+    power: Annotated[float, Field(gt=0, le=10)]
+    min_diameter_px: Annotated[float, Field(gt=0, le=10_000)]
+    max_diameter_px: Annotated[float, Field(gt=0, le=20_000)] | None
+    max_aspect: Annotated[float, Field(ge=1, le=100)]
+    min_fill: Annotated[float, Field(ge=0, le=1)]
+    like_size: Annotated[float, Field(gt=0, le=1)]
+    max_saturated: Annotated[float, Field(ge=0, le=1)]
+    max_sigma_px: PositivePixels
+    full_well_electrons: Annotated[float, Field(ge=100, le=10_000_000)]
 
 
 class _Flat(_Table):
@@ -105,18 +113,18 @@ class _Spot(_Table):
 
 class _Target(_Table):
     name: str
-    z_mm: float
+    z_mm: Millimetres
     camera_serial: str | None
-    width: int
-    height: int
+    width: Side
+    height: Side
     localiser: _Localiser
     flat: _Flat | None
     map: _Map
     cross_check: _CrossCheck
-    left_out_px: Annotated[float, Field(gt=0)]
+    left_out_px: PositivePixels
     residuals: _Residuals
-    repeatability_px: tuple[float, float]
-    leds_px: list[tuple[float, float]]
+    repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
+    leds_px: list[tuple[Pixels, Pixels]]
     spot: _Spot | None = None
 
 
@@ -179,7 +187,8 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BadInputError(path, f"{place}: {first['msg']}") from error
+        value = f", not {first['input']}" if isinstance(first["input"], int | float) else ""
+        raise BadInputError(path, f"{place}: {first['msg']}{value}") from error
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
     if unit_serial is not None and calibration.unit_serial != unit_serial:

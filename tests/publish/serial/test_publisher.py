@@ -160,7 +160,7 @@ class TestConsole:
             for _ in range(3):
                 await clock.jump(0.5)
                 assert b"10.012" in await wire.receive(lines(1))
-                board.publish(measured)
+                board.publish(replace(measured, t_ns=clock.now_ns))
             wire.send(b"q")
             assert await wire.receive(lambda data: data.endswith(b"> ")) == b"> "
             await clock.jump(0.5)
