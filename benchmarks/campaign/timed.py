@@ -28,6 +28,7 @@ BEFORE, AFTER = 20, 60
 """Exposures before the onset, and after the disturbance is over."""
 
 START_NS = 1_000_000_000_000
+_FIRST_NUMBER = 100_000
 _TRANSFER_NS = 5 * MS
 _OLDEST_NS = 1_000 * MS + WINDOW * PERIOD_NS
 """What a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
@@ -47,7 +48,7 @@ def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:
         Delivery(
             camera,
             START_NS + k * PERIOD_NS,
-            k,
+            _FIRST_NUMBER + k,
             START_NS + k * PERIOD_NS,
             START_NS + k * PERIOD_NS + _TRANSFER_NS,
         )
