@@ -39,7 +39,8 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 class _Found:
     """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
 
-    Those are the frames that were exposed during a change, and those that were not new.
+    Those are frames that were exposed during a change, and the second and later ones of a row that are not
+    new: one that comes twice is lost, with two in a row the camera stands still.
     """
 
     spot: Spot | NoSpot
@@ -88,6 +89,8 @@ class MeasuringChain:
         self._utc = utc
         self._watch = watch
         self._fresh = {camera: FreshnessCheck() for camera in self._views}
+        self._standing_still: set[str] = set()
+        """Cameras whose last frame was not new."""
         self._synchrony = SynchronyCheck(self._targets)
         self._gate = Gate()
         self._breaks = dict.fromkeys(self._views, 0)
@@ -123,11 +126,14 @@ class MeasuringChain:
         view = self._views[frame.camera]
         target = self._calibration[view.target]
         spot: Spot | NoSpot
+        stood_still = frame.camera in self._standing_still
         if repeated := self._fresh[frame.camera].repeated(frame):
+            self._standing_still.add(frame.camera)
             spot = NoSpot(Reason.FRAME_REPEATED, repeated)
         else:
+            self._standing_still.discard(frame.camera)
             spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat)
-        self._breaks[frame.camera] += frame.changing or bool(repeated)
+        self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
         self._watch(frame, spot)
         self._last_spots[view.target] = spot
         found = _Found(spot, self._breaks[frame.camera])
