@@ -59,7 +59,7 @@ class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
-    ``watch`` is shown each frame that is measured, with what was found in it.
+    ``watch`` is shown each new frame that is measured, with what was found in it.
     """
 
     def __init__(
@@ -134,7 +134,8 @@ class MeasuringChain:
             self._standing_still.discard(frame.camera)
             spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat)
         self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
-        self._watch(frame, spot)
+        if not repeated:
+            self._watch(frame, spot)
         self._last_spots[view.target] = spot
         found = _Found(spot, self._breaks[frame.camera])
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
