@@ -89,14 +89,12 @@ def _buffer(index: int) -> v4l2_buffer:
 
 
 def main(frames: Path, fps: float, devices: list[Path]) -> None:
-    exposures = np.load(frames)
+    exposures = np.load(frames, mmap_mode="r")
     outputs = [Output(device, *exposures.shape[2:]) for device in devices]
-    pictures = [[picture.tobytes() for picture in exposure] for exposure in exposures]
-    del exposures
     number, began_s = 0, time.monotonic()
     while True:
-        for output, picture in zip(outputs, pictures[number % len(pictures)], strict=True):
-            output.show(picture)
+        for output, picture in zip(outputs, exposures[number % len(exposures)], strict=True):
+            output.show(picture.tobytes())
         if number == 0:
             print("feeding", flush=True)
         number += 1
