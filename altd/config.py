@@ -249,8 +249,8 @@ class Measuring(Table):
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
     """A camera is silent when no frame came for this long."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
-    """A value that was not followed by a new one for this long is not shown any more. Keep it longer than
-    ``every`` exposures take."""
+    """A value whose last exposure is older than this is not shown any more. Keep it longer than ``every``
+    exposures take."""
 
 
 class Installation(Table):

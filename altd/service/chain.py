@@ -42,7 +42,8 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 class _Found:
     """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
 
-    Those are the frames that were exposed during a change, and those that were not new.
+    Those are frames that were exposed during a change, and the second and later ones of a row that are not
+    new: one that comes twice is lost, with two in a row the camera stands still.
     """
 
     spot: Spot | NoSpot
@@ -61,8 +62,8 @@ class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
-    ``watch`` is shown each frame that is measured, with what was found in it. ``identity`` tells which camera
-    stands behind a name, ``expected`` which should, beside the one that was calibrated.
+    ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
+    camera stands behind a name, ``expected`` which should, beside the one that was calibrated.
     """
 
     def __init__(
@@ -100,6 +101,8 @@ class MeasuringChain:
             also = (expected or {}).get(view.camera, CameraIdentity())
             self._view_checks[view.camera] = ViewCheck(target, (target.camera, also))
         self._fresh = {camera: FreshnessCheck() for camera in self._views}
+        self._standing_still: set[str] = set()
+        """Cameras whose last frame was not new."""
         self._synchrony = SynchronyCheck(self._targets)
         self._gate = Gate()
         self._breaks = dict.fromkeys(self._views, 0)
@@ -141,18 +144,21 @@ class MeasuringChain:
         view = self._views[frame.camera]
         target = self._calibration[view.target]
         spot: Spot | NoSpot
+        stood_still = frame.camera in self._standing_still
         if repeated := self._fresh[frame.camera].repeated(frame):
+            self._standing_still.add(frame.camera)
             spot = NoSpot(Reason.FRAME_REPEATED, repeated)
-        elif frame.changing:
-            spot = _CHANGING
         else:
-            spot = locate(frame, target.localiser, target.flat, target.spot)
-        self._breaks[frame.camera] += frame.changing or bool(repeated)
-        self._watch(frame, spot)
-        check = self._view_checks[frame.camera]
-        if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
-            spot = objection
-            self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
+            self._standing_still.discard(frame.camera)
+            of_target = frame, target.localiser, target.flat, target.spot
+            spot = _CHANGING if frame.changing else locate(*of_target)
+        self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
+        if not repeated:
+            self._watch(frame, spot)
+            check = self._view_checks[frame.camera]
+            if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
+                spot = objection
+                self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
         self._last_spots[view.target] = spot
         found = _Found(spot, self._breaks[frame.camera])
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
