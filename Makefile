@@ -6,13 +6,14 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test fuzz check bench bench-guest bench-live bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test fuzz check bench bench-guest bench-live bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
 LIVE_S ?= 60
 CAMPAIGN_S ?= 180
 FUZZ_S ?= 600
+SPRAY_S ?= 600
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -56,6 +57,9 @@ bench-guest: venv kernel ## a minute with two cameras of the kernel's test drive
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
+
+bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
+	@exec unshare -rn $(python) -m benchmarks.live.spray --seconds $(SPRAY_S)
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers

@@ -10,14 +10,16 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 
 from altd.errors import BadInputError
+from altd.logs import logging_to_stderr
 from altd.records import Frame, Spot
+from altd.standard_streams import complain
 
 if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.calibration.result import CalibrationResult
@@ -26,6 +28,8 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.service.scan import Scanner
 
 Result = TypeVar("Result")
+
+log = logging.getLogger("altd")
 
 _LONGEST_LINE = 1000
 """Bytes of two numbers, and more."""
@@ -58,24 +62,36 @@ def _run(options: argparse.Namespace) -> int:
     from altd.config import load_config
 
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
-    logging.basicConfig(level=logging.INFO, format=f"{prefix}%(message)s", stream=sys.stderr)
-    daemon = daemon_of(load_config(options.config), options.config)
-    asyncio.run(until_signal(daemon.run()))
+    with logging_to_stderr(logging.INFO, prefix):
+        daemon = daemon_of(load_config(options.config), options.config)
+        try:
+            asyncio.run(until_signal(daemon.run()))
+        except BadInputError:
+            raise
+        except Exception:
+            log.critical("a defect ended the daemon", exc_info=True)
+            return 1
     return 0
 
 
 async def until_signal(work: Coroutine[None, None, Result]) -> Result | None:
-    """Run until done or until SIGINT or SIGTERM, which cancel it; returns its result, None when cancelled."""
+    """Run until done or until a signal that asks to end; returns its result, None when cancelled.
+
+    SIGHUP, the terminal that went away, ends it like SIGTERM, unless it is ignored (nohup(1)).
+    """
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
         loop.add_signal_handler(number, task.cancel)
     try:
         return await task
     except asyncio.CancelledError:
         return None
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in numbers:
             loop.remove_signal_handler(number)
 
 
@@ -117,9 +133,9 @@ def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
 
 def _print_result(result: CalibrationResult) -> None:
     for line in result.refused:
-        print(f"altd calibrate: left out: {line}", file=sys.stderr)
+        complain(f"altd calibrate: left out: {line}")
     for line in result.doubts:
-        print(f"altd calibrate: doubtful: {line}", file=sys.stderr)
+        complain(f"altd calibrate: doubtful: {line}")
     print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
     print(
         "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
@@ -173,12 +189,12 @@ def _record(options: argparse.Namespace) -> int:
     from altd.app import record_of
     from altd.config import load_config
 
-    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     config = load_config(options.config)
-    work = record_of(config, options.config, options.output, options.seconds, options.kind)
-    exposures = asyncio.run(until_signal(work))
+    with logging_to_stderr(logging.WARNING):
+        work = record_of(config, options.config, options.output, options.seconds, options.kind)
+        exposures = asyncio.run(until_signal(work))
     if exposures is not None:
-        print(f"{exposures} exposures in {options.output}", file=sys.stderr)
+        complain(f"{exposures} exposures in {options.output}")
     return 0
 
 
@@ -187,10 +203,10 @@ def _scan(options: argparse.Namespace) -> int:
     from altd.config import load_config
     from altd.scan_screen import ScanScreen
 
-    logging.basicConfig(level=logging.ERROR, format="altd: %(message)s", stream=sys.stderr)
     screen = ScanScreen()
-    scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
-    return run_scan(scanner, options.output, screen)
+    with logging_to_stderr(logging.ERROR):
+        scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
+        return run_scan(scanner, options.output, screen)
 
 
 def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
@@ -239,11 +255,12 @@ def _lamps(options: argparse.Namespace) -> int:
         "test": by_hand.light_in_turn,
         "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
     }
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what is lit gets dark on the way out
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)  # what is lit gets dark on the way out
     try:
         looks[options.look]()
     except LampsError as error:
-        print(f"altd lamps: {error}", file=sys.stderr)
+        complain(f"altd lamps: {error}")
         return 1
     return 0
 
@@ -290,7 +307,7 @@ def _map(options: argparse.Namespace) -> int:
     target = load_calibration(options.calibration).target(options.target)
     if target is None:
         raise BadInputError(options.calibration, f"does not know target {options.target!r}")
-    for number, line in enumerate(iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b""), start=1):
+    for number, line in enumerate(_lines_of_input(), start=1):
         fields = line.split()
         if not fields:
             continue
@@ -308,6 +325,13 @@ def _map(options: argparse.Namespace) -> int:
             sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
             print(f"{point.x_mm:.5f} {point.y_mm:.5f} {sigma_x_mm:.5f} {sigma_y_mm:.5f}")
     return 0
+
+
+def _lines_of_input() -> Iterator[bytes]:
+    try:
+        yield from iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b"")
+    except OSError as error:  # closed, or a folder
+        raise BadInputError("stdin", error.strerror or "cannot be read") from error
 
 
 def _check_config(options: argparse.Namespace) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd.errors import BadInputError
 from altd.files.documents import parse_toml
@@ -23,6 +24,20 @@ ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 """What the kernel's largest control holds."""
 
 _LARGEST_BYTES = 1 << 16
+
+
+def _address(host: str) -> str:
+    """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
+    if host != "localhost":
+        try:
+            ipaddress.ip_address(host)
+        except ValueError as error:
+            every = "every address of the unit is 0.0.0.0"
+            raise ValueError(f"{host!r} is no IP address ({every})") from error
+    return host
+
+
+Host = Annotated[str, AfterValidator(_address)]
 
 
 class Table(BaseModel):
@@ -255,8 +270,8 @@ class Installation(Table):
 class ModbusTcp(Table):
     """Modbus TCP server."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 502
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
@@ -266,8 +281,8 @@ class ModbusTcp(Table):
 class Http(Table):
     """HTTP server: measurement, status and a stream."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 8080
     """TCP port."""
 

@@ -39,6 +39,14 @@ def test_the_shipped_config_is_good() -> None:
     assert [target.name for target in config.targets] == ["front", "rear"]
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.7.2", "::", "::1", "fe80::1%eth0", "localhost"])
+def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
+    config = load_config(write(tmp_path, f'{GOOD}\n[http]\nhost = "{host}"\n[modbus_tcp]\nhost = "{host}"\n'))
+    assert config.http is not None
+    assert config.modbus_tcp is not None
+    assert config.http.host == config.modbus_tcp.host == host
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -50,6 +58,15 @@ def test_the_shipped_config_is_good() -> None:
         ('name = "rear"', 'name = "front"', "targets: two targets have the same name"),
         ("[unit]", "[unit", "not TOML"),
         ("[cameras.rear]", "[http]\nport = 70000\n[cameras.rear]", "http.port: Input should be less than or"),
+        *(
+            (
+                "[cameras.rear]",
+                f"[{face}]\nhost = {host!r}\n[cameras.rear]",
+                f"{face}.host: {host!r} is no IP",
+            )
+            for face in ("http", "modbus_tcp")
+            for host in ("", " ", "unit.example", "1.2.3", "0.0.0.0:80", "*")
+        ),
         ("[unit]", "", "unit: Field required"),
         ('driver = "recording"', "", "cameras.front.driver: Field required"),
         ('driver = "recording"', 'driver = "v4l2"', "cameras.front.device: Field required"),

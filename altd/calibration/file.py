@@ -35,7 +35,6 @@ FORMAT = "altd-calibration/1"
 _LARGEST_BYTES = 1 << 26
 """Two flats of 20 megapixels that no compression makes smaller."""
 
-
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
 """A place in or about a picture of at most 20 000 px."""
@@ -44,8 +43,6 @@ PositivePixels = Annotated[float, Field(gt=0, le=1000)]
 Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
 """A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
 Side = Annotated[int, Field(ge=16, le=20_000)]
-
-
 _Feature = Annotated[float, Field(ge=-10, le=10)]
 _Scatter = Annotated[float, Field(ge=0, le=10)]
 

@@ -64,7 +64,7 @@ async def record(
     finally:
         sink.close()
         sources.cancel()
-        await asyncio.gather(*grabbers, return_exceptions=True)
+        await asyncio.gather(sources, *grabbers, return_exceptions=True)
 
 
 class _Sink:

@@ -7,14 +7,24 @@ import sys
 
 from altd.errors import BadInputError
 from benchmarks.campaign import table
+from benchmarks.campaign.cache import folder
 from benchmarks.campaign.catalogue import WAYS, chosen
+from benchmarks.campaign.good_run import lines as good_lines
+from benchmarks.campaign.good_run import run_good
 from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.units import NAMES
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run, print the table; 1 when a wrong measurement was called valid that physics lets see."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["good"]:
+        return _good(arguments[1:])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.campaign",
+        description=__doc__,
+        epilog="python -m benchmarks.campaign good --help: hours of good measuring",
+    )
     parser.add_argument("--seconds", type=float, help="end after so long (default 180 unless --measurements)")
     parser.add_argument("--measurements", type=int, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
@@ -53,6 +63,25 @@ def _campaign(options: argparse.Namespace) -> int:
         print("\n".join(("", *table.worst(tallies))))
     print(f"{took_s:.0f} s, seed {plan.seed}, {options.processes} processes, units {', '.join(plan.units)}")
     return 1 if table.wrong_count(tallies) else 0
+
+
+def _good(arguments: list[str]) -> int:
+    """Hours of good measuring; 1 when a measurement was wrong."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign good", description=_good.__doc__)
+    parser.add_argument("--hours", type=int, default=24)
+    parser.add_argument("--step-s", type=float, default=300.0, help="a burst of exposures this often")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args(arguments)
+    sums = run_good(options.hours, options.step_s, options.seed, options.processes, folder(), _show_share)
+    print("\n".join(good_lines(sums, options.hours, options.step_s)))
+    return 1 if any(count.wrong for count in sums.values()) else 0
+
+
+def _show_share(done: int, planned: int) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{done} of {planned} hours" if done < planned else "\r\033[K")
+        sys.stderr.flush()
 
 
 def _show(made: int, passed_s: float) -> None:

@@ -171,7 +171,7 @@ class TestExposure:
         try:
             assert not camera.next_frame(1).changing
             camera.set_exposure(4.0, 0.0)
-            assert camera.next_frame(1).changing
+            wait_for(lambda: camera.next_frame(1).changing, 1)  # those before were exposed before
             wait_for(lambda: not camera.next_frame(1).changing, 1)
         finally:
             camera.close()
