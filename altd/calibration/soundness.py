@@ -24,7 +24,7 @@ _MOST_CORNERS = 4 * _MOST_NODES
 _BESIDE = 0.25
 """By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
 _SAME_MM = 1e-3
-_STRAIGHT = 1e-6
+_STRAIGHT = 1e-4
 """Sine of the largest bend inwards at a corner, by rounding."""
 
 
