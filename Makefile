@@ -6,12 +6,14 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test check bench bench-area bench-guest bench-live bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test fuzz check bench bench-area bench-guest bench-live bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
 LIVE_S ?= 60
 CAMPAIGN_S ?= 180
+FUZZ_S ?= 600
+SPRAY_S ?= 600
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -32,6 +34,9 @@ demo-gige: programs venv ## the same with its cameras on the network, by GigE Vi
 
 test: programs venv kernel ## the tests
 	@exec $(python) -m pytest
+
+fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
+	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
 check: venv ## style, types, layers, generated pages
 	@$(python) -m ruff check
@@ -55,6 +60,9 @@ bench-guest: venv kernel ## a minute with two cameras of the kernel's test drive
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
+
+bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
+	@exec unshare -rn $(python) -m benchmarks.live.spray --seconds $(SPRAY_S)
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers

@@ -10,26 +10,47 @@ from pathlib import Path
 
 from altd import __version__
 from altd.errors import BadInputError
+from altd.standard_streams import complain, forget_unwritten, output_failure, prepare_streams
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and run; the return value is the process' exit status."""
-    options = _parser().parse_args(arguments)
-    # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait for
-    # each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from altd import commands
-
+    prepare_streams()
     try:
-        return commands.run(options)
+        return _main(arguments)
+    finally:
+        forget_unwritten()
+
+
+def _main(arguments: Sequence[str] | None) -> int:
+    name = "altd"
+    try:
+        options = _parser().parse_args(arguments)
+        name = f"altd {options.command}"
+        # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait
+        # for each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        # 16384 × 16384; before cv2 is there
+        os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))
+        from altd import commands
+
+        status = commands.run(options)
     except BadInputError as error:
-        print(f"altd {options.command}: {error}", file=sys.stderr)
+        complain(f"{name}: {error}")
         return 2
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output went away; there is nobody to tell
-        return 1
+    except SystemExit as end:  # argparse has said what there was to say
+        status = end.code if isinstance(end.code, int) else 1
+    except OSError:
+        if output_failure() is None:
+            raise
+        status = 1
+    if (failure := output_failure()) is not None:
+        status = status or 1
+        if not isinstance(failure, BrokenPipeError):  # the reader of our output went away: nobody to tell
+            complain(f"{name}: standard output: {failure.strerror}")
+    return status
 
 
 def _parser() -> argparse.ArgumentParser:

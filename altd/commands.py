@@ -10,14 +10,16 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar
 
 import cv2
 
 from altd.errors import BadInputError
-from altd.records import Frame, PixelArray, Spot
+from altd.logs import logging_to_stderr
+from altd.records import Frame, Spot
+from altd.standard_streams import complain
 
 if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.calibration.result import CalibrationResult
@@ -26,6 +28,11 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.service.scan import Scanner
 
 Result = TypeVar("Result")
+
+log = logging.getLogger("altd")
+
+_LONGEST_LINE = 1000
+"""Bytes of two numbers, and more."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,34 +62,46 @@ def _run(options: argparse.Namespace) -> int:
     from altd.config import load_config
 
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
-    logging.basicConfig(level=logging.INFO, format=f"{prefix}%(message)s", stream=sys.stderr)
-    daemon = daemon_of(load_config(options.config), options.config)
-    asyncio.run(until_signal(daemon.run()))
+    with logging_to_stderr(logging.INFO, prefix):
+        daemon = daemon_of(load_config(options.config), options.config)
+        try:
+            asyncio.run(until_signal(daemon.run()))
+        except BadInputError:
+            raise
+        except Exception:
+            log.critical("a defect ended the daemon", exc_info=True)
+            return 1
     return 0
 
 
 async def until_signal(work: Coroutine[None, None, Result]) -> Result | None:
-    """Run until done or until SIGINT or SIGTERM, which cancel it; returns its result, None when cancelled."""
+    """Run until done or until a signal that asks to end; returns its result, None when cancelled.
+
+    SIGHUP, the terminal that went away, ends it like SIGTERM, unless it is ignored (nohup(1)).
+    """
     loop = asyncio.get_running_loop()
     task = asyncio.ensure_future(work)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    for number in numbers:
         loop.add_signal_handler(number, task.cancel)
     try:
         return await task
     except asyncio.CancelledError:
         return None
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in numbers:
             loop.remove_signal_handler(number)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, write_together
+    from altd.files.writing import check_replaceable
     from altd.recording import open_recording
 
-    if not options.output.resolve().parent.is_dir():
-        raise BadInputError(options.output, "its folder does not exist")
+    check_replaceable(options.output)
     if options.report is not None:
         check_report(options.report)
     recording = open_recording(options.recording)
@@ -114,9 +133,9 @@ def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
 
 def _print_result(result: CalibrationResult) -> None:
     for line in result.refused:
-        print(f"altd calibrate: left out: {line}", file=sys.stderr)
+        complain(f"altd calibrate: left out: {line}")
     for line in result.doubts:
-        print(f"altd calibrate: doubtful: {line}", file=sys.stderr)
+        complain(f"altd calibrate: doubtful: {line}")
     print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
     print(
         "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
@@ -170,12 +189,12 @@ def _record(options: argparse.Namespace) -> int:
     from altd.app import record_of
     from altd.config import load_config
 
-    logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     config = load_config(options.config)
-    work = record_of(config, options.config, options.output, options.seconds, options.kind)
-    exposures = asyncio.run(until_signal(work))
+    with logging_to_stderr(logging.WARNING):
+        work = record_of(config, options.config, options.output, options.seconds, options.kind)
+        exposures = asyncio.run(until_signal(work))
     if exposures is not None:
-        print(f"{exposures} exposures in {options.output}", file=sys.stderr)
+        complain(f"{exposures} exposures in {options.output}")
     return 0
 
 
@@ -184,10 +203,10 @@ def _scan(options: argparse.Namespace) -> int:
     from altd.config import load_config
     from altd.scan_screen import ScanScreen
 
-    logging.basicConfig(level=logging.ERROR, format="altd: %(message)s", stream=sys.stderr)
     screen = ScanScreen()
-    scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
-    return run_scan(scanner, options.output, screen)
+    with logging_to_stderr(logging.ERROR):
+        scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
+        return run_scan(scanner, options.output, screen)
 
 
 def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
@@ -236,11 +255,12 @@ def _lamps(options: argparse.Namespace) -> int:
         "test": by_hand.light_in_turn,
         "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
     }
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what is lit gets dark on the way out
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)  # what is lit gets dark on the way out
     try:
         looks[options.look]()
     except LampsError as error:
-        print(f"altd lamps: {error}", file=sys.stderr)
+        complain(f"altd lamps: {error}")
         return 1
     return 0
 
@@ -248,7 +268,7 @@ def _lamps(options: argparse.Namespace) -> int:
 def _locate(options: argparse.Namespace) -> int:
     from altd.vision.localise import locate, locate_ellipse
 
-    frames = [(path, _image(path)) for path in options.images]
+    frames = [(path, _frame(path)) for path in options.images]
     for path, frame in frames:
         spot = locate(frame)
         second = locate_ellipse(frame) if isinstance(spot, Spot) else None
@@ -273,18 +293,11 @@ def _locate(options: argparse.Namespace) -> int:
     return 0
 
 
-def _image(path: Path) -> Frame:
-    """Read an 8- or 16-bit grey image of any size that OpenCV reads."""
-    if not path.is_file():
-        raise BadInputError(path, "no such file")
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise BadInputError(path, "is not an image that can be read")
-    if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
-        raise BadInputError(path, "is not an 8- or 16-bit grey image")
-    if min(pixels.shape) < 32:
-        raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
-    return Frame(path.name, 0, 0, cast("PixelArray", pixels), 8 * pixels.dtype.itemsize)
+def _frame(path: Path) -> Frame:
+    from altd.files.picture import read_picture
+
+    pixels = read_picture(path)
+    return Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize)
 
 
 def _map(options: argparse.Namespace) -> int:
@@ -294,14 +307,15 @@ def _map(options: argparse.Namespace) -> int:
     target = load_calibration(options.calibration).target(options.target)
     if target is None:
         raise BadInputError(options.calibration, f"does not know target {options.target!r}")
-    for number, line in enumerate(sys.stdin, start=1):
+    for number, line in enumerate(_lines_of_input(), start=1):
         fields = line.split()
         if not fields:
             continue
         try:
             u_px, v_px = (float(field) for field in fields)
         except ValueError as error:
-            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {line.strip()!r}") from error
+            got = line.decode(errors="backslashreplace").strip()
+            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {got!r}") from error
         point = target.point(u_px, v_px)
         if point is None:
             print(f"invalid {Reason.OUT_OF_RANGE}")
@@ -311,6 +325,13 @@ def _map(options: argparse.Namespace) -> int:
             sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
             print(f"{point.x_mm:.5f} {point.y_mm:.5f} {sigma_x_mm:.5f} {sigma_y_mm:.5f}")
     return 0
+
+
+def _lines_of_input() -> Iterator[bytes]:
+    try:
+        yield from iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b"")
+    except OSError as error:  # closed, or a folder
+        raise BadInputError("stdin", error.strerror or "cannot be read") from error
 
 
 def _check_config(options: argparse.Namespace) -> int:

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
-import tomllib
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_toml
+from altd.files.reading import read_file
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 GpioLineName = Annotated[str, Field(min_length=1, max_length=64)]
 TcpPort = Annotated[int, Field(ge=0, le=65535)]
+Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A place or an offset: 100 m reach from a unit to the head of its machine, and fit the registers."""
+StageMillimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
+OffsetDegrees = Annotated[float, Field(ge=-45, le=45)]
+"""With the beam's own 14° it stays well below 90°, where mm/m has no end."""
+ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
+"""What the kernel's largest control holds."""
+
+_LARGEST_BYTES = 1 << 16
+
+
+def _address(host: str) -> str:
+    """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
+    if host != "localhost":
+        try:
+            ipaddress.ip_address(host)
+        except ValueError as error:
+            every = "every address of the unit is 0.0.0.0"
+            raise ValueError(f"{host!r} is no IP address ({every})") from error
+    return host
+
+
+Host = Annotated[str, AfterValidator(_address)]
 
 
 class Table(BaseModel):
     """A table of the file: its keys are all known, its values do not change."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
 
 
 class Unit(Table):
@@ -35,7 +60,7 @@ class Target(Table):
 
     name: Name
     """The name in the calibration file and in all outputs; small letters, digits and _."""
-    z_mm: float
+    z_mm: Millimetres
     """Distance from the front target's printed face along the beam."""
     camera: Name
     """The camera that looks at it: a name under ``[cameras]``."""
@@ -92,6 +117,9 @@ class LiveCamera(Table):
     """Frames a second."""
     exposure: ExposureControl = ExposureControl()
     """A table of its own, see below."""
+    serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    """The camera's serial number, as `altd devices` shows it: another one in its place is
+    ``wrong_camera``. The serial number in the calibration counts as well."""
 
 
 class V4l2Camera(LiveCamera):
@@ -102,7 +130,7 @@ class V4l2Camera(LiveCamera):
     """The camera's device, best by its stable name, such as /dev/v4l/by-path/…: `altd devices` shows it."""
     pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
     """What the camera sends: 8, 10, 12 or 16 bits of grey."""
-    controls: dict[str, int] = {}
+    controls: dict[str, ControlValue] = {}
     """Controls of this camera to set when it is opened, by the names that `altd devices` shows: a trigger
     input, for instance, which every maker calls something else."""
 
@@ -127,7 +155,7 @@ class AravisCamera(LiveCamera):
     """Size of a network packet; 0 finds the largest that gets through."""
     resend: bool = True
     """Ask the camera again for packets that were lost."""
-    features: dict[str, bool | int | float | str] = {}
+    features: dict[str, bool | ControlValue | float | str] = {}
     """GenICam features of this camera to set when it is opened, in this order."""
 
 
@@ -228,25 +256,25 @@ class Measuring(Table):
 class Installation(Table):
     """How the controller wants the numbers: sign first, then offset."""
 
-    reference_plane_mm: float = 0.0
+    reference_plane_mm: Millimetres = 0.0
     """The plane z in which the displacement is given."""
     sign_x: Literal[-1, 1] = 1
     """-1 turns the axis round."""
     sign_y: Literal[-1, 1] = 1
     sign_yaw: Literal[-1, 1] = 1
     sign_pitch: Literal[-1, 1] = 1
-    offset_x_mm: float = 0.0
+    offset_x_mm: Millimetres = 0.0
     """Added after the sign."""
-    offset_y_mm: float = 0.0
-    offset_yaw_deg: float = 0.0
-    offset_pitch_deg: float = 0.0
+    offset_y_mm: Millimetres = 0.0
+    offset_yaw_deg: OffsetDegrees = 0.0
+    offset_pitch_deg: OffsetDegrees = 0.0
 
 
 class ModbusTcp(Table):
     """Modbus TCP server."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 502
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
@@ -256,8 +284,8 @@ class ModbusTcp(Table):
 class Http(Table):
     """HTTP server: measurement, status and a stream."""
 
-    host: str = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The address to listen on; 0.0.0.0 is every address of the unit."""
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 8080
     """TCP port."""
 
@@ -315,9 +343,9 @@ class GrblStage(Table):
     sign_x: Literal[-1, 1] = 1
     """-1 where the stage's axis runs against the unit's, or the stage carries the unit and not the laser."""
     sign_y: Literal[-1, 1] = 1
-    offset_x_mm: float = 0.0
+    offset_x_mm: StageMillimetres = 0.0
     """The controller's x where the beam meets x = 0 of the unit frame."""
-    offset_y_mm: float = 0.0
+    offset_y_mm: StageMillimetres = 0.0
     feed_mm_per_min: Annotated[float, Field(gt=0, le=100_000)] = 1000.0
     """Speed; the controller keeps its own limits."""
     answer_within_s: Annotated[float, Field(ge=0.1, le=60)] = 2.0
@@ -335,9 +363,9 @@ class Scan(Table):
     """Nodes along y."""
     pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 28.0
     """Distance from node to node. 6 × 5 nodes at 28 mm hold the 140 × 110 mm that the unit measures."""
-    centre_x_mm: float = 0.0
+    centre_x_mm: StageMillimetres = 0.0
     """The middle of the grid in the unit frame."""
-    centre_y_mm: float = 0.0
+    centre_y_mm: StageMillimetres = 0.0
     order: Literal["serpentine", "rows"] = "serpentine"
     """``serpentine`` runs to and fro, the shortest way; ``rows`` begins each row at the smallest x, so that a
     stage with play comes to every node from the same side."""
@@ -411,16 +439,11 @@ def load_config(path: Path) -> Config:
 
     Raises BadInputError that names the file and the key.
     """
+    content = read_file(path, _LARGEST_BYTES)
     try:
-        text = path.read_bytes().decode()
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
-    except UnicodeDecodeError as error:
-        raise BadInputError(path, "is not UTF-8 text") from error
-    try:
-        document = _anchored(tomllib.loads(text), path.parent)
-    except tomllib.TOMLDecodeError as error:
-        raise BadInputError(path, f"not TOML: {error}") from error
+        document = _anchored(parse_toml(content), path.parent)
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error
     try:
         return Config.model_validate(document)
     except ValidationError as error:
@@ -452,6 +475,8 @@ def _first_fault(error: ValidationError, document: dict[str, Any]) -> str:
     elif first["type"] == "union_tag_not_found":
         keys.append("driver")
         message = "Field required"
+    elif isinstance(first["input"], int | float):
+        message += f", not {first['input']}"
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return f"{'.'.join(keys)}: {message}{more}" if keys else f"{message}{more}"
 

@@ -10,9 +10,21 @@ class BadInputError(Exception):
     """
 
     def __init__(self, place: object, message: str) -> None:
-        super().__init__(f"{place}: {message}")
+        super().__init__(_one_line(f"{place}: {message}"))
         self.place = str(place)
         self.message = message
+
+
+_LONGEST = 2000
+
+
+def _one_line(text: str) -> str:
+    """The text as a terminal and a log can show it, whatever a file put into it."""
+    if len(text) > _LONGEST:
+        text = f"{text[:_LONGEST]}…"
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
+    )
 
 
 def bare(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:

@@ -13,9 +13,8 @@ from altd.records import Reason
 Item = TypeVar("Item")
 
 _PATIENCE = 4
-"""A frame waits for its partner until its own camera has delivered this many more."""
-_RESTART = 1000
-"""A sequence that falls back by more than this was started anew."""
+"""A frame waits for its partner until its own camera has delivered this many more. When more of a camera's
+frames than that are late in a row, it is not they who are wrong but what came before them."""
 _REMEMBERED = 8
 """Frames of a camera whose times are compared: a frame may be delivered later than those that follow it."""
 _SAMPLES = 15
@@ -49,6 +48,8 @@ class _Waiting(Generic[Item]):
     t_ns: int
     aligned_ns: int
     """The time less the camera's lag."""
+    delivery: int
+    """How many frames its camera had delivered with it."""
     item: Item
 
 
@@ -117,6 +118,9 @@ class Pairer(Generic[Item]):
     By time: items whose times, each less its camera's lag, are no further apart than that belong together
     unless a lag is larger than ``max_lag_ns``; the number is the first camera's. A camera from which nothing
     came since is silent; one that delivers, but nothing that fits, is out of step.
+
+    A number or a time that jumps spoils its own exposure and a few after it, whichever way it jumps: see
+    ``_is_late`` and ``_expire``.
     """
 
     def __init__(
@@ -133,6 +137,11 @@ class Pairer(Generic[Item]):
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
         self._last_ns: dict[str, int] = {}
         self._last_out: int | None = None
+        self._last_out_ns = 0
+        self._delivered = dict.fromkeys(cameras, 0)
+        self._late_in_a_row = dict.fromkeys(cameras, 0)
+        self._ahead: dict[str, int] = {}
+        """By time: how far each camera's numbers are ahead of the first one's, as far as it is known."""
         self.late = 0
         """Items that came after their exposure was given up."""
 
@@ -147,7 +156,9 @@ class Pairer(Generic[Item]):
             self._lags.see(camera, t_ns)
         aligned_ns = t_ns - self.lags_ns.get(camera, 0)
         self._last_ns[camera] = aligned_ns
-        new = _Waiting(camera, sequence, t_ns, aligned_ns, item)
+        self._delivered[camera] += 1
+        new = _Waiting(camera, sequence, t_ns, aligned_ns, self._delivered[camera], item)
+        self._expire(new)
         if self._is_late(new):
             self.late += 1
             return []
@@ -158,7 +169,7 @@ class Pairer(Generic[Item]):
             settled += self._give_up_before(group)
             settled.append(self._settle(group))
         elif len(self._waiting[camera]) > _PATIENCE:
-            settled.append(self._settle(self._group_of(self._waiting[camera][0])))
+            settled.append(self._settle(self._group_of(min(self._waiting[camera], key=self._order))))
         return settled
 
     def flush(self) -> list[Pair[Item]]:
@@ -171,14 +182,31 @@ class Pairer(Generic[Item]):
     def _order(self, waiting: _Waiting[Item]) -> int:
         return waiting.aligned_ns if self._lags else waiting.sequence
 
+    def _expire(self, new: _Waiting[Item]) -> None:
+        """Drop a camera's frames that wait for what is ahead of all that it delivered since."""
+        waiting = self._waiting[new.camera]
+        for old in list(waiting):
+            ahead = self._order(old) > self._order(new)
+            if ahead and new.delivery - old.delivery > _PATIENCE:
+                waiting.remove(old)
+                self.late += 1
+
     def _is_late(self, new: _Waiting[Item]) -> bool:
-        order = self._order(new)
-        if self._last_out is None or order > self._last_out:
+        """Whether the exposure of a frame was given up before it came.
+
+        A number that fell back although its time did not was counted anew. When a camera goes on delivering
+        what is late, a time that was settled lay in the future: then the order begins anew with this frame.
+        """
+        if self._last_out is None or self._order(new) > self._last_out:
+            self._late_in_a_row[new.camera] = 0
             return False
-        if not self._lags and order < self._last_out - _RESTART:
-            self._last_out = None
-            return False
-        return True
+        self._late_in_a_row[new.camera] += 1
+        counted_anew = not self._lags and new.t_ns > self._last_out_ns + self._max_skew_ns
+        if not counted_anew and self._late_in_a_row[new.camera] <= _PATIENCE:
+            return True
+        self._last_out = None
+        self._late_in_a_row[new.camera] = 0
+        return False
 
     def _group_of(self, one: _Waiting[Item]) -> dict[str, _Waiting[Item]]:
         """What waits and belongs to the same exposure as ``one``, by camera."""
@@ -215,7 +243,8 @@ class Pairer(Generic[Item]):
         times = [waiting.t_ns for waiting in group.values()]
         t_ns = sum(times) // len(times)
         self._last_out = max(self._order(waiting) for waiting in group.values())
-        sequence = next(group[camera].sequence for camera in self._cameras if camera in group)
+        self._last_out_ns = max(times)
+        sequence = self._number_of(group)
         aligned = [waiting.aligned_ns for waiting in group.values()]
         skew_ns = max(aligned) - min(aligned)
         if skew_ns > self._max_skew_ns:
@@ -224,6 +253,16 @@ class Pairer(Generic[Item]):
         items = {camera: waiting.item for camera, waiting in group.items()}
         behind_ns = {camera: waiting.t_ns - t_ns for camera, waiting in group.items()}
         return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns)
+
+    def _number_of(self, group: Mapping[str, _Waiting[Item]]) -> int:
+        """The first camera's number, also where its frame is missing."""
+        camera = next(camera for camera in self._cameras if camera in group)
+        sequence = group[camera].sequence
+        if not self._lags:
+            return sequence
+        if camera == self._cameras[0]:
+            self._ahead |= {other: waiting.sequence - sequence for other, waiting in group.items()}
+        return sequence - self._ahead.get(camera, 0)
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
         last_ns = self._last_ns.get(camera)

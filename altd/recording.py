@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
+import io
 import json
 import math
 import os
-import struct
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, TextIO, cast
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
+from altd.files.reading import read_file, read_head
 from altd.measurement_json import utc_text
-from altd.records import Frame, PixelArray
+from altd.records import CameraIdentity, Frame
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -29,62 +34,98 @@ COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
 """What a recording shows."""
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_GREY = 0
+_LARGEST_HEADER_BYTES = 1 << 20
+_LARGEST_TABLE_BYTES = _LARGEST_FILE_BYTES = 1 << 28
+"""A day of two cameras at 20 a second takes 210 MB."""
 
 
-class CameraHeader(BaseModel):
+MAX_T_S = 1e9
+"""Thirty years: the times of a recording count from its start."""
+MAX_SEQUENCE = 2**53
+"""Whole numbers up to here are exact as floats, thus in every JSON reader."""
+MAX_POSITION_MM = 10_000.0
+
+Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
+Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
+
+
+def _in_our_time(start: datetime) -> datetime:
+    if not 1970 <= start.year <= 2200:
+        raise ValueError(f"the year {start.year} is none of a recording")
+    return start
+
+
+class _Header(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class CameraHeader(_Header):
     """Size and depth of one camera's frames."""
-
-    model_config = ConfigDict(frozen=True)
 
     width: Annotated[int, Field(ge=16, le=20_000)]
     height: Annotated[int, Field(ge=16, le=20_000)]
     bits: Annotated[int, Field(ge=8, le=16)]
+    serial: str | None = None
+    """The camera's serial number, where its driver tells one."""
+    model: str | None = None
+    """What its maker calls it."""
+    driver: str | None = None
+    """The driver that named it: ``driver`` of the config."""
     mirrored: bool | None = None
     """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
 
+    @property
+    def identity(self) -> CameraIdentity:
+        """Which camera it was, as far as the recording knows."""
+        return CameraIdentity(self.serial, self.model, self.driver)
 
-class UnitHeader(BaseModel):
+
+def camera_header(frame: Frame, camera: CameraIdentity | None) -> CameraHeader:
+    """The header of a camera that delivers such frames."""
+    known = camera or CameraIdentity()
+    rows, columns = frame.pixels.shape
+    return CameraHeader(
+        width=columns,
+        height=rows,
+        bits=frame.bits,
+        serial=known.serial,
+        model=known.model,
+        driver=known.driver,
+    )
+
+
+class UnitHeader(_Header):
     """The unit that was recorded."""
 
-    model_config = ConfigDict(frozen=True)
-
     serial: str
-    target_distance_mm: Annotated[float, Field(gt=0)]
+    target_distance_mm: Annotated[float, Field(gt=0, le=100_000)]
 
 
-class PlateHeader(BaseModel):
+class PlateHeader(_Header):
     """A grid of lit LEDs; ``origin_mm`` is the LED with the smallest x and the smallest y.
 
     ``disc_mm`` is the diameter of an LED's even disc, ``beam_mm`` the 1/e² diameter of the laser spot that
     will be measured.
     """
 
-    model_config = ConfigDict(frozen=True)
-
     columns: Annotated[int, Field(ge=4, le=100)]
     rows: Annotated[int, Field(ge=4, le=100)]
-    pitch_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)]
-    origin_mm: tuple[
-        Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]
-    ]
-    disc_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    pitch_mm: Length
+    origin_mm: tuple[Position, Position]
+    disc_mm: Length | None = None
     beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
 
 
-class RecordingHeader(BaseModel):
+class RecordingHeader(_Header):
     """``recording.json``; unknown keys are ignored."""
-
-    model_config = ConfigDict(frozen=True)
 
     format: Literal["altd-recording/1"]
     kind: Kind
-    fps: Annotated[float, Field(gt=0)]
+    fps: Annotated[float, Field(ge=0.001, le=100_000)]
     cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
     unit: UnitHeader
     note: str = ""
-    start: datetime | None = None
+    start: Annotated[datetime, AfterValidator(_in_our_time)] | None = None
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
     """In a recording of kind ``plate``."""
@@ -113,20 +154,23 @@ class Recording:
 
     def frame(self, row: Row) -> Frame:
         """Decode the frame of a row; raises BadInputError that names the file and the row."""
-        path = self.path / row.file
         camera = self.header.cameras[row.camera]
-        pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if pixels is None or pixels.shape != (camera.height, camera.width):
-            raise BadInputError(self._place(row), f"{row.file} cannot be decoded as a frame")
+        size = camera.width, camera.height, camera.bits
+        try:
+            pixels = decode_png(read_file(self.path / row.file, png_bytes(*size)), *size)
+        except ValueError as error:
+            raise BadInputError(self._place(row), f"{row.file} {error}") from error
+        except BadInputError as error:
+            raise BadInputError(self._place(row), f"{row.file}: {error.message}") from error
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
-        return Frame(row.camera, row.sequence, t_ns, cast("PixelArray", pixels), camera.bits, row.leds_on)
+        return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""
         digest = hashlib.sha256()
         for name in (HEADER_FILE, FRAMES_FILE, *(row.file for row in self.rows)):
-            digest.update((self.path / name).read_bytes())
+            digest.update(read_file(self.path / name, _LARGEST_FILE_BYTES))
         return digest.hexdigest()
 
     def _place(self, row: Row) -> str:
@@ -149,35 +193,53 @@ def open_recording(path: Path) -> Recording:
 
 
 def _read_header(path: Path) -> RecordingHeader:
+    content = read_file(path, _LARGEST_HEADER_BYTES)
     try:
-        return RecordingHeader.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        return RecordingHeader.model_validate(parse_json(content))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BadInputError(path, f"{place}: {first['msg']}" if place else first["msg"]) from error
+        message = first["msg"].removeprefix("Value error, ")
+        if isinstance(first["input"], int | float):
+            message += f", not {first['input']}"
+        raise BadInputError(path, f"{place}: {message}" if place else message) from error
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error
 
 
 def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
+    table = io.BytesIO(read_file(path, _LARGEST_TABLE_BYTES))
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with io.TextIOWrapper(table, newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, strict=True)
-            absent = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
-            if absent:
-                raise BadInputError(f"{path}: row 1", f"column {absent[0]!r} is missing")
-            last_t_s: dict[str, float] = {}
+            columns = list(reader.fieldnames or ())
+            for column in COLUMNS:
+                if columns.count(column) != 1:
+                    what = "stands twice" if column in columns else "is missing"
+                    raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
+            last: dict[str, Row] = {}
             for record in reader:
                 place = f"{path}: row {reader.line_num}"
                 row = _read_row(place, reader.line_num, record, header)
-                if row.t_s < last_t_s.get(row.camera, row.t_s):
-                    raise BadInputError(place, f"t_s {row.t_s} is before the camera's frame above it")
-                last_t_s[row.camera] = row.t_s
+                if (above := last.get(row.camera)) is not None:
+                    _check_order(place, above, row)
+                last[row.camera] = row
                 yield row
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
     except (csv.Error, UnicodeDecodeError) as error:
         raise BadInputError(path, f"is no CSV text: {error}") from error
+
+
+def _check_order(place: str, above: Row, row: Row) -> None:
+    """One camera's rows stand in the order of their exposures, and none stands there twice."""
+    for column, value, before in (
+        ("sequence", row.sequence, above.sequence),
+        ("t_s", row.t_s, above.t_s),
+    ):
+        if value <= before:
+            where = "that of" if value == before else "before"
+            raise BadInputError(
+                place, f"{column} {value} is {where} the camera's frame above it, row {above.number}"
+            )
 
 
 def _read_row(place: str, number: int, record: Mapping[str, str | None], header: RecordingHeader) -> Row:
@@ -194,42 +256,37 @@ def _read_row(place: str, number: int, record: Mapping[str, str | None], header:
         raise BadInputError(place, "x_mm and y_mm must both be given or both be empty")
     position = None
     if text["x_mm"]:
-        position = _number(place, "x_mm", text["x_mm"]), _number(place, "y_mm", text["y_mm"])
-    sequence = _number(place, "sequence", text["sequence"])
+        x_mm = _number(place, "x_mm", text["x_mm"], MAX_POSITION_MM)
+        position = x_mm, _number(place, "y_mm", text["y_mm"], MAX_POSITION_MM)
+    sequence = _number(place, "sequence", text["sequence"], MAX_SEQUENCE)
     if sequence != int(sequence) or sequence < 0:
         raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
-    t_s = _number(place, "t_s", text["t_s"])
+    t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
     return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position)
 
 
-def _number(place: str, column: str, text: str) -> float:
+def _number(place: str, column: str, text: str, limit: float) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
         raise BadInputError(place, f"{column} {text!r} is not a number")
+    if abs(value) > limit:
+        raise BadInputError(place, f"{column} {text!r} is larger than {limit:g}")
     return value
 
 
 def _check_png(recording: Recording, row: Row) -> None:
-    """Signature, size, depth and colour from the PNG's first 26 bytes (PNG specification, 11.2.2)."""
-    place, path = recording._place(row), recording.path / row.file
-    try:
-        with path.open("rb") as file:
-            head = file.read(26)
-    except OSError as error:
-        raise BadInputError(place, f"{row.file}: {error.strerror or 'cannot be read'}") from error
-    if len(head) < 26 or not head.startswith(_PNG_SIGNATURE):
-        raise BadInputError(place, f"{row.file} is not a PNG")
-    width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
+    """Signature, size, depth and colour, without decoding it."""
     camera = recording.header.cameras[row.camera]
-    if (width, height) != (camera.width, camera.height):
-        raise BadInputError(
-            place, f"{row.file} is {width} × {height}, expected {camera.width} × {camera.height}"
-        )
-    if colour != _PNG_GREY or depth != (8 if camera.bits == 8 else 16):
-        raise BadInputError(place, f"{row.file} is not a grey PNG of {camera.bits} bits")
+    try:
+        head = read_head(recording.path / row.file, PNG_HEAD_BYTES)
+        check_png_head(head, camera.width, camera.height, camera.bits)
+    except ValueError as error:
+        raise BadInputError(recording._place(row), f"{row.file} {error}") from error
+    except BadInputError as error:
+        raise BadInputError(recording._place(row), f"{row.file}: {error.message}") from error
 
 
 def refuse_used_folder(path: Path) -> None:
@@ -258,28 +315,41 @@ class RecordingWriter:
         try:
             path.mkdir(parents=True, exist_ok=True)
             for camera in header.cameras:
-                (path / camera).mkdir()
+                (path / camera).mkdir()  # fails for the later one of two that began here at once
+        except OSError as error:
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+        try:
             document = header.model_dump(mode="json", exclude_none=True)
             if header.start is not None:
                 document["start"] = utc_text(header.start)
             (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
-            self._file: TextIO = (path / FRAMES_FILE).open("w", newline="", encoding="utf-8")
+            self._file = (path / FRAMES_FILE).open("ab", buffering=0)
+            self._append(COLUMNS)
         except OSError as error:
+            shutil.rmtree(path, ignore_errors=True)
             raise BadInputError(path, error.strerror or "cannot be written") from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._rows.writerow(COLUMNS)
 
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = _read_header(self._path / HEADER_FILE)
         if (there.cameras, there.unit) != (header.cameras, header.unit):
-            raise BadInputError(self._path / HEADER_FILE, "is of another unit or of cameras of another size")
+            raise BadInputError(
+                self._path / HEADER_FILE,
+                "is of another unit, of other cameras, or of cameras of another size",
+            )
         try:
-            self._file = (self._path / FRAMES_FILE).open("r+", newline="", encoding="utf-8")
+            self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)
             self._file.truncate(resume_at)
-            self._file.seek(0, os.SEEK_END)
         except OSError as error:
             raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
+
+    def _append(self, row: Iterable[object]) -> None:
+        """A row as a whole; raises OSError, and then there is nothing of it."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(row)
+        line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size
+        if self._file.write(line) < len(line):
+            self._file.truncate(before_bytes)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def write(
         self, frame: Frame, sequence: int, t_s: float, position_mm: tuple[float, float] | None = None
@@ -292,12 +362,13 @@ class RecordingWriter:
         done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
         if not done:
             raise OSError(f"{name} cannot be encoded")
-        (self._path / name).write_bytes(data.tobytes())
         at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
-        self._rows.writerow(
-            (sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at)
-        )
-        self._file.flush()
+        try:
+            (self._path / name).write_bytes(data.tobytes())
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at))
+        except OSError:  # a full disk: half a frame is no part of the recording
+            (self._path / name).unlink(missing_ok=True)
+            raise
         return self._path / name
 
     def synced(self) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
 
@@ -30,6 +30,28 @@ class Origin(StrEnum):
     CAMERA = "camera"
     PLAYBACK = "playback"
     SIMULATED = "simulated"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIdentity:
+    """Which camera this is, as its driver tells; None: not known."""
+
+    serial: str | None = None
+    model: str | None = None
+    driver: str | None = None
+
+    def difference_from(self, expected: CameraIdentity) -> str:
+        """What tells this camera from the expected one, in words; empty when nothing does.
+
+        What one of the two does not know tells nothing, and another driver names cameras otherwise.
+        """
+        if None not in (self.driver, expected.driver) and self.driver != expected.driver:
+            return ""
+        for what in ("serial", "model"):
+            is_, should_be = getattr(self, what), getattr(expected, what)
+            if None not in (is_, should_be) and is_ != should_be:
+                return f"its {what} is {is_!r}, expected {should_be!r}"
+        return ""
 
 
 class Reason(StrEnum):
@@ -110,6 +132,7 @@ class Frame:
     those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
     to, else None.
     ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
+    ``playthrough`` counts how often a recording was played before: its pictures come again by intent.
     """
 
     camera: str
@@ -121,6 +144,7 @@ class Frame:
     exposure_ms: float | None = None
     gain_db: float | None = None
     changing: bool = False
+    playthrough: int = 0
 
     @property
     def full_scale(self) -> int:
@@ -250,6 +274,7 @@ class Measurement:
     averaged and ``time`` the same instant in UTC (None where the source of the frames does not know it).
     ``beam`` is None when the measurement is invalid; ``status`` then holds at least one reason that is
     not a warning. ``points_mm`` holds (x, y) per target of the unit, None where not known.
+    ``last_exposure_ns`` is the time of the window's last exposure; None: ``t_ns`` is.
     """
 
     sequence: int
@@ -260,6 +285,17 @@ class Measurement:
     points_mm: Mapping[str, tuple[float, float] | None]
     status: tuple[Fault, ...] = ()
     roll_deg: float | None = None
+    last_exposure_ns: int | None = None
+
+    @property
+    def light_ns(self) -> int:
+        """When the newest light fell of which this tells."""
+        return self.t_ns if self.last_exposure_ns is None else self.last_exposure_ns
+
+    def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
+        """The same moment, invalid for these reasons."""
+        nowhere = dict.fromkeys(self.points_mm)
+        return replace(self, beam=None, points_mm=nowhere, roll_deg=None, status=status)
 
     @property
     def valid(self) -> bool:

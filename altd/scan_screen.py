@@ -6,6 +6,8 @@ import shutil
 import sys
 import time
 
+from altd.standard_streams import complain
+
 _BAR = 24
 
 
@@ -20,7 +22,7 @@ class ScanScreen:
     def say(self, line: str) -> None:
         """A line of its own, above the bar."""
         self.clear()
-        print(f"{self._name}: {line}", file=sys.stderr, flush=True)  # noqa: T201
+        complain(f"{self._name}: {line}")
 
     def progress(self, done: int, total: int, doing: str) -> None:
         """Draw the bar anew; nothing in a pipe."""

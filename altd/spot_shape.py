@@ -19,6 +19,11 @@ _MAX_SIZE_RATIO = 1.25
 """Of two targets' spots, beside the ratio that the calibration saw: a beam widens less on its way."""
 _STRETCH_SIGMA = 0.001
 """Of a stretch, beside what the calibration's nodes scatter: targets that are not quite parallel."""
+_BIAS_PER_STRETCH = 1.5
+"""Radii by which light may displace a spot, one sigma, per stretch that it makes."""
+_BIAS_PER_MM2 = 7.5e-5
+"""A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
+by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
 _EXPLAINED_SIGMAS = 3.0
 _DISTORTED_FROM_SIGMAS = 6.0
 _DISTORTED_FROM_STRETCH = 0.015
@@ -53,7 +58,7 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
 
 def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str:
     """Why a shape (4,) is not that of a spot which this unit measures, in words; empty when it is."""
-    diameter_mm = 2 * math.exp(float(shape[0]))
+    diameter_mm = _diameter_mm(shape[0])
     if diameter_mm > _MAX_DIAMETER_MM:
         return f"the spot is {diameter_mm:.1f} mm wide, up to {_MAX_DIAMETER_MM:g} mm are measured"
     if known is None:
@@ -70,15 +75,15 @@ def agreement(
     """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
 
     Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
-    it by ε d/2 of its 1/e² radius: sigma is a radius times the stretch, which covers five sigmas from
-    d = 0.4 on. On nearer light neither can be seen.
+    it by ε d/2 of its 1/e² radius: sigma is 1.5 radii times the stretch, so that the error is below five
+    sigmas from d = 0.3 on. On nearer light neither can be seen.
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
     stretch = float(np.hypot(difference[1], difference[2]))
     stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
     unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
-    sigma_mm = unexplained * math.exp(float(max(first[0], second[0])))
+    sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):
         return Agreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
@@ -102,6 +107,11 @@ def shape_doubts_mm(
     for target, shape, reference in zip(mean.targets, shapes, known, strict=True):
         if shape is not None and (why := unlike_a_laser(shape, reference)):
             return Fault(Reason.DISTORTED, target, why)
+    for index, (shape, reference) in enumerate(zip(shapes, known, strict=True)):
+        if shape is not None and reference is not None:
+            doubts_mm[index] = _BIAS_PER_MM2 * abs(
+                _diameter_mm(shape[0]) ** 2 - _diameter_mm(reference.mean[0]) ** 2
+            )
     first, first_known = shapes[0], known[0]
     if first is None or first_known is None:
         return doubts_mm
@@ -112,5 +122,9 @@ def shape_doubts_mm(
         if compared.distorted:
             pair = f"{mean.targets[0]} and {mean.targets[index]}"
             return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distorted}")
-        doubts_mm[[0, index]] = np.maximum(doubts_mm[[0, index]], compared.sigma_mm)
+        doubts_mm[[0, index]] = np.hypot(doubts_mm[[0, index]], compared.sigma_mm)
     return doubts_mm
+
+
+def _diameter_mm(log_radius: float) -> float:
+    return 2 * math.exp(float(log_radius))

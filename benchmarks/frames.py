@@ -42,12 +42,16 @@ class Material:
     without_flats: Calibration
 
     def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
-        """Exposure number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps."""
+        """Exposure number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps.
+
+        Each way is a playthrough of its own: its pictures come again by intent.
+        """
         last = len(self.pairs) - 1
         front, rear = self.pairs[last - abs(last - sequence % (2 * last))]
+        way = sequence // last
         return (
-            replace(front, sequence=sequence, t_ns=t_ns),
-            replace(rear, sequence=sequence, t_ns=t_ns),
+            replace(front, sequence=sequence, t_ns=t_ns, playthrough=way),
+            replace(rear, sequence=sequence, t_ns=t_ns, playthrough=way),
         )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, write_file
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
 from hw_sim.beam import BeamPose
 from hw_sim.faults import parse_faults
@@ -69,13 +69,9 @@ def run(arguments: argparse.Namespace) -> int:
     rng = np.random.default_rng([arguments.seed, POSES_STREAM])
     poses = random_poses(arguments.poses, unit.config.target_distance_mm, rng)
     truth_file: Path = arguments.truth
-    if truth_file.is_dir() or not truth_file.resolve().parent.is_dir():
-        raise BadInputError(truth_file, "is not a file that can be written")
+    check_replaceable(truth_file)
     truth = record_measurement(
         arguments.output, unit, poses, arguments.exposures, terminal_progress("measure")
     )
-    try:
-        truth_file.write_text(json.dumps(truth, indent=1) + "\n")
-    except OSError as error:
-        raise BadInputError(truth_file, f"cannot be written: {error.strerror}") from error
+    write_file(truth_file, (json.dumps(truth, indent=1) + "\n").encode())
     return 0

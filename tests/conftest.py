@@ -14,6 +14,7 @@ import pytest
 from support import own_network
 from support.cli import altd
 from support.foreign import need
+from support.played_unit import PlayedUnit
 from support.wire import Wire
 
 from altd.calibration.file import load_calibration
@@ -44,6 +45,12 @@ def calibration_of_unit_3(tmp_path_factory: pytest.TempPathFactory) -> Calibrati
     assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
     assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
     return load_calibration(folder / "cal.json")
+
+
+@pytest.fixture(scope="session")
+def played_unit(tmp_path_factory: pytest.TempPathFactory) -> PlayedUnit:
+    """A calibrated unit that plays a recording."""
+    return PlayedUnit.made(tmp_path_factory.mktemp("played-unit"))
 
 
 @pytest.fixture(autouse=True)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -68,6 +69,18 @@ def test_the_sliding_mean_gives_a_line_after_every_exposure(folder: Path) -> Non
     assert outcome.objects[0]["status"] == ["warming_up"]
     assert outcome.objects[5]["status"] == ["unsteady"]  # half the window before, half after the beam moved
     assert [outcome.objects[n]["valid"] for n in (3, 7, 11)] == [True] * 3
+
+
+def test_frames_that_stood_still_when_they_were_recorded_are_said_to(folder: Path, tmp_path: Path) -> None:
+    rec = tmp_path / "rec"
+    shutil.copytree(folder / "beams", rec)
+    for number in (5, 6, 7, 8):
+        shutil.copy(rec / "rear0004.png", rec / f"rear{number:04d}.png")
+    outcome = altd("replay", rec, "--calibration", folder / "cal.json", "--window", 4)
+    assert (outcome.status, outcome.err) == (0, "")
+    still = [n for n, line in enumerate(outcome.objects) if line["status"] == ["rear_frame_repeated"]]
+    assert still == [5, 6, 7, 8, 9]  # and half a window after that
+    assert [line["valid"] for line in outcome.objects[5:]] == [False] * 5 + [True] * 2
 
 
 def test_a_start_time_in_the_recording_gives_utc(folder: Path, tmp_path: Path) -> None:
@@ -194,6 +207,19 @@ class TestBadInput:
             cv2.imwrite(str(path), np.zeros((480, 640), np.uint8))
         assert "target 'front' was calibrated at 752 × 480, not 640 × 480" in self.replay(folder, small)
 
+    def test_recording_with_a_row_twice_or_a_time_that_stands(self, folder: Path, tmp_path: Path) -> None:
+        rec = tmp_path / "rec"
+        shutil.copytree(folder / "beams", rec)
+        rows = (rec / "frames.csv").read_text().splitlines()
+        twice = [*rows[:10], rows[8], rows[9], *rows[10:]]
+        (rec / "frames.csv").write_text("\n".join(twice) + "\n")
+        said = self.replay(folder, rec)
+        assert said.endswith("frames.csv: row 11: sequence 3 is that of the camera's frame above it, row 9")
+        standing = [row.replace(",0.200000,", ",0.150000,") for row in rows]
+        (rec / "frames.csv").write_text("\n".join(standing) + "\n")
+        said = self.replay(folder, rec)
+        assert said.endswith("frames.csv: row 10: t_s 0.15 is that of the camera's frame above it, row 8")
+
     def test_calibration_that_is_damaged_or_missing(self, folder: Path, tmp_path: Path) -> None:
         text = (folder / "cal.json").read_text()
         (tmp_path / "cal.json").write_text(text.replace("280.0", "281.0", 1))
@@ -234,7 +260,7 @@ class TestBadInput:
         assert "colour.png: is not an 8- or 16-bit grey image" in refusal(
             altd("locate", tmp_path / "colour.png")
         )
-        assert "no such file" in refusal(altd("locate", tmp_path / "none.png"))
+        assert "No such file" in refusal(altd("locate", tmp_path / "none.png"))
 
     def test_lines_that_are_no_positions(self, folder: Path) -> None:
         arguments = ("map", "--calibration", folder / "cal.json", "--target")

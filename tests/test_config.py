@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, get_args
 
 import pytest
+from pydantic import ValidationError
 from support.cli import CONFIG
 
-from altd.config import load_config
+from altd.config import Config, Table, load_config
 from altd.errors import BadInputError
 
 GOOD = CONFIG.format(calibration="cal.json", recording="rec")
@@ -36,6 +39,14 @@ def test_the_shipped_config_is_good() -> None:
     assert [target.name for target in config.targets] == ["front", "rear"]
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.7.2", "::", "::1", "fe80::1%eth0", "localhost"])
+def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
+    config = load_config(write(tmp_path, f'{GOOD}\n[http]\nhost = "{host}"\n[modbus_tcp]\nhost = "{host}"\n'))
+    assert config.http is not None
+    assert config.modbus_tcp is not None
+    assert config.http.host == config.modbus_tcp.host == host
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -47,6 +58,15 @@ def test_the_shipped_config_is_good() -> None:
         ('name = "rear"', 'name = "front"', "targets: two targets have the same name"),
         ("[unit]", "[unit", "not TOML"),
         ("[cameras.rear]", "[http]\nport = 70000\n[cameras.rear]", "http.port: Input should be less than or"),
+        *(
+            (
+                "[cameras.rear]",
+                f"[{face}]\nhost = {host!r}\n[cameras.rear]",
+                f"{face}.host: {host!r} is no IP",
+            )
+            for face in ("http", "modbus_tcp")
+            for host in ("", " ", "unit.example", "1.2.3", "0.0.0.0:80", "*")
+        ),
         ("[unit]", "", "unit: Field required"),
         ('driver = "recording"', "", "cameras.front.driver: Field required"),
         ('driver = "recording"', 'driver = "v4l2"', "cameras.front.device: Field required"),
@@ -156,3 +176,65 @@ def test_live_cameras_are_paired_by_time_only(tmp_path: Path) -> None:
 def test_automatic_exposure_begins_within_its_limits(tmp_path: Path) -> None:
     text = live('pair_by = "time"\n').replace('control = "fixed"\nexposure_ms = 1.5', "exposure_ms = 100")
     assert "exposure: exposure_ms: not between" in complaint(write(tmp_path, text))
+
+
+def within(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for part in get_args(annotation):
+        yield from within(part)
+
+
+def floats(model: type[Table], place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], type[Table]]]:
+    """Every key that takes a number with a fraction, by the tables that lead to it."""
+    for name, field in model.model_fields.items():
+        parts = list(within(field.annotation))
+        if float in parts:
+            yield (*place, name), model
+        for part in parts:
+            if isinstance(part, type) and issubclass(part, Table):
+                yield from floats(part, (*place, name))
+
+
+EVERY_FLOAT = sorted(
+    {(model, key[-1]) for key, model in floats(Config)}, key=lambda at: (at[0].__name__, at[1])
+)
+
+
+@pytest.mark.parametrize(("model", "key"), EVERY_FLOAT, ids=lambda at: getattr(at, "__name__", at))
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf"), 1e300, -1e300])
+def test_no_number_that_is_none_or_absurd_enters(model: type[Table], key: str, value: float) -> None:
+    given = {"GenICamName": value} if key == "features" else value
+    if key == "features" and abs(value) == 1e300:
+        return  # a camera's own feature: its driver asks the camera what it takes
+    with pytest.raises(ValidationError) as caught:
+        model.model_validate({key: given})
+    assert key in {str(error["loc"][0]) for error in caught.value.errors()}
+
+
+def test_every_quantity_of_the_config_was_asked_for() -> None:
+    asked = {f"{model.__name__}.{key}" for model, key in EVERY_FLOAT}
+    assert {
+        "Target.z_mm",
+        "Installation.offset_x_mm",
+        "Installation.reference_plane_mm",
+        "ExposureControl.exposure_ms",
+        "AravisCamera.features",
+        "GrblStage.offset_y_mm",
+        "Scan.centre_x_mm",
+        "Measuring.max_sigma_mm",
+    } <= asked
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ("[installation]\noffset_x_mm = nan", "installation.offset_x_mm: Input should be a finite number"),
+        ("[installation]\nreference_plane_mm = inf", "reference_plane_mm: Input should be a finite number"),
+        ("[installation]\noffset_y_mm = 1e200", "equal to 100000, not 1e+200"),
+        ("[installation]\noffset_yaw_deg = 90.0", "offset_yaw_deg: Input should be less than or equal to 45"),
+    ],
+)
+def test_a_number_that_is_none_is_named_with_its_key_and_value(
+    tmp_path: Path, more: str, message: str
+) -> None:
+    assert message in complaint(write(tmp_path, GOOD + more))

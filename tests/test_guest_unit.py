@@ -79,7 +79,9 @@ def in_process(unit: FedUnit) -> list[Measurement]:
     for number in range(2 * EXPOSURES):
         for index, camera in enumerate(CAMERAS):
             pixels = exposures[number % EXPOSURES, index]
-            measurements += chain.push(Frame(camera, number, number * 50_000_000, pixels))
+            turn = number // EXPOSURES
+            frame = Frame(camera, number, number * 50_000_000, pixels, playthrough=turn)
+            measurements += chain.push(frame)
     return [measurement for measurement in measurements if measurement.valid][-EXPOSURES:]
 
 

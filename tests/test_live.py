@@ -12,10 +12,13 @@ from pathlib import Path
 
 import pytest
 from support.gige import register
+from support.held import hold
 from support.own_network import inside
 
+from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate, free_port, running, write_config
+from benchmarks.live.parts import calibrate, daemon_command, free_port, running, write_config
+from benchmarks.live.spray import spray
 from benchmarks.live.unit import (
     FRONT,
     LINKED,
@@ -80,6 +83,17 @@ def test_a_pulled_link_is_said_and_survived(calibration: Path, tmp_path: Path) -
         assert_it_was_said_and_is_over(pulled)
 
 
+def test_datagrams_from_forged_sources_leave_it_alive_and_right_or_invalid(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """Each way of attacking for 2 s; ``make bench-spray`` takes ten minutes."""
+    sprayed = spray(tmp_path, calibration, seconds=16.0, rate=3000.0, seed=2)
+    assert sprayed.wrong == []
+    assert sprayed.valid > 20
+    assert sprayed.measurements > sprayed.valid
+    assert max(sprayed.rss_mb) < sprayed.rss_mb[0] + 30.0
+
+
 LAMPS = '[lamps]\ndriver = "camera"\ncameras = ["front", "rear"]\nline = "Line1"\n'
 USER_OUTPUT_0 = 0x4020  # hw_sim/gige/genicam.xml
 
@@ -129,3 +143,27 @@ def await_lamps(watch: Watch, state: str, within_s: float = 20.0) -> None:
     while (lamps := watch.status()["components"]["lamps"])["state"] != state:
         assert time.monotonic() < deadline_s, lamps
         time.sleep(0.05)
+
+
+def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
+    calibration: Path, tmp_path: Path
+) -> None:
+    """Its cameras go on sending meanwhile; takes ten seconds of holding."""
+    http_port, modbus_port = free_port(), free_port()
+    config = write_config(
+        tmp_path / "altd.toml", f"SIM-{SEED}", calibration, (FRONT, REAR), http_port, modbus_port
+    )
+    log = tmp_path / "altd.log"
+    log.write_bytes(b"")
+    with (
+        Camera(tmp_path, "front", FRONT),
+        Camera(tmp_path, "rear", REAR),
+        running(daemon_command(config), log) as daemon,
+    ):
+        daemon.await_word("measuring")
+        answers = hold(daemon.process.pid, modbus_port, http_port, hold_s=10.0, polls_s=6.0)
+    settings = load_config(config).measuring
+    oldest_s = settings.stale_after_s + settings.window / 2 / 20.0 + 0.1
+    assert [each for each in answers if each.valid and each.age_s > oldest_s] == []
+    assert any(not each.valid for each in answers)
+    assert answers[-1].valid

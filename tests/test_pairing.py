@@ -171,3 +171,64 @@ def test_a_flush_settles_what_waits_in_order() -> None:
     p.add("rear", 2, PERIOD, "r")
     assert sequences(p.flush()) == [(1, False), (2, False)]
     assert p.flush() == []
+
+
+HOUR = 3600 * 1000 * MS
+
+
+def lying(
+    by: str, lie: Callable[[str, int], tuple[int, int]], silent: range = range(0), lag_ms: float = 20.0
+) -> list[bool]:
+    """Whether each of 80 exposures was paired with its own partner; the lie is added to number and time."""
+    p = pairer(by)
+    behind_ns = round(lag_ms * MS) if by == "time" else 0
+    paired = set()
+    for n in range(80):
+        for camera, late_ns in (("front", 0), ("rear", behind_ns)):
+            if camera == "rear" and n in silent:
+                continue
+            number, time_ns = lie(camera, n)
+            out = p.add(camera, n + number, n * PERIOD + late_ns + time_ns, str(n))
+            paired |= {
+                int(pair.items["front"])
+                for pair in out
+                if len(set(pair.items.values())) == 1 and not pair.missing
+            }
+    return [n in paired for n in range(80)]
+
+
+LIES: dict[str, Callable[[str, int], tuple[int, int]]] = {
+    "one stamp an hour ahead": lambda camera, n: (0, HOUR * (n == 40 and camera == "front")),
+    "the other's stamp an hour ahead": lambda camera, n: (0, HOUR * (n == 40 and camera == "rear")),
+    "both stamps an hour ahead": lambda camera, n: (0, HOUR * (n == 40)),
+    "an hour ahead for five": lambda camera, n: (0, HOUR * (40 <= n < 45)),
+    "one stamp an hour back": lambda camera, n: (0, -HOUR * (n == 40 and camera == "rear")),
+    "all stamps 30 ms back": lambda camera, n: (0, -30 * MS * (n >= 40)),
+    "all stamps an hour back": lambda camera, n: (0, -HOUR * (n >= 40)),
+    "one number 900 ahead": lambda camera, n: (900 * (n == 40 and camera == "front"), 0),
+    "the other's number 900 ahead": lambda camera, n: (900 * (n == 40 and camera == "rear"), 0),
+    "both numbers 900 ahead once": lambda camera, n: (900 * (n == 40), 0),
+    "both numbers 900 ahead": lambda camera, n: (900 * (n >= 40), 0),
+    "both numbers 500 back": lambda camera, n: (10_000 - 500 * (n >= 40), 0),
+    "one number 500 back": lambda camera, n: (10_000 - 500 * (n == 40 and camera == "front"), 0),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize("by", ["sequence", "time"])
+@pytest.mark.parametrize("silent", [range(0), range(41, 47)], ids=["both deliver", "rear pauses"])
+def test_one_lie_costs_a_second_of_good_exposures_at_most(by: str, lie: str, silent: range) -> None:
+    paired = lying(by, LIES[lie], silent)
+    assert all(paired[10:40])
+    bad_until = max(46, silent.stop)
+    assert all(paired[bad_until + 20 : 78]), [n for n, whole in enumerate(paired) if not whole]
+
+
+def test_by_time_an_exposure_without_the_first_camera_keeps_its_number() -> None:
+    p = pairer("time")
+    out = []
+    for n in range(12):
+        if n != 5:
+            out += p.add("front", n, n * PERIOD, "f")
+        out += p.add("rear", 7000 + n, n * PERIOD, "r")
+    assert [pair.sequence for pair in out] == list(range(12))

@@ -64,6 +64,14 @@ def test_rows_and_frames_are_read_and_unknown_columns_ignored(recording: Path) -
         (4, "0.050000", "soon", "row 4: t_s 'soon' is not a number"),
         (4, "0.050000", "nan", "row 4: t_s 'nan' is not a number"),
         (2, "0.000000", "1.0", "row 4: t_s 0.05 is before the camera's frame above it"),
+        (2, "0.000000", "0.05", "row 4: t_s 0.05 is that of the camera's frame above it, row 2"),
+        (4, "1,0.05", "0,0.05", "row 4: sequence 0 is that of the camera's frame above it, row 2"),
+        (2, "0,0.0", "7,0.0", "row 4: sequence 1 is before the camera's frame above it, row 2"),
+        (2, "0,0.0", "1e300,0.0", "row 2: sequence '1e300' is larger than"),
+        (2, "0.000000", "-1e300", "row 2: t_s '-1e300' is larger than 1e+09"),
+        (2, "0.000000", "inf", "row 2: t_s 'inf' is not a number"),
+        (2, ",off,,,", ",off,1e300,0,", "row 2: x_mm '1e300' is larger than 10000"),
+        (2, ",off,,,", ",off,0,nan,", "row 2: y_mm 'nan' is not a number"),
         (2, "front,", "left,", "row 2: camera 'left' is not in recording.json"),
         (2, "off", "dim", "row 2: leds must be on or off, not 'dim'"),
         (2, ",off,,,", ",off,1.0,,", "row 2: x_mm and y_mm must both be given or both be empty"),
@@ -102,6 +110,25 @@ def test_a_damaged_frame_is_named_when_it_is_decoded(recording: Path) -> None:
         ("fps", "fast", "fps"),
         ("cameras", {}, "cameras"),
         ("unit", {"serial": "A"}, "unit.target_distance_mm"),
+        (
+            "unit",
+            {"serial": "A", "target_distance_mm": float("nan")},
+            "unit.target_distance_mm: Input should",
+        ),
+        ("unit", {"serial": "A", "target_distance_mm": 1e200}, "unit.target_distance_mm: Input should"),
+        ("fps", float("inf"), "fps: Input should be a finite number, not inf"),
+        ("fps", 1e-300, "fps: Input should be greater than or equal to 0.001, not 1e-300"),
+        ("start", "9999-12-31T23:59:59Z", "start: the year 9999 is none of a recording"),
+        (
+            "plate",
+            {"columns": 7, "rows": 5, "pitch_mm": 1e300, "origin_mm": [0, 0]},
+            "plate.pitch_mm: Input should be less",
+        ),
+        (
+            "plate",
+            {"columns": 7, "rows": 5, "pitch_mm": 25, "origin_mm": [0, float("nan")]},
+            "plate.origin_mm.1: Input should be a finite number",
+        ),
     ],
 )
 def test_a_bad_header_is_named(recording: Path, key: str, value: object, message: str) -> None:
@@ -114,7 +141,7 @@ def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, 
     (recording / "frames.csv").write_text("sequence,t_s,camera,file,leds,x_mm,y_mm\n")
     assert "frames.csv: has no frames" in complaint(recording)
     (recording / "recording.json").write_text('{"format": "altd-rec')
-    assert "recording.json: Invalid JSON" in complaint(recording)
+    assert "recording.json: is not JSON" in complaint(recording)
 
 
 @pytest.mark.parametrize("bits", [8, 12, 16])
@@ -145,6 +172,21 @@ def test_a_folder_in_use_is_not_written_into(recording: Path) -> None:
     with pytest.raises(BadInputError, match="exists and is not an empty folder"):
         RecordingWriter(recording, open_recording(recording).header)
     assert sorted(recording.iterdir()) == before
+
+
+def test_of_two_that_begin_in_one_folder_at_once_the_first_goes_on(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both have seen an empty folder."""
+    monkeypatch.setattr("altd.recording.refuse_used_folder", lambda _: None)
+    opened = open_recording(recording)
+    first = RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[0]), 0, 0.0)
+    with pytest.raises(BadInputError, match="File exists"):
+        RecordingWriter(tmp_path / "out", opened.header)
+    first.write(opened.frame(opened.rows[1]), 0, 0.0)
+    first.close()
+    assert len(open_recording(tmp_path / "out").rows) == 2
 
 
 def test_the_hash_changes_with_a_frame(recording: Path) -> None:

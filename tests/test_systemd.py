@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import shutil
 import signal
@@ -49,6 +50,14 @@ class TestUnitFile:
         judge = [systemd_analyze(), "security", "--offline=true", "--threshold=20", "--no-pager", unit_copy]
         judged = subprocess.run(judge, capture_output=True, text=True, check=False)
         assert judged.returncode == 0, judged.stdout.splitlines()[-1:] + judged.stderr.splitlines()
+
+    def test_it_talks_to_no_public_network(self) -> None:
+        unit = settings(UNIT.read_text())
+        names = {"localhost": "127.0.0.0/8", "link-local": "169.254.0.0/16"}
+        allowed = [ipaddress.ip_network(names.get(word, word)) for word in unit["IPAddressAllow"].split()]
+        assert unit["IPAddressDeny"] == "any"
+        assert all(network.is_private for network in allowed)
+        assert any(ipaddress.ip_address("255.255.255.255") in network for network in allowed)  # discovery
 
     def test_a_bad_config_is_not_tried_again(self, tmp_path: Path) -> None:
         unit = settings(UNIT.read_text())

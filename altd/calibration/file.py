@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -17,20 +15,37 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.calibration.cross_check import CrossCheck
+from altd.calibration.fingerprint_file import FingerprintTable, as_document, from_table
 from altd.calibration.model import Calibration, TargetCalibration
+from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.picture import decode_png
+from altd.files.reading import read_file
+from altd.files.writing import write_file
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
-from altd.records import FloatArray
+from altd.records import CameraIdentity, FloatArray
 from altd.vision.flat import Flat, Source
 from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings
 
 FORMAT = "altd-calibration/1"
 
+_LARGEST_BYTES = 1 << 26
+"""Two flats of 20 megapixels that no compression makes smaller."""
 
-_NotNegative = Annotated[float, Field(ge=0)]
+Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
+Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A place in or about a picture of at most 20 000 px."""
+PositivePixels = Annotated[float, Field(gt=0, le=1000)]
+"""A misfit, a noise, a limit."""
+Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
+Side = Annotated[int, Field(ge=16, le=20_000)]
+_Feature = Annotated[float, Field(ge=-10, le=10)]
+_Scatter = Annotated[float, Field(ge=0, le=10)]
 
 
 class _Table(BaseModel):
@@ -38,9 +53,9 @@ class _Table(BaseModel):
 
 
 class _Axis(_Table):
-    first_mm: float
-    step_mm: Annotated[float, Field(gt=0)]
-    nodes: Annotated[int, Field(ge=2)]
+    first_mm: Millimetres
+    step_mm: Annotated[float, Field(gt=0, le=10_000)]
+    nodes: Annotated[int, Field(ge=2, le=10_000)]
 
 
 class _Map(_Table):
@@ -48,43 +63,43 @@ class _Map(_Table):
     model: Model
     x_axis: _Axis
     y_axis: _Axis
-    degree: tuple[int, int]
-    spectrum_u_px: list[list[float]]
-    spectrum_v_px: list[list[float]]
-    spread_u_px: list[list[float]]
-    spread_v_px: list[list[float]]
-    noise_px: Annotated[float, Field(gt=0)]
-    hull_mm: Annotated[list[tuple[float, float]], Field(min_length=3)]
+    degree: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]]
+    spectrum_u_px: list[list[Coefficient]]
+    spectrum_v_px: list[list[Coefficient]]
+    spread_u_px: list[list[Coefficient]]
+    spread_v_px: list[list[Coefficient]]
+    noise_px: PositivePixels
+    hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
     margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
     beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
 
 
 class _CrossCheck(_Table):
     map: _Map
-    left_out_px: Annotated[float, Field(gt=0)]
-    bound_px: Annotated[float, Field(gt=0)]
-    largest_px: Annotated[float, Field(ge=0)]
+    left_out_px: PositivePixels
+    bound_px: PositivePixels
+    largest_px: Annotated[float, Field(ge=0, le=1000)]
 
 
 class _Residuals(_Table):
-    mean_mm: float
-    std_mm: float
-    max_mm: float
+    mean_mm: Annotated[float, Field(ge=0, le=1000)]
+    std_mm: Annotated[float, Field(ge=0, le=1000)]
+    max_mm: Annotated[float, Field(ge=0, le=1000)]
 
 
 class _Localiser(_Table):
     method: Method
-    smoothing_px: float
-    threshold: float
-    power: float
-    min_diameter_px: float
-    max_diameter_px: float | None
-    max_aspect: float
-    min_fill: float
-    like_size: float
-    max_saturated: float
-    max_sigma_px: float
-    full_well_electrons: float
+    smoothing_px: Annotated[float, Field(ge=0, le=100)]
+    threshold: Annotated[float, Field(gt=0, lt=1)]
+    power: Annotated[float, Field(gt=0, le=10)]
+    min_diameter_px: Annotated[float, Field(gt=0, le=10_000)]
+    max_diameter_px: Annotated[float, Field(gt=0, le=20_000)] | None
+    max_aspect: Annotated[float, Field(ge=1, le=100)]
+    min_fill: Annotated[float, Field(ge=0, le=1)]
+    like_size: Annotated[float, Field(gt=0, le=1)]
+    max_saturated: Annotated[float, Field(ge=0, le=1)]
+    max_sigma_px: PositivePixels
+    full_well_electrons: Annotated[float, Field(ge=100, le=10_000_000)]
 
 
 class _Flat(_Table):
@@ -93,8 +108,8 @@ class _Flat(_Table):
 
 
 class _Shape(_Table):
-    mean: tuple[float, float, float, float]
-    sigma: tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+    mean: tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]]
+    sigma: tuple[_Scatter, _Scatter, _Scatter, _Scatter]
 
 
 class _Spot(_Table):
@@ -107,19 +122,22 @@ class _Spot(_Table):
 
 class _Target(_Table):
     name: str
-    z_mm: float
+    z_mm: Millimetres
     camera_serial: str | None
-    width: int
-    height: int
+    camera_model: str | None = None
+    camera_driver: str | None = None
+    width: Side
+    height: Side
     localiser: _Localiser
     flat: _Flat | None
     map: _Map
     cross_check: _CrossCheck
-    left_out_px: Annotated[float, Field(gt=0)]
+    left_out_px: PositivePixels
     residuals: _Residuals
-    repeatability_px: tuple[float, float]
-    leds_px: list[tuple[float, float]]
+    repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
+    leds_px: list[tuple[Pixels, Pixels]]
     spot: _Spot | None = None
+    fingerprint: FingerprintTable | None = None
 
 
 class _Unit(_Table):
@@ -143,31 +161,16 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
     document = _as_document(calibration)
     document["checksum"] = _checksum(document)
-    text = json.dumps(document, indent=1) + "\n"
-    try:
-        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be written") from error
+    write_file(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
 def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
+    content = read_file(path, _LARGEST_BYTES)
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be read") from error
+        document = parse_json(content)
     except ValueError as error:
-        raise BadInputError(path, f"is not JSON: {error}") from error
+        raise BadInputError(path, str(error)) from error
     if not isinstance(document, dict):
         raise BadInputError(path, "is not a calibration: no JSON object")
     if document.get("format") != FORMAT:
@@ -176,12 +179,13 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     if checksum != _checksum(document):
         raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
     try:
-        content = _File.model_validate(document)
-        calibration = _from_content(content)
+        calibration = _from_content(_File.model_validate(document))
+        check_calibration(calibration)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BadInputError(path, f"{place}: {first['msg']}") from error
+        value = f", not {first['input']}" if isinstance(first["input"], int | float) else ""
+        raise BadInputError(path, f"{place}: {first['msg']}{value}") from error
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
     if unit_serial is not None and calibration.unit_serial != unit_serial:
@@ -199,6 +203,13 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
             path,
             f"target {target!r} was calibrated at {known.width} × {known.height}, not {width} × {height}",
         )
+
+
+def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:
+    """Refuse a recording of another camera than the one that the target was calibrated with."""
+    known = calibration.target(target)
+    if known is not None and (difference := camera.difference_from(known.camera)):
+        raise BadInputError(path, f"target {target!r} was calibrated with another camera: {difference}")
 
 
 def _checksum(document: dict[str, Any]) -> str:
@@ -221,7 +232,9 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
     return {
         "name": target.name,
         "z_mm": target.z_mm,
-        "camera_serial": None,
+        "camera_serial": target.camera.serial,
+        "camera_model": target.camera.model,
+        "camera_driver": target.camera.driver,
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
@@ -242,6 +255,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
         "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
+        "fingerprint": as_document(target.fingerprint),
     }
 
 
@@ -282,13 +296,15 @@ def _from_content(content: _File) -> Calibration:
 
 
 def _from_target(target: _Target) -> TargetCalibration:
+    flat = _from_flat(target)
+    place = f"targets.{target.name}.fingerprint"
     return TargetCalibration(
         name=target.name,
         z_mm=target.z_mm,
         width=target.width,
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
-        flat=_from_flat(target),
+        flat=flat,
         map=_from_map(f"targets.{target.name}.map", target.map),
         cross_check=CrossCheck(
             map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
@@ -303,6 +319,8 @@ def _from_target(target: _Target) -> TargetCalibration:
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
         spot=UNKNOWN_SPOT if target.spot is None else _from_spot(target.spot),
+        camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
+        fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
     )
 
 
@@ -317,11 +335,9 @@ def _from_flat(target: _Target) -> Flat | None:
     place = f"targets.{target.name}.flat.png"
     try:
         png = base64.b64decode(target.flat.png, validate=True)
-        levels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (ValueError, cv2.error) as error:
-        raise ValueError(f"{place}: is no picture") from error
-    if levels is None or levels.dtype != np.uint8 or levels.shape != (target.height, target.width):
-        raise ValueError(f"{place}: is no grey picture of {target.width} × {target.height}")
+        levels = decode_png(png, target.width, target.height, bits=8)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
     return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source)
 
 

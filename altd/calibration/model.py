@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 
@@ -11,7 +11,8 @@ import numpy as np
 from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.records import FloatArray, TargetPoint
+from altd.records import CameraIdentity, FloatArray, TargetPoint
+from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.reference import UNKNOWN_SPOT, SpotReference
 from altd.vision.settings import SpotSettings
@@ -25,7 +26,8 @@ class TargetCalibration:
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
-    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like.
+    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
+    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known.
     """
 
     name: str
@@ -43,6 +45,8 @@ class TargetCalibration:
     repeatability_px: FloatArray
     leds_px: FloatArray
     spot: SpotReference = UNKNOWN_SPOT
+    camera: CameraIdentity = field(default_factory=CameraIdentity)
+    fingerprint: Fingerprint | None = None
 
     @cached_property
     def inverse(self) -> InverseMap:

@@ -14,6 +14,7 @@ from itertools import count
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
+from altd.calibration.fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.result import (
@@ -170,6 +171,8 @@ def _target(
         residual_max_mm=float(distance_mm.max()),
         repeatability_px=_pooled(scatter_px),
         leds_px=np.empty((0, 2)),
+        camera=camera.identity,
+        fingerprint=hot_pixels_of(recording, rows),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
     evidence = TargetEvidence(

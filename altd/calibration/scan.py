@@ -10,6 +10,7 @@ import numpy as np
 
 from altd.calibration.agreement import Verdict, agreement, verdict
 from altd.calibration.evidence import TargetEvidence
+from altd.calibration.fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.flat import flat_likeness
 from altd.calibration.model import Calibration, TargetCalibration
@@ -77,14 +78,15 @@ def calibrate_scan(
     made = [_calibrate_target(job, progress) for job in jobs]
     patterns_px = pattern_noise_px([target.scatter for target in made])
     verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
+    marked = [_with_camera(job, of) for job, of in zip(jobs, made, strict=True)]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
         recording_note=header.note,
         recording_sha256=recording.sha256(),
         targets=tuple(
-            _with_pattern(job, of.target, pattern_px)
-            for job, of, pattern_px in zip(jobs, made, patterns_px, strict=True)
+            _with_pattern(job, target, pattern_px)
+            for job, (target, _), pattern_px in zip(jobs, marked, patterns_px, strict=True)
         ),
     )
     return CalibrationResult(
@@ -99,6 +101,7 @@ def calibrate_scan(
         (
             *cross_check_doubts(calibration.targets),
             *(doubt for of in made for doubt in of.doubts),
+            *(doubt for _, doubt in marked if doubt),
             *(of.doubt for of in verdicts if of.doubt is not None),
         ),
         (
@@ -136,6 +139,16 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     if printed:
         remark = f"print at {printed} of {nodes} nodes, but no regular one: a flat would help"
     return replace(made, remark=f"{job.name}: {remark}", must_agree=not printed)
+
+
+def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str]:
+    """The target with its camera's identity and fingerprint, and what is doubtful about that."""
+    target = made.target
+    fingerprint, doubt = fingerprint_of(
+        job.recording, job.rows, target.localiser, target.flat, made.must_agree and target.flat is None
+    )
+    camera = job.recording.header.cameras[job.name].identity
+    return replace(target, camera=camera, fingerprint=fingerprint), doubt and f"{job.name}: {doubt}"
 
 
 def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:

@@ -11,6 +11,9 @@ from altd.ports import CameraEndedError, CameraError, CameraRefusedError, Camera
 from altd.recording import Recording, Row
 from altd.records import Frame, Origin
 
+_OVERDUE_S = 0.5
+"""In real time a frame that nobody fetched for so long is left out, as a camera would have lost it."""
+
 
 class Playback:
     """What the cameras of one recording share: their frames' times on today's clock, and the pace.
@@ -69,6 +72,7 @@ class PlaybackCamera:
         self.origin = Origin.PLAYBACK
         self.waits = not playback.realtime
         self.exposure_range = None
+        self.identity = playback.recording.header.cameras[name].identity
         self.width = playback.recording.header.cameras[name].width
         self.height = playback.recording.header.cameras[name].height
         self._playback = playback
@@ -80,15 +84,13 @@ class PlaybackCamera:
         """Nothing to get ready; the recording was checked when it was opened."""
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next frame, at its time when the pace is real time."""
+        """The next frame, at its time when the pace is real time; what is overdue then is left out."""
         playback = self._playback
-        turn, index = divmod(self._next, len(self._rows))
-        if turn and not playback.repeat:
-            raise CameraEndedError("the recording is at its end")
-        row = self._rows[index]
-        t_ns = playback.t_ns(row, turn)
+        turn, row, t_ns = self._due()
         if playback.realtime:
-            wait_s = (t_ns - time.monotonic_ns()) * 1e-9
+            while (wait_s := (t_ns - time.monotonic_ns()) * 1e-9) < -_OVERDUE_S:
+                self._step()
+                turn, row, t_ns = self._due()
             if wait_s > timeout_s:
                 time.sleep(timeout_s)
                 raise CameraTimeoutError("the next frame is not due yet")
@@ -101,7 +103,8 @@ class PlaybackCamera:
             frame = playback.recording.frame(row)
         except BadInputError as error:
             raise CameraError(str(error)) from error
-        return replace(frame, t_ns=t_ns, sequence=row.sequence + turn * playback.length_sequences)
+        sequence = row.sequence + turn * playback.length_sequences
+        return replace(frame, t_ns=t_ns, sequence=sequence, playthrough=turn)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Always refused: the frames were exposed when they were recorded."""
@@ -111,6 +114,14 @@ class PlaybackCamera:
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+    def _due(self) -> tuple[int, Row, int]:
+        """The next frame's turn and row, and when it is exposed."""
+        turn, index = divmod(self._next, len(self._rows))
+        if turn and not self._playback.repeat:
+            raise CameraEndedError("the recording is at its end")
+        row = self._rows[index]
+        return turn, row, self._playback.t_ns(row, turn)
 
     def _step(self) -> None:
         self._next += 1

@@ -51,6 +51,7 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
             for camera in cameras.values()
         )
         yield from _receive_buffer(frame_bytes, machine)
+        yield from _source_check(machine)
 
 
 def listening(config: Config, machine: Machine) -> Iterator[Finding]:
@@ -146,6 +147,22 @@ def _receive_buffer(frame_bytes: int, machine: Machine) -> Iterator[Finding]:
         yield better(subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", mend)
     else:
         yield good(subject, f"up to {largest} bytes")
+
+
+def _source_check(machine: Machine) -> Iterator[Finding]:
+    """Whether a packet in a camera's name is dropped when it comes from another network (RFC 3704)."""
+    interfaces = _wired(machine)
+    open_ones = [name for name in interfaces if not _filters(name, machine)]
+    subject = "network source check"
+    if len(interfaces) < 2:
+        return  # then there is no other network
+    if open_ones:
+        settings = "\\n".join(f"net.ipv4.conf.{name}.rp_filter=1" for name in ("all", *open_ones))
+        mend = f"printf '{settings}\\n' | sudo tee /etc/sysctl.d/91-altd.conf && sudo sysctl --system"
+        says = f"{', '.join(open_ones)} takes packets in a camera's name from another network (rp_filter)"
+        yield better(subject, says, mend)
+    else:
+        yield good(subject, "each network's packets come from its own interface alone")
 
 
 def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:

@@ -79,8 +79,11 @@ class Port:
             raise self._gone() from error
         return True
 
-    async def read(self, until: asyncio.Future[Any] | None = None) -> bytes:
-        """What comes in next, or nothing once ``until`` is done; raises OSError when the device is gone."""
+    async def read(self, until: asyncio.Future[Any] | None = None, limit: int = CHUNK) -> bytes:
+        """What comes in next, or nothing once ``until`` is done; raises OSError when the device is gone.
+
+        What is beyond ``limit`` bytes stays with the kernel, whose buffer is the sender's back-pressure.
+        """
         ready = self._loop.create_future()
 
         def wake(*_: object) -> None:
@@ -92,7 +95,7 @@ class Port:
             until.add_done_callback(wake)
         try:
             await ready
-            data = os.read(self._descriptor, CHUNK)
+            data = os.read(self._descriptor, limit)
         except BlockingIOError:
             return b""
         except OSError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import replace
 
 from altd.ports import Clock
 from altd.records import Fault, Measurement, Reason
@@ -40,17 +39,19 @@ class Board:
         return (self._clock.monotonic_ns() - self._latest.t_ns) * 1e-9
 
     def read(self) -> Measurement | None:
-        """The latest measurement; without its numbers and with ``stale`` once nothing follows it."""
+        """The latest measurement; without its numbers and with ``stale`` once nothing follows it.
+
+        It ages from when its last light fell, not from when it was put up: what waited on its way is as old
+        as it is. Frames that are played faster than they were recorded are ahead of the clock; what is made
+        of them ages from when it was put up.
+        """
         latest = self._latest
-        if latest is None or self._clock.monotonic_ns() - self._put_up_ns <= self._stale_after_ns:
+        if latest is None:
+            return None
+        since_ns = min(self._put_up_ns, latest.light_ns)
+        if self._clock.monotonic_ns() - since_ns <= self._stale_after_ns:
             return latest
-        return replace(
-            latest,
-            beam=None,
-            roll_deg=None,
-            points_mm=dict.fromkeys(latest.points_mm),
-            status=(*latest.status, Fault(Reason.STALE)),
-        )
+        return latest.without_numbers((*latest.status, Fault(Reason.STALE)))
 
     def cursor(self) -> Cursor:
         """A reader's own place: what is on the board now counts as not yet seen."""

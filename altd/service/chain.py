@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -13,9 +13,12 @@ from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
+from altd.freshness import FreshnessCheck
+from altd.gate import Gate, range_fault
 from altd.pairing import Pair, Pairer
 from altd.records import (
     Beam,
+    CameraIdentity,
     Exposure,
     Fault,
     Frame,
@@ -27,7 +30,9 @@ from altd.records import (
     Spot,
     TargetPoint,
 )
+from altd.service.view_check import ViewCheck
 from altd.spot_shape import shape_doubts_mm
+from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
@@ -35,10 +40,13 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What a frame holds, and how many frames of its camera, up to it, were exposed during a change."""
+    """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
+
+    Those are the frames that were exposed during a change, and those that were not new.
+    """
 
     spot: Spot | NoSpot
-    changes: int
+    breaks: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +61,8 @@ class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
-    ``watch`` is shown each frame that is measured, with what was found in it.
+    ``watch`` is shown each frame that is measured, with what was found in it. ``identity`` tells which camera
+    stands behind a name, ``expected`` which should, beside the one that was calibrated.
     """
 
     def __init__(
@@ -65,6 +74,8 @@ class MeasuringChain:
         origins: Callable[[], Iterable[Origin]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
         watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+        identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
+        expected: Mapping[str, CameraIdentity] | None = None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -82,11 +93,22 @@ class MeasuringChain:
         self._origins = origins
         self._utc = utc
         self._watch = watch
-        self._changes = dict.fromkeys(self._views, 0)
-        self._changes_in_window = dict(self._changes)
+        self._identity = identity
+        self._view_checks: dict[str, ViewCheck] = {}
+        for view in views:
+            target = self._calibration[view.target]
+            also = (expected or {}).get(view.camera, CameraIdentity())
+            self._view_checks[view.camera] = ViewCheck(target, (target.camera, also))
+        self._fresh = {camera: FreshnessCheck() for camera in self._views}
+        self._synchrony = SynchronyCheck(self._targets)
+        self._gate = Gate()
+        self._breaks = dict.fromkeys(self._views, 0)
+        self._breaks_in_window = dict(self._breaks)
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
         self._last_skew_ns = 0
+        self.exposures = 0
+        """Those that moved on: paired or given up, and later than the one before."""
 
     @property
     def late_frames(self) -> int:
@@ -106,17 +128,33 @@ class MeasuringChain:
         }
         return {"skew_ms": round(self._last_skew_ns * 1e-6, 2), **lags}
 
+    def views(self) -> dict[str, float | str]:
+        """Whether the cameras are those that were calibrated, for health."""
+        return {
+            name: figure for check in self._view_checks.values() for name, figure in check.figures().items()
+        }
+
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
             return []
         view = self._views[frame.camera]
         target = self._calibration[view.target]
-        self._changes[frame.camera] += frame.changing
-        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat, target.spot)
+        spot: Spot | NoSpot
+        if repeated := self._fresh[frame.camera].repeated(frame):
+            spot = NoSpot(Reason.FRAME_REPEATED, repeated)
+        elif frame.changing:
+            spot = _CHANGING
+        else:
+            spot = locate(frame, target.localiser, target.flat, target.spot)
+        self._breaks[frame.camera] += frame.changing or bool(repeated)
         self._watch(frame, spot)
+        check = self._view_checks[frame.camera]
+        if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
+            spot = objection
+            self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
         self._last_spots[view.target] = spot
-        found = _Found(spot, self._changes[frame.camera])
+        found = _Found(spot, self._breaks[frame.camera])
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
         return self._measure(pairs)
 
@@ -134,7 +172,7 @@ class MeasuringChain:
 
     def _measure(self, pairs: Sequence[Pair[_Found]]) -> list[Measurement]:
         measurements = (self._after(self._exposure(pair)) for pair in pairs)
-        return [measurement for measurement in measurements if measurement is not None]
+        return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
 
     def _exposure(self, pair: Pair[_Found]) -> Exposure:
         """The spots of one instant; forgets the window when one was exposed otherwise than those before."""
@@ -144,8 +182,8 @@ class MeasuringChain:
             if camera in pair.items:
                 found = pair.items[camera]
                 spots[view.target] = found.spot
-                if found.changes != self._changes_in_window[camera]:
-                    self._changes_in_window[camera] = found.changes
+                if found.breaks != self._breaks_in_window[camera]:
+                    self._breaks_in_window[camera] = found.breaks
                     self._window.forget()
             else:
                 step = ", ".join(f"{name} {value:g}" for name, value in self.step().items())
@@ -156,14 +194,21 @@ class MeasuringChain:
 
     def _after(self, exposure: Exposure) -> Measurement | None:
         last = self._last_exposure
-        if last is not None and exposure.t_ns - last.t_ns > self._silent_after_ns:
+        since_last_ns = 1 if last is None else exposure.t_ns - last.t_ns
+        if not 0 < since_last_ns <= self._silent_after_ns:
             self._window.forget()
+            self._synchrony.restart()
+        self.exposures += since_last_ns > 0
         self._last_exposure = exposure
+        unsynchronised = self._synchrony.look(exposure)
         mean = self._window.add(exposure)
         if mean is None:
             return None
         if not isinstance(mean, MeanSpots):
             return self._invalid(exposure.sequence, exposure.t_ns, mean)
+        if unsynchronised:
+            fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
+            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
         points = self._points(mean)
         if isinstance(points, Fault):
             return self._invalid(exposure.sequence, mean.t_ns, (points,))
@@ -173,10 +218,14 @@ class MeasuringChain:
             return self._invalid(exposure.sequence, mean.t_ns, (doubts_mm,))
         z_mm = [target.z_mm for target in targets]
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
-        beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
-        if (fault := self._too_uncertain(beam)) is not None:
+        try:
+            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        except np.linalg.LinAlgError:
+            fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
             return self._invalid(exposure.sequence, mean.t_ns, (fault,))
-        return self._valid(exposure.sequence, mean, points, beam)
+        if (doubt := self._too_uncertain(beam) or range_fault(beam)) is not None:
+            return self._invalid(exposure.sequence, mean.t_ns, (doubt,))
+        return self._valid(exposure, mean, points, beam)
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
         points = []
@@ -201,17 +250,18 @@ class MeasuringChain:
         return None
 
     def _valid(
-        self, sequence: int, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
+        self, exposure: Exposure, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
     ) -> Measurement:
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         return Measurement(
-            sequence=sequence,
+            sequence=exposure.sequence,
             t_ns=mean.t_ns,
             time=self._utc(mean.t_ns),
             frames=mean.frames,
             beam=installed(beam, self._installation),
             points_mm={t: (p.x_mm, p.y_mm) for t, p in zip(mean.targets, points, strict=True)},
             status=lost + self._origin_faults(),
+            last_exposure_ns=exposure.t_ns,
         )
 
     def _invalid(self, sequence: int, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:

@@ -23,6 +23,7 @@ from altd.ports import (
 from altd.service.exposing import ExposureSetter
 from altd.service.health import Component, State
 from altd.service.inbox import Inbox
+from altd.service.stamps import StampCheck
 
 log = logging.getLogger("altd")
 
@@ -31,7 +32,7 @@ _LOOK_EVERY_S = 0.25
 _HELD_AFTER_S = 0.6
 """A driver that has neither delivered nor timed out for so long is held in a call."""
 _LOSSES_FOR_S = 1.0
-"""A lost frame is spoken of for so long."""
+"""A lost or mistimed frame is spoken of for so long."""
 _FIRST_RETRY_S = 0.2
 _LONGEST_RETRY_S = 0.5
 """A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
@@ -101,6 +102,8 @@ class _Report:
     _late: bool = False
     _heard_s: float = 0.0
     _losses: deque[tuple[float, int]] = field(default_factory=deque)
+    _mistimed: str = ""
+    _mistimed_s: float = 0.0
     _refusal: str = ""
     _logged_refusal: str = ""
 
@@ -116,6 +119,13 @@ class _Report:
         if lost:
             self.component.count("lost", lost)
             self._losses.append((now_s, lost))
+        self._say(now_s)
+
+    def mistimed(self, now_s: float, sentence: str) -> None:
+        """A frame came whose time cannot be true; it is not measured."""
+        self._late, self._heard_s = False, now_s
+        self._mistimed, self._mistimed_s = sentence, now_s
+        self.component.count("mistimed")
         self._say(now_s)
 
     def timeout(self, now_s: float) -> None:
@@ -160,6 +170,8 @@ class _Report:
         complaints = []
         if self._losses:
             complaints.append(f"{sum(lost for _, lost in self._losses)} frames lost in the last second")
+        if self._mistimed and now_s - self._mistimed_s <= _LOSSES_FOR_S:
+            complaints.append(f"not measured: {self._mistimed}")
         if self._refusal:
             complaints.append(f"exposure refused: {self._refusal}")
         self.component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
@@ -225,6 +237,7 @@ class _Grabber:
 
     def _deliver(self) -> None:
         last: int | None = None
+        stamps = StampCheck()
         if self._setter is not None:
             self._setter.opened(self._camera)
         while not self.stop.is_set():
@@ -240,6 +253,9 @@ class _Grabber:
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
             self._delivered = True
+            if not self._camera.waits and (sentence := stamps.refusal(frame, time.monotonic_ns())):
+                self._call(self._report.mistimed, time.monotonic(), sentence)
+                continue
             self._call(self._report.frame, time.monotonic(), lost)
             self._inbox.put(frame, wait=self._camera.waits)
 

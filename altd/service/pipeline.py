@@ -16,8 +16,9 @@ from altd.service.inbox import Inbox
 class Pipeline:
     """One daemon's pipeline.
 
-    When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time
-    frames were measured or something was put on the board, and only then: it feeds the watchdog.
+    When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time an
+    exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames that are
+    taken and come to nothing do not.
     """
 
     def __init__(
@@ -63,16 +64,18 @@ class Pipeline:
         if not frames and now_ns - self._heard_ns < self._silent_after_s * 1e9:
             return
         self._heard_ns = now_ns
+        before = self._chain.exposures, self._board.published
         for frame in frames:
             for measurement in self._chain.push(frame):
                 self._put_up(measurement)
         if not frames:
             self._put_up(self._chain.silence(now_ns))
-        self._component.figures |= self._chain.step()
+        self._component.figures |= self._chain.step() | self._chain.views()
         self._component.counters["late_frames"] = self._chain.late_frames
         for camera, dropped in self._inbox.dropped.items():
             self._component.counters[f"dropped_{camera}"] = dropped
-        self._progress()
+        if (self._chain.exposures, self._board.published) != before:
+            self._progress()
 
     def _put_up(self, measurement: Measurement) -> None:
         self._board.publish(measurement)

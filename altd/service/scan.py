@@ -81,7 +81,12 @@ class Scanner:
         self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
         origins = ", ".join(sorted({camera.origin for camera in cameras} - {Origin.CAMERA}))
         self._note = f"altd scan, {origins}" if origins else "altd scan"
-        self._folder = ScanFolder(output, fingerprint(config) | {"origin": origins or "camera"}, clock.utc)
+        self._folder = ScanFolder(
+            output,
+            fingerprint(config) | {"origin": origins or "camera"},
+            clock.utc,
+            lambda: {camera.name: camera.identity for camera in cameras},
+        )
         self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
         self._doing = "getting ready"
 

@@ -9,29 +9,34 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.reading import read_file, read_head
+from altd.files.writing import replace_file
 from altd.pairing import Pair
 from altd.recording import (
     FRAMES_FILE,
-    CameraHeader,
     RecordingHeader,
     RecordingWriter,
     UnitHeader,
+    camera_header,
     open_recording,
     refuse_used_folder,
 )
-from altd.records import Frame
+from altd.records import CameraIdentity, Frame
 from altd.service.scan_plan import Facts
 
 STATE_FILE = "scan.json"
 FPS = 20.0
+
+_LARGEST_STATE_BYTES = 1 << 24
 
 SpotPx = tuple[float, float]
 
@@ -39,7 +44,7 @@ SpotPx = tuple[float, float]
 class DoneNode(BaseModel):
     """A node whose frames are kept: where the stage stood, and the mean spot per camera, px."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     position_mm: tuple[float, float]
     spots_px: dict[str, SpotPx]
@@ -47,6 +52,8 @@ class DoneNode(BaseModel):
 
 class State(BaseModel):
     """``scan.json``."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     format: Literal["altd-scan/1"] = "altd-scan/1"
     facts: Facts
@@ -62,10 +69,17 @@ class State(BaseModel):
 class ScanFolder:
     """Where a scan goes. Raises BadInputError when it can neither begin nor be resumed there."""
 
-    def __init__(self, output: Path, facts: Facts, utc: Callable[[int], datetime | None]) -> None:
+    def __init__(
+        self,
+        output: Path,
+        facts: Facts,
+        utc: Callable[[int], datetime | None],
+        identities: Callable[[], Mapping[str, CameraIdentity | None]] = dict,
+    ) -> None:
         self._output = output.resolve()
         self.path = self._output.with_name(f"{self._output.name}.unfinished")
         self._utc = utc
+        self._identities = identities
         self._writer: RecordingWriter | None = None
         self._first_ns: int | None = None
         self._first_s = 0.0
@@ -76,11 +90,10 @@ class ScanFolder:
     def _read(self, facts: Facts) -> State:
         file = self.path / STATE_FILE
         try:
-            state = State.model_validate_json(file.read_bytes())
-        except OSError as error:
-            why = f"{error.strerror or 'cannot be read'}; remove the folder to scan anew"
-            raise BadInputError(file, why) from error
-        except ValidationError as error:
+            state = State.model_validate(parse_json(read_file(file, _LARGEST_STATE_BYTES)))
+        except BadInputError as error:
+            raise BadInputError(file, f"{error.message}; remove the folder to scan anew") from error
+        except ValueError as error:  # also pydantic's
             raise BadInputError(file, "is no record of a scan; remove the folder to scan anew") from error
         for key in sorted({*state.facts, *facts}):
             then, now = state.facts.get(key), facts.get(key)
@@ -96,6 +109,7 @@ class ScanFolder:
     def _see_that_all_is_there(self, state: State) -> None:
         """Cut off what does not count, and check every frame that does."""
         table = self.path / FRAMES_FILE
+        read_head(table, 1)  # a regular file, or it is named here
         try:
             os.truncate(table, state.table_bytes)
         except OSError as error:
@@ -124,7 +138,8 @@ class ScanFolder:
         """Make what was written count; raises OSError."""
         if self._writer is not None:
             self.state.table_bytes = self._writer.synced()
-            _replace(self.path / STATE_FILE, self.state.model_dump_json(indent=1, exclude_none=True) + "\n")
+            state = self.state.model_dump_json(indent=1, exclude_none=True) + "\n"
+            replace_file(self.path / STATE_FILE, state.encode())
 
     def finish(self) -> None:
         """Close, and give the folder its name; raises OSError."""
@@ -145,10 +160,7 @@ class ScanFolder:
             format="altd-recording/1",
             kind="scan",
             fps=FPS,
-            cameras={
-                name: CameraHeader(width=f.pixels.shape[1], height=f.pixels.shape[0], bits=f.bits)
-                for name, f in first.items.items()
-            },
+            cameras={name: camera_header(f, self._identities().get(name)) for name, f in first.items.items()},
             unit=unit,
             note=note,
             start=start,
@@ -172,13 +184,3 @@ class ScanFolder:
 
 def _shown(value: object) -> str:
     return "not set" if value is None else json.dumps(value)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file by a whole new one."""
-    new = path.with_suffix(".new")
-    with new.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    new.replace(path)

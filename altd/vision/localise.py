@@ -152,10 +152,12 @@ def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
 
 def _coarser_pattern_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
     """What grain does to this spot beyond what it does to the target's usual ones, which the map knows."""
-    if reference is None or not reference.pattern_px:
-        return misfit.pattern_px if cut else 0.0
-    coarser = max((misfit.pattern_px / reference.pattern_px) ** 2 - 1, 0.0)
-    return reference.noise_px * math.sqrt(coarser)
+    known_px = reference.pattern_px if reference else None
+    if reference is None or not known_px:
+        return misfit.worst_px if cut else 0.0
+    if cut:
+        return misfit.worst_px * max(reference.noise_px / known_px, 1.0)
+    return reference.noise_px * math.sqrt(max((misfit.pattern_px / known_px) ** 2 - 1, 0.0))
 
 
 def _profile_diameter_px(profile: Profile) -> float:

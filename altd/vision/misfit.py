@@ -59,13 +59,15 @@ class Misfit:
     """The statistic ``chi2`` with its degrees of freedom, and what the fit is worth.
 
     ``centre_px`` is the standard deviation of the centre for noise and grain together, ``pattern_px`` that
-    for grain alone (root mean square of both axes).
+    for grain alone (root mean square of both axes); ``worst_px`` is the former along the worse direction, in
+    which a spot that is cut by the edge of the image is known far less.
     """
 
     chi2: float
     freedom: float
     centre_px: float
     pattern_px: float
+    worst_px: float
 
 
 def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit | None:
@@ -110,6 +112,7 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
         freedom=float(np.trace(solved[:, 1:])),
         centre_px=math.sqrt(float(covariance[1, 1] + covariance[2, 2]) / 2),
         pattern_px=math.sqrt(pattern),
+        worst_px=math.sqrt(float(np.linalg.eigvalsh(covariance[1:3, 1:3])[-1])),
     )
 
 

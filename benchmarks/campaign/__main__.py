@@ -4,17 +4,30 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from altd.errors import BadInputError
 from benchmarks.campaign import table
+from benchmarks.campaign.cache import folder
 from benchmarks.campaign.catalogue import WAYS, chosen
+from benchmarks.campaign.episode import WINDOW
+from benchmarks.campaign.good_run import lines as good_lines
+from benchmarks.campaign.good_run import run_good
+from benchmarks.campaign.page import write_page
 from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.units import NAMES
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run, print the table; 1 when a wrong measurement was called valid that physics lets see."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] == ["good"]:
+        return _good(arguments[1:])
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.campaign",
+        description=__doc__,
+        epilog="python -m benchmarks.campaign good --help: hours of good measuring",
+    )
     parser.add_argument("--seconds", type=float, help="end after so long (default 180 unless --measurements)")
     parser.add_argument("--measurements", type=int, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
@@ -24,6 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--pairs", type=float, default=0.2, help="share spoilt in two ways at once (default 0.2)"
     )
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
     parser.add_argument("--worst", action="store_true", help="show the worst of each way")
     parser.add_argument("--list", action="store_true", help="show the ways and end")
     options = parser.parse_args(arguments)
@@ -51,8 +65,38 @@ def _campaign(options: argparse.Namespace) -> int:
     print("\n".join(table.text(tallies)))
     if options.worst:
         print("\n".join(("", *table.worst(tallies))))
+    if options.page is not None:
+        command = "python -m benchmarks.campaign " + " ".join(_given(options))
+        write_page(options.page, tallies, command, plan.seed, ", ".join(plan.units), took_s, WINDOW)
     print(f"{took_s:.0f} s, seed {plan.seed}, {options.processes} processes, units {', '.join(plan.units)}")
     return 1 if table.wrong_count(tallies) else 0
+
+
+def _given(options: argparse.Namespace) -> list[str]:
+    """What brings the same run about, as it was given."""
+    given = {
+        name: getattr(options, name) for name in ("seconds", "measurements", "ways", "units", "pairs", "seed")
+    }
+    return [f"--{name} {value}" for name, value in given.items() if value not in (None, "")]
+
+
+def _good(arguments: list[str]) -> int:
+    """Hours of good measuring; 1 when a measurement was wrong."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign good", description=_good.__doc__)
+    parser.add_argument("--hours", type=int, default=24)
+    parser.add_argument("--step-s", type=float, default=300.0, help="a burst of exposures this often")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args(arguments)
+    sums = run_good(options.hours, options.step_s, options.seed, options.processes, folder(), _show_share)
+    print("\n".join(good_lines(sums, options.hours, options.step_s)))
+    return 1 if any(count.wrong for count in sums.values()) else 0
+
+
+def _show_share(done: int, planned: int) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{done} of {planned} hours" if done < planned else "\r\033[K")
+        sys.stderr.flush()
 
 
 def _show(made: int, passed_s: float) -> None:

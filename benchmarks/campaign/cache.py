@@ -38,11 +38,12 @@ def folder() -> Path:
 
 def calibrated(name: str) -> Calibration:
     """The calibration of a unit; made, and kept, when there is none of this code."""
-    of_code = _hash_of(ROOT / "altd" / part for part in _CALIBRATES)
     scan, flat = _scan_of(name)
-    file = folder() / f"{name}-{scan.parent.name}-{of_code}.json"
+    kept_name = name if name == RECORDED else scan.parent.name
+    file = folder() / f"{kept_name}-{_CODE}.json"
     if not file.exists():
         _say(f"calibrating {name}")
+        file.parent.mkdir(parents=True, exist_ok=True)
         recording = open_recording(scan)
         flats = {} if flat is None else flats_of(open_recording(flat), recording.header)
         save_calibration(calibrate_scan(recording, flats).calibration, file)
@@ -87,6 +88,10 @@ def _hash_of(paths: Iterable[Path]) -> str:
         for file in sorted(path.glob("**/*.py")) if path.is_dir() else [path]:
             digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
+
+
+_CODE = _hash_of(ROOT / "altd" / part for part in _CALIBRATES)
+"""Of the code as it was when this process read it."""
 
 
 def _say(what: str) -> None:

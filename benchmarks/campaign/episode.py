@@ -16,11 +16,11 @@ from benchmarks.campaign.numbers import Misnumbered, accepted
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
 
-WINDOW = 4
+WINDOW = 6
 _WARMING_UP = (str(Reason.WARMING_UP),)
 
-SPOILT = 8
-"""Exposures from the onset on: the window is full of them for half of these."""
+SPOILT = 9
+"""Exposures from the onset on: the window is full of them for the last of these."""
 
 
 def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:

@@ -72,13 +72,13 @@ def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> t
 def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
     """The sums of a few episodes at a time, in the order of their numbers."""
     if processes == 1:
-        _prepare()
+        prepare()
         number = 0
         while True:
             yield batch(plan, range(number, number + _BATCH))
             number += _BATCH
     # not forked: OpenCV's threads do not live on in a fork
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_prepare) as pool:
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare) as pool:
         waiting = [
             pool.submit(batch, plan, range(n * _BATCH, (n + 1) * _BATCH)) for n in range(3 * processes)
         ]
@@ -92,7 +92,8 @@ def _batches(plan: Plan, processes: int) -> Iterator[dict[str, Tally]]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _prepare() -> None:
+def prepare() -> None:
+    """Be modest: a worker process gives way to others and keeps to one core."""
     os.nice(5)
     cv2.setNumThreads(1)
 

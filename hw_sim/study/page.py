@@ -13,6 +13,7 @@ from hw_sim.study.table import table
 
 LINE = 120
 PEERS = "peers.md"
+CAMPAIGN = "campaign.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -83,6 +84,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
             lines.append(f"| [{title}]({name}.md) | {path.read_text().splitlines()[2]} |")
     if (folder / PEERS).is_file():
         lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
+    if (folder / CAMPAIGN).is_file():
+        lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

@@ -208,9 +208,9 @@ def test_a_damaged_flat_is_refused_with_its_place(with_flat: Path) -> None:
     small = base64.b64encode(cv2.imencode(".png", np.full((480, 640), 9, np.uint8))[1].tobytes()).decode()
     for png, complaint in (
         (good[: len(good) // 2 // 4 * 4], "targets.front.flat.png: "),
-        ("", "targets.front.flat.png: is no picture"),
-        ("no base64!", "targets.front.flat.png: is no picture"),
-        (small, "targets.front.flat.png: is no grey picture of 752 × 480"),
+        ("", "targets.front.flat.png: is not a PNG"),
+        ("no base64!", "targets.front.flat.png: Only base64 data is allowed"),
+        (small, "targets.front.flat.png: is 640 × 480, expected 752 × 480"),
     ):
         targets[0]["flat"]["png"] = png
         assert complaint in complaint_of(with_flat, targets), complaint
@@ -228,7 +228,7 @@ def test_saving_where_nothing_can_be_written_leaves_nothing_behind(
     calibration: Calibration, tmp_path: Path
 ) -> None:
     (tmp_path / "cal.json").mkdir()
-    with pytest.raises(BadInputError, match="Is a directory"):
+    with pytest.raises(BadInputError, match="is a folder, not a file that can be replaced"):
         save_calibration(calibration, tmp_path / "cal.json")
     assert [path.name for path in tmp_path.iterdir()] == ["cal.json"]
 

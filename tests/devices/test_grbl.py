@@ -108,6 +108,9 @@ def soon(act: Callable[[], None], after_s: float = 0.15) -> threading.Timer:
         ("oj", None),
         ("error:", None),
         ("", None),
+        (f"$110={'9' * 400}", None),
+        (f"<Idle|MPos:{'9' * 400}.000,0.000,0.000>", None),
+        (f"Grbl {'1' * 4301}.1 ['$' for help]", None),
     ],
 )  # fmt: skip
 def test_what_grbl_says_is_understood_and_noise_is_not(line: str, reply: protocol.Reply | None) -> None:

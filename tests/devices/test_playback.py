@@ -89,3 +89,21 @@ def test_repeating_goes_on_counting(recording: Path) -> None:
 def test_a_camera_that_the_recording_does_not_have_is_refused(recording: Path) -> None:
     with pytest.raises(BadInputError, match="has no frames of camera 'side'"):
         PlaybackCamera("side", Playback(open_recording(recording), True, False))
+
+
+def test_in_real_time_what_is_overdue_is_left_out(recording: Path) -> None:
+    front, _ = cameras(recording, realtime=True, repeat=True)
+    first = front.next_frame(1.0)
+    time.sleep(1.2)  # as when the process was held
+    frame = front.next_frame(1.0)
+    assert 0 <= time.monotonic_ns() - frame.t_ns < 1_000_000_000
+    assert frame.sequence == (frame.t_ns - first.t_ns) // 50_000_000 > 10
+
+
+def test_each_turn_through_a_recording_is_a_playthrough_of_its_own(recording: Path) -> None:
+    front, rear = cameras(recording, repeat=True)
+    turns = []
+    for _ in range(17):
+        turns.append(front.next_frame(1.0).playthrough)
+        rear.next_frame(1.0)
+    assert turns == [0] * 8 + [1] * 8 + [2]

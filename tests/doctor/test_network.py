@@ -33,6 +33,7 @@ def computer(tree: Tree) -> Tree:
     interface(tree, "eth0")
     interface(tree, "eth1")
     tree.write("/proc/sys/net/core/rmem_max", 4194304)
+    tree.write("/proc/sys/net/ipv4/conf/all/rp_filter", 1)
     return tree
 
 
@@ -76,6 +77,19 @@ def test_a_small_receive_buffer(computer: Tree, configured: Configured) -> None:
     computer.write("/proc/sys/net/core/rmem_max", 212992)
     finding = says(found(gige(configured), computer), Verdict.BETTER, "is 212992 bytes at most")
     assert "sysctl" in finding.mend
+
+
+@pytest.mark.parametrize(("of_all", "of_eth0", "is_well"), [(1, 0, True), (0, 0, False), (1, 2, False)])
+def test_a_camera_s_name_in_another_network(
+    computer: Tree, configured: Configured, of_all: int, of_eth0: int, is_well: bool
+) -> None:
+    """The kernel takes the larger of the two settings; 2 is loose: any interface will do."""
+    computer.write("/proc/sys/net/ipv4/conf/all/rp_filter", of_all)
+    computer.write("/proc/sys/net/ipv4/conf/eth0/rp_filter", of_eth0)
+    computer.write("/proc/sys/net/ipv4/conf/eth1/rp_filter", 1)
+    (finding,) = (one for one in found(gige(configured), computer) if one.subject == "network source check")
+    assert finding.verdict is (Verdict.GOOD if is_well else Verdict.BETTER)
+    assert ("net.ipv4.conf.eth0.rp_filter=1" in finding.mend) != is_well
 
 
 def test_a_camera_in_a_network_of_nobodys(computer: Tree, configured: Configured) -> None:

@@ -144,6 +144,7 @@ def test_the_command_line_measures_the_same_twice(
     [
         (["--faults", "gremlins"], "unknown fault 'gremlins'"),
         (["--truth", "/nowhere/truth.json"], "/nowhere/truth.json"),
+        (["--truth", "/dev/null"], "/dev/null: is a device, not a file that can be replaced"),
         (["--poses", "0"], "0 is less than 1"),
     ],
 )

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock, settle
@@ -61,3 +62,36 @@ async def test_readers_have_places_of_their_own(board: Board) -> None:
     assert (await first.next()).sequence == 2
     assert (await second.next()).sequence == 2
     assert (first.skipped, second.skipped) == (0, 1)
+
+
+async def test_what_waited_on_its_way_is_as_old_as_its_light(board: Board, clock: FakeClock) -> None:
+    """As when the process was held for 10 s and then measures the frames that lay in its buffers."""
+    await clock.advance(20.0)
+    waited = replace(
+        measurement(), t_ns=clock.now_ns - 10_500_000_000, last_exposure_ns=clock.now_ns - 10**10
+    )
+    board.publish(waited)
+    read = board.read()
+    assert read is not None
+    assert (read.valid, [fault.reason for fault in read.status]) == (False, [Reason.STALE])
+    board.publish(replace(waited, last_exposure_ns=clock.now_ns - 50_000_000))
+    assert board.read() == replace(waited, last_exposure_ns=clock.now_ns - 50_000_000)
+
+
+async def test_a_long_window_is_as_young_as_its_last_exposure(board: Board, clock: FakeClock) -> None:
+    await clock.advance(60.0)
+    mean = replace(measurement(), t_ns=clock.now_ns - 25 * 10**9, last_exposure_ns=clock.now_ns - 60_000_000)
+    board.publish(mean)
+    assert board.read() is mean
+    await clock.advance(0.95)
+    stale = board.read()
+    assert stale is not None
+    assert not stale.valid
+
+
+async def test_what_claims_to_be_of_the_future_ages_all_the_same(board: Board, clock: FakeClock) -> None:
+    board.publish(replace(measurement(), t_ns=clock.now_ns + 3600 * 10**9))
+    await clock.advance(1.001)
+    read = board.read()
+    assert read is not None
+    assert not read.valid

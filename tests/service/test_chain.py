@@ -35,8 +35,8 @@ def chain(calibration: Calibration, origin: Origin = Origin.CAMERA, **installati
     )
 
 
-def shots(places_mm: Sequence[tuple[float, float]], leds_on: bool = False) -> list[Frame]:
-    rng = np.random.default_rng(1)
+def shots(places_mm: Sequence[tuple[float, float]], leds_on: bool = False, seed: int = 1) -> list[Frame]:
+    rng = np.random.default_rng(seed)
     return [
         Frame(camera, number, number * 50_000_000, picture(target, x, y, rng), 8, leds_on)
         for number, (x, y) in enumerate(places_mm)
@@ -189,7 +189,8 @@ def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> 
     frames = shots([(10.0, 5.0)] * 4)
     last(measured, frames)
     later = [
-        Frame(f.camera, f.sequence + 100, f.t_ns + 5_000_000_000, f.pixels) for f in shots([(20.0, 5.0)] * 4)
+        Frame(f.camera, f.sequence + 100, f.t_ns + 5_000_000_000, f.pixels)
+        for f in shots([(20.0, 5.0)] * 4, seed=2)
     ]
     measurements = [m for frame in later for m in measured.push(frame)]
     assert [str(f) for f in measurements[0].status] == ["warming_up"]

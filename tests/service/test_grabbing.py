@@ -5,6 +5,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,7 @@ class ScriptedCamera:
     origin = Origin.CAMERA
     waits = False
     exposure_range = None
+    identity = None
 
     def __init__(self, *script: Exception | str | int) -> None:
         self.script = list(script)
@@ -98,6 +100,55 @@ async def test_a_lost_camera_is_closed_and_opened_again(component: Component) ->
     assert component.counters["failures"] == 1
     await stop(task)
     assert camera.calls[-1] == "close"
+
+
+class LyingCamera(ScriptedCamera):
+    """Stamps each frame off by what the next line of the script says, s."""
+
+    def __init__(self, *off_s: float) -> None:
+        super().__init__()
+        self.off_s = list(off_s)
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        frame = super().next_frame(timeout_s)
+        off_s = self.off_s.pop(0) if self.off_s else 0.0
+        return replace(frame, t_ns=frame.t_ns + round(off_s * 1e9))
+
+
+@pytest.mark.parametrize(
+    ("off_s", "why"),
+    [
+        (3600.0, "stamped 3"),
+        (-10.0, " s old"),
+        (-1.0, " s before the one before it"),
+    ],
+)
+async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
+    component: Component, off_s: float, why: str
+) -> None:
+    camera = LyingCamera(0.0, 0.0, off_s)
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component))
+    taken: list[Frame] = []
+    while component.counters.get("mistimed", 0) < 1 or len(taken) < 5:
+        taken += await inbox.take()
+    assert all(earlier.t_ns < later.t_ns for earlier, later in itertools.pairwise(taken))
+    assert max(frame.t_ns for frame in taken) <= time.monotonic_ns()
+    assert component.counters["mistimed"] == 1
+    assert component.state is State.DEGRADED
+    assert component.message.startswith("not measured: exposure 3 is ")
+    assert why in component.message
+    await stop(task)
+
+
+async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component) -> None:
+    camera = LyingCamera(*[3600.0] * 20)
+    camera.waits = True
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component))
+    assert len(await inbox.take()) == 1
+    assert "mistimed" not in component.counters
+    await stop(task)
 
 
 async def test_the_journal_hears_of_a_lost_camera_once(

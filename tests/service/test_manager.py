@@ -92,7 +92,7 @@ async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_
     manager = ServiceManager(board, clock, "unit A", ["http"])
     with caplog.at_level(logging.INFO, "altd"):
         for number in range(200):
-            board.publish(measurement(number, 0, *([Reason.UNSTEADY] if number % 10 < 5 else [])))
+            board.publish(measurement(number, clock.now_ns, *([Reason.UNSTEADY] if number % 10 < 5 else [])))
             manager.progress()
             await clock.advance(0.25)
     assert caplog.messages[0] == "unit A: http"

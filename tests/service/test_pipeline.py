@@ -29,6 +29,7 @@ class Chain:
 
     def __init__(self) -> None:
         self.broken = False
+        self.exposures = 0
 
     def push(self, frame: Frame) -> list[Measurement]:
         if self.broken:
@@ -43,6 +44,9 @@ class Chain:
 
     def step(self) -> dict[str, float]:
         return {"skew_ms": 0.25}
+
+    def views(self) -> dict[str, float | str]:
+        return {}
 
 
 class Bench:
@@ -136,6 +140,31 @@ async def test_the_mark_of_a_change_of_exposure_is_not_lost_with_its_frame() -> 
     assert [(f.sequence, f.changing) for f in await inbox.take()] == [(4, True)]
     inbox.put(shot("front", 5), wait=False)
     assert [(f.sequence, f.changing) for f in await inbox.take()] == [(5, False)]
+
+
+async def test_frames_that_come_to_nothing_are_no_progress() -> None:
+    bench = Bench()
+    for number in range(100):
+        bench.inbox.put(shot("front", number, bench.clock.monotonic_ns()), wait=False)
+        await bench.clock.advance(0.05)
+    assert (bench.board.published, bench.progress) == (0, 0)
+    await stop(bench.task)
+
+
+async def test_an_exposure_that_moves_on_is_progress_before_its_mean_is_due() -> None:
+    bench = Bench()
+    push = bench.chain.push
+
+    def paired(frame: Frame) -> list[Measurement]:
+        bench.chain.exposures += 1
+        return push(frame)
+
+    bench.chain.push = paired  # type: ignore[method-assign]
+    for number in range(10):
+        bench.inbox.put(shot("front", number, bench.clock.monotonic_ns()), wait=False)
+        await bench.clock.advance(0.05)
+    assert (bench.board.published, bench.progress) == (0, 10)
+    await stop(bench.task)
 
 
 async def test_a_defect_in_the_chain_ends_the_pipeline() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -136,6 +137,23 @@ class TestFolder:
         folder.close()
         (folder.path / "rear" / "000001.png").unlink()
         with pytest.raises(BadInputError, match=r"frames.csv: row 5: rear/000001.png: No such file"):
+            self.folder(tmp_path)
+
+    @pytest.mark.parametrize("name", ["scan.json", "frames.csv"])
+    def test_what_is_no_file_any_more_is_named_and_not_waited_for(self, name: str, tmp_path: Path) -> None:
+        folder = self.begin(tmp_path)
+        folder.close()
+        (folder.path / name).unlink()
+        os.mkfifo(folder.path / name)
+        with pytest.raises(BadInputError, match=f"{name}: is a pipe, not a file"):
+            self.folder(tmp_path)
+
+    def test_the_record_keeps_no_number_that_is_none(self, tmp_path: Path) -> None:
+        folder = self.begin(tmp_path)
+        folder.close()
+        text = (folder.path / "scan.json").read_text()
+        (folder.path / "scan.json").write_text(text.replace("25.0,", "NaN,", 1))
+        with pytest.raises(BadInputError, match=r"scan.json: is no record of a scan"):
             self.folder(tmp_path)
 
     def test_cameras_of_another_size_are_refused(self, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, write_beside
 
 PAGE, SHEETS = "calibration.html", "calibration.pdf"
 
@@ -26,14 +27,13 @@ def check_report(folder: Path) -> None:
         raise BadInputError(
             "--report", "needs matplotlib, which comes with the extra altd[report]"
         ) from error
-    for name in (PAGE, SHEETS):
-        if (folder / name).is_dir():
-            raise BadInputError(folder / name, "is a folder")
     try:
         is_new = _made(folder)
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
         os.close(descriptor)
         Path(trial).unlink()
+        for name in (PAGE, SHEETS):
+            check_replaceable(folder / name)
         if is_new:
             folder.rmdir()
     except OSError as error:
@@ -62,7 +62,7 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
         _made(folder)
         try:
             for name, content in files.items():
-                written[name] = _temporary(folder, name, content)
+                written[name] = write_beside(folder / name, content)
             for name, temporary in written.items():
                 place = folder / name
                 kept[name] = place.read_bytes() if place.exists() else None
@@ -77,23 +77,9 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
         raise BadInputError(folder, error.strerror or "cannot be written") from error
 
 
-def _temporary(folder: Path, name: str, content: bytes) -> Path:
-    descriptor, path = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(path).chmod(0o644)
-    except BaseException:
-        Path(path).unlink(missing_ok=True)
-        raise
-    return Path(path)
-
-
 def _put_back(folder: Path, kept: Mapping[str, bytes | None]) -> None:
     for name, content in kept.items():
         if content is None:
             (folder / name).unlink(missing_ok=True)
         else:
-            _temporary(folder, name, content).replace(folder / name)
+            write_beside(folder / name, content).replace(folder / name)

@@ -1,17 +1,18 @@
 """Aravis behind types: the one file that knows PyGObject, which has none.
 
 What Aravis raises comes out as CameraError or one of its kinds. A camera that does not answer blocks each
-call for 2.5 s. Nothing here is for two threads at once, but for ``Stream.pop`` beside one of the others.
+call for 2.5 s. Nothing here is for two threads at once. Frames do not
+come this way: altd receives them itself (stream.py).
 """
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
 
+from altd.devices.aravis.source_filter import filter_new_sockets, open_sockets
 from altd.ports import CameraBusyError, CameraError, CameraLostError, CameraNotFoundError, CameraRefusedError
 
 try:
@@ -34,11 +35,10 @@ _ONE_AT_A_TIME = threading.Lock()
 """Aravis 0.8.26 crashes when two threads read a camera's description (GenICam) at once. Its own way to open a
 camera has a lock against that, but holds it while it looks for a camera that is not there."""
 
+# bootstrap registers of stream channel 0 (GigE Vision 2.0, section 28): SCP0, SCDA0, SCSP0
+_HOST_PORT, _DESTINATION_ADDRESS, _SOURCE_PORT = 0x0D00, 0x0D18, 0x0D1C
+
 _BUSY = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
-
-
-_FRAMES_IN_SOCKET = 4
-"""As many as net.core.rmem_max allows; a packet takes twice its size there."""
 
 
 @contextmanager
@@ -56,84 +56,17 @@ def _typed(what: str) -> Iterator[None]:
         raise kind(f"{what}: {error.message}") from None
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """A block of the stream. ``fault`` says what is wrong with it; it then has no data to trust.
-
-    ``device_ns`` is the camera's own timestamp, ``realtime_ns`` that of the arrival of the first packet on
-    the computer's UTC clock.
-    """
-
-    fault: str
-    frame_id: int
-    device_ns: int = 0
-    realtime_ns: int = 0
-    width: int = 0
-    height: int = 0
-    pixel_format: int = 0
-    data: bytes = b""
-    exposure_us: float | None = None
-    gain: float | None = None
-
-
-class Stream:
-    """A running stream of blocks."""
-
-    def __init__(self, stream: Any, chunk_parser: Any | None) -> None:
-        self._stream = stream
-        self._chunk_parser = chunk_parser
-
-    def close(self) -> None:
-        """Let go of it. Whoever still holds this object, in a traceback for instance, holds nothing."""
-        self._stream = self._chunk_parser = None
-
-    def pop(self, timeout_s: float) -> Block | None:
-        """The oldest block not yet taken; None when none came in time. Its data are a copy."""
-        buffer = self._stream.timeout_pop_buffer(max(0, round(timeout_s * 1e6)))
-        if buffer is None:
-            return None
-        try:
-            return self._block(buffer)
-        finally:
-            self._stream.push_buffer(buffer)
-
-    def _block(self, buffer: Any) -> Block:
-        status = buffer.get_status()
-        frame_id = buffer.get_frame_id()
-        if status != Aravis.BufferStatus.SUCCESS:
-            return Block(status.value_nick, frame_id)
-        if buffer.get_n_parts() < 1:
-            return Block("no image", frame_id)
-        return Block(
-            "",
-            frame_id,
-            buffer.get_timestamp(),
-            buffer.get_system_timestamp(),
-            buffer.get_image_width(),
-            buffer.get_image_height(),
-            buffer.get_image_pixel_format(),
-            buffer.get_image_data(),
-            self._chunk(buffer, "ChunkExposureTime"),
-            self._chunk(buffer, "ChunkGain"),
-        )
-
-    def _chunk(self, buffer: Any, name: str) -> float | None:
-        if self._chunk_parser is None or not buffer.has_chunks():
-            return None
-        try:
-            return float(self._chunk_parser.get_float_value(buffer, name))
-        except GLib.Error:
-            return None
-
-
 class Device:
     """A GigE Vision camera that was opened, and is controlled by us when nobody else does."""
 
     def __init__(self, own_address: str, address: str) -> None:
+        self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
         with _typed(address), _ONE_AT_A_TIME:
+            before = open_sockets()
             self._device = Aravis.GvDevice.new(
                 Gio.InetAddress.new_from_string(own_address), Gio.InetAddress.new_from_string(address)
             )
+            filter_new_sockets(before, own_address, address)  # its control socket hears everybody
             self._camera = Aravis.Camera.new_with_device(self._device)
         self._camera.set_range_check_policy(Aravis.RangeCheckPolicy.ENABLE)
         self._camera.set_access_check_policy(Aravis.AccessCheckPolicy.ENABLE)
@@ -283,52 +216,40 @@ class Device:
             if self._camera.is_gain_auto_available():
                 self._camera.set_gain_auto(Aravis.Auto.OFF)
 
-    def with_chunks(self) -> bool:
-        """Have exposure and gain sent along with each frame; whether the camera does."""
-        try:
-            if not self._camera.are_chunks_available():
-                return False
-            offered = set(self._camera.dup_available_enumerations_as_strings("ChunkSelector"))
-            wanted = sorted(offered & {"ExposureTime", "Gain"})
-            if wanted:
-                self._camera.set_chunks(",".join(wanted))
-            return bool(wanted)
-        except GLib.Error:
-            return False  # what was set is then taken for what a frame has
+    def without_chunks(self) -> None:
+        """Have frames sent bare, also by a camera that another program left otherwise."""
+        with _typed("ChunkModeActive"):
+            if self._camera.are_chunks_available():
+                self._camera.set_chunk_mode(False)
 
-    def packet_bytes(self) -> int:
-        """The size of the stream's packets."""
-        with _typed("packet size"):
-            return int(self._camera.gv_get_packet_size())
+    def ticks_per_s(self) -> int:
+        """How fast the clock runs that frames are stamped with; 0 for a camera that has none."""
+        return int(self._device.get_timestamp_tick_frequency())
 
-    def stream(
-        self, buffers: int, packet_bytes: int, resend: bool, retention_s: float, chunks: bool
-    ) -> Stream:
-        """Start acquisition; ``packet_bytes`` 0 finds the largest packet that gets through.
+    def settle_packet_size(self, packet_bytes: int) -> int:
+        """Set the size of the stream's packets, all headers included; 0 finds the largest that gets through.
 
-        A frame with lost packets is given up ``retention_s`` after its last packet.
+        Returns what the camera made of it.
         """
-        with _typed("stream"):
-            self._camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
-            self._camera.gv_set_packet_size_adjustment(Aravis.GvPacketSizeAdjustment.NEVER)
+        with _typed("packet size"):
             if packet_bytes:
                 self._camera.gv_set_packet_size(packet_bytes)
             else:
                 self._camera.gv_auto_packet_size()
-            # No packet socket: where one may have it, the kernel makes its ring for up to 80 ms, and all else
-            # that runs on this processor waits.
-            self._camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-            stream = self._camera.create_stream(None, None)
-            wanted = Aravis.GvStreamPacketResend.ALWAYS if resend else Aravis.GvStreamPacketResend.NEVER
-            stream.set_property("packet-resend", wanted)
-            stream.set_property("frame-retention", round(retention_s * 1e6))
-            payload_bytes = self._camera.get_payload()
-            stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
-            stream.set_property("socket-buffer-size", _FRAMES_IN_SOCKET * payload_bytes)
-            for _ in range(buffers):
-                stream.push_buffer(Aravis.Buffer.new_allocate(payload_bytes))
+            return int(self._camera.gv_get_packet_size())
+
+    def start(self, port: int) -> int:
+        """Start acquisition, frames to this ``port`` of ours; the port that they come from, 0 if not told."""
+        with _typed("stream"):
+            self._camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
+            self._device.write_register(_DESTINATION_ADDRESS, self._own_address)
+            self._device.write_register(_HOST_PORT, port)
+            try:
+                source_port = self._device.read_register(_SOURCE_PORT) & 0xFFFF
+            except GLib.Error:
+                source_port = 0  # the register is optional
             self._camera.start_acquisition()
-            return Stream(stream, self._camera.create_chunk_parser() if chunks else None)
+            return int(source_port)
 
     def stop(self) -> None:
         """Stop acquisition."""

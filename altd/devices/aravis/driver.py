@@ -17,7 +17,8 @@ import numpy as np
 
 from altd.config import AravisCamera as Settings
 from altd.devices.aravis import gvcp
-from altd.devices.aravis.binding import Block, Device
+from altd.devices.aravis.binding import Device
+from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.devices.aravis.opened import BITS, Opened, let_go, set_up
 from altd.devices.counting import FrameCounter
@@ -30,7 +31,7 @@ from altd.ports import (
     CameraTimeoutError,
     ExposureRange,
 )
-from altd.records import Frame, Origin, PixelArray
+from altd.records import CameraIdentity, Frame, Origin, PixelArray
 
 log = logging.getLogger("altd")
 
@@ -45,8 +46,8 @@ _FRAMELESS_S = 1.0
 _HEARTBEAT_S = 3.0
 _PAST_HEARTBEAT_S = 0.5
 _LARGEST_ID = 65535
+_MAX_NAMED = 8
 _SETTLED_PERIODS = 2
-_OLDEST_S = 2.0
 _SIMULATED = ("Aravis", "altd hw_sim")
 
 
@@ -58,6 +59,7 @@ class AravisCamera:
     def __init__(self, name: str, settings: Settings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
+        self.identity: CameraIdentity | None = None
         self._settings = settings
         self._period_ns = round(1e9 / settings.fps)
         self._opened: Opened | None = None
@@ -90,7 +92,8 @@ class AravisCamera:
             if not ours:
                 raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
             self.origin = _origin(greeting, device)
-            self._opened = set_up(device, self._settings)
+            self.identity = CameraIdentity(greeting.serial or None, greeting.model or None, "aravis")
+            self._opened = set_up(device, self._settings, self.name, own_address, greeting.address)
         except BaseException:
             let_go(device, None, threading.Lock(), stop=False, wait=ours)
             raise
@@ -115,17 +118,18 @@ class AravisCamera:
             left_s = min((deadline_ns - now_ns) * 1e-9, _SLICE_S)
             if self._settings.trigger == "software":
                 left_s = min(left_s, self._triggered(opened, now_ns))
-            block = opened.stream.pop(left_s)
-            if block is not None:
+            try:
+                block = opened.stream.pop(left_s)
+            except OSError as error:
+                raise CameraLostError(f"the stream's socket: {error.strerror}") from None
+            if block is not None and not block.fault:
                 self._frame_ns = time.monotonic_ns()
                 self._answering_since_ns = None
                 self._answers = True
-                if not block.fault:
-                    return self._frame(opened, block)
-            elif not opened.device.controlled:
+                return self._frame(opened, block)
+            if not opened.device.controlled:
                 raise CameraLostError("control of the camera is lost")
-            else:
-                self._watch()
+            self._watch(opened)
             if time.monotonic_ns() >= deadline_ns:
                 raise CameraTimeoutError(f"no whole frame within {timeout_s:g} s")
 
@@ -170,16 +174,20 @@ class AravisCamera:
         if address == wanted:
             raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
         there = gvcp.discover(_DISCOVERY_S)
-        found = [greeting for greeting in there if greeting.is_called(wanted)]
+        claims = [greeting for greeting in there if greeting.is_called(wanted)]
+        found = [greeting for greeting in claims if gvcp.greet(greeting.address, _ANSWER_S) == greeting]
         if len(found) > 1:
             raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
         if not found:
-            others = ", ".join(f"{greeting.serial} at {greeting.address}" for greeting in there)
-            raise CameraNotFoundError(f"no camera {wanted} answers, only {others or 'none at all'}")
+            others = [f"{greeting.serial} at {greeting.address}" for greeting in there[:_MAX_NAMED]]
+            if len(there) > _MAX_NAMED:
+                others.append(f"{len(there) - _MAX_NAMED} more")
+            only = ", ".join(others) or "none at all"
+            raise CameraNotFoundError(f"no camera {wanted} answers, only {only}")
         return found[0]
 
-    def _watch(self) -> None:
-        """Whether a camera that sends nothing still is ours; raises CameraLostError when it is not."""
+    def _watch(self, opened: Opened) -> None:
+        """Whether a camera without whole frames still is ours; raises CameraLostError when it is not."""
         now_ns = time.monotonic_ns()
         silent_s = (now_ns - self._frame_ns) * 1e-9
         if silent_s < max(_SILENT_S, _SILENT_PERIODS * self._period_ns * 1e-9) or self._address is None:
@@ -193,10 +201,13 @@ class AravisCamera:
         elif privilege == 0:
             self._answers = False  # not to us: nothing is to be stopped there
             raise CameraLostError("the camera has started anew, or dropped us")
-        elif self._answering_since_ns is None:
+        elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
         elif self._settings.trigger != "line" and now_ns - self._answering_since_ns > _FRAMELESS_S * 1e9:
-            raise CameraLostError(f"the camera answers, but sent no frame for {silent_s:.1f} s")
+            remark = opened.stream.remark
+            raise CameraLostError(
+                f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
+            )
 
     def _triggered(self, opened: Opened, now_ns: int) -> float:
         """Trigger when it is time; how long until the next time, s.
@@ -214,22 +225,16 @@ class AravisCamera:
         return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
     def _frame(self, opened: Opened, block: Block) -> Frame:
-        exposure_ms, gain_db = opened.exposure_ms, opened.gain_db
-        told = block.exposure_us is not None
-        if block.exposure_us is not None:
-            exposure_ms = block.exposure_us * 1e-3
-        if block.gain is not None:
-            gain_db = block.gain
-        t_ns = self._middle_ns(block, round((exposure_ms or 0.0) * 1e6))
+        t_ns = self._middle_ns(block, round((opened.exposure_ms or 0.0) * 1e6))
         return Frame(
             self.name,
-            self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1 if block.frame_id else 0),
+            self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1),
             t_ns,
-            self._pixels(opened, block),
+            self._pixels(block),
             BITS[self._settings.pixel_format],
-            exposure_ms=exposure_ms,
-            gain_db=gain_db,
-            changing=not told and self._changed_ns <= t_ns < self._settled_ns,
+            exposure_ms=opened.exposure_ms,
+            gain_db=opened.gain_db,
+            changing=self._changed_ns <= t_ns < self._settled_ns,
         )
 
     def _middle_ns(self, block: Block, exposure_ns: int) -> int:
@@ -238,23 +243,17 @@ class AravisCamera:
         One that stamps another instant is mapped as well: only the arrival says where its clock lies.
         """
         trusted = self._clock.trusted
-        start_ns = self._clock.host_ns(block.device_ns, _monotonic_ns(block.realtime_ns) - exposure_ns)
+        start_ns = self._clock.host_ns(block.device_ns, block.arrived_ns - exposure_ns)
         if trusted and not self._clock.trusted:
             log.warning("camera %s: its clock is not plausible; frames are stamped on arrival", self.name)
         return start_ns + exposure_ns // 2
 
-    def _pixels(self, opened: Opened, block: Block) -> PixelArray:
-        width, height = self._settings.width, self._settings.height
+    def _pixels(self, block: Block) -> PixelArray:
         kind = np.dtype("u1" if BITS[self._settings.pixel_format] == 8 else "<u2")
-        expected = width, height, opened.pixel_format
-        if (block.width, block.height, block.pixel_format) != expected or len(block.data) < (
-            width * height * kind.itemsize
-        ):
-            raise CameraLostError(
-                f"the camera sends {block.width} x {block.height} in format {block.pixel_format:#x}, "
-                f"{len(block.data)} bytes, and was not set to that"
-            )
-        pixels: PixelArray = np.frombuffer(block.data, kind, width * height).reshape(height, width)
+        pixels: PixelArray = np.frombuffer(block.data or b"", kind).reshape(
+            self._settings.height, self._settings.width
+        )
+        pixels.flags.writeable = False
         return pixels
 
 
@@ -263,9 +262,3 @@ def _origin(greeting: gvcp.Greeting, device: Device) -> Origin:
     with suppress(CameraError):
         names.append(f"{device.text('DeviceVendorName')} {device.text('DeviceModelName')}")
     return Origin.SIMULATED if any(name.startswith(_SIMULATED) for name in names) else Origin.CAMERA
-
-
-def _monotonic_ns(realtime_ns: int) -> int:
-    """The instant on the monotonic clock. UTC that was set meanwhile makes it the present one."""
-    age_ns = time.time_ns() - realtime_ns
-    return time.monotonic_ns() - (age_ns if 0 <= age_ns < _OLDEST_S * 1e9 else 0)

@@ -8,17 +8,20 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from altd.config import AravisCamera as Settings
-from altd.devices.aravis.binding import Device, Stream
+from altd.devices.aravis.binding import Device
+from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
+from altd.devices.aravis.packets import PacketSocket
+from altd.devices.aravis.stream import Stream
 from altd.ports import CameraError, CameraLostError, CameraRefusedError, ExposureRange
 
 BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 """The formats that come unpacked, one byte or one little-endian word a pixel."""
 
 _RATE_OFF = 0.02
-_BUFFERS_FOR_S = 0.25
-_FEWEST_BUFFERS = 8
-_RETENTION_S = 0.1
-"""A frame that lacks packets holds up those behind it for so long."""
+MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
+"""GigE Vision demands 576 of every camera; the largest frame on an Ethernet has little over 9000."""
+_FRAMES_IN_SOCKET = 4
+"""As many as net.core.rmem_max allows; a packet takes twice its size there."""
 _RELEASE_S = 1.0
 
 
@@ -28,7 +31,6 @@ class Opened:
 
     device: Device
     stream: Stream
-    pixel_format: int
     exposure_range: ExposureRange | None
     has_gain: bool
     exposure_ms: float | None
@@ -57,7 +59,7 @@ class Opened:
             self.device.trigger()
 
 
-def set_up(device: Device, settings: Settings) -> Opened:
+def set_up(device: Device, settings: Settings, camera: str, own_address: str, address: str) -> Opened:
     """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
     with suppress(CameraRefusedError):  # its last controller may have died while it streamed
         device.stop()
@@ -69,19 +71,45 @@ def set_up(device: Device, settings: Settings) -> Opened:
     if settings.exposure.control != "camera":
         device.manual_exposure()
     exposure_us, gain = device.exposure_bounds_us(), device.gain_bounds()
-    chunks = device.with_chunks()
-    buffers = max(_FEWEST_BUFFERS, math.ceil(settings.fps * _BUFFERS_FOR_S))
-    stream = device.stream(buffers, settings.packet_bytes, settings.resend, _RETENTION_S, chunks)
+    device.without_chunks()
     known = settings.exposure.control != "camera"  # else it changes by itself
-    return Opened(
-        device,
-        stream,
+    exposure_ms = device.exposure_us() * 1e-3 if known and exposure_us is not None else None
+    gain_db = device.gain() if known and gain is not None else None
+    stream = _start_stream(device, settings, camera, own_address, address)
+    exposure_range = _exposure_range(exposure_us, gain)
+    return Opened(device, stream, exposure_range, gain is not None, exposure_ms, gain_db)
+
+
+def _start_stream(device: Device, settings: Settings, camera: str, own_address: str, address: str) -> Stream:
+    packet_bytes = device.settle_packet_size(settings.packet_bytes)
+    if not MIN_PACKET_BYTES <= packet_bytes <= MAX_PACKET_BYTES:
+        raise CameraRefusedError(f"packets of {packet_bytes} bytes: {MIN_PACKET_BYTES} to {MAX_PACKET_BYTES}")
+    image_bytes = settings.width * settings.height * (1 if BITS[settings.pixel_format] == 8 else 2)
+    stream_format = StreamFormat(
+        settings.width,
+        settings.height,
         device.pixel_format(),
-        _exposure_range(exposure_us, gain),
-        gain is not None,
-        device.exposure_us() * 1e-3 if known and exposure_us is not None else None,
-        device.gain() if known and gain is not None else None,
+        image_bytes,
+        device.payload_bytes(),
+        packet_bytes,
+        device.ticks_per_s(),
     )
+    try:
+        receiving = PacketSocket(own_address, address, packet_bytes, _FRAMES_IN_SOCKET * image_bytes)
+    except OSError as error:
+        raise CameraLostError(f"{own_address}: {error.strerror}") from None
+    try:
+        source_port = device.start(receiving.port)
+    except BaseException:
+        receiving.close()
+        raise
+    assembler = Assembler(
+        stream_format,
+        max_open=_FRAMES_IN_SOCKET + math.ceil(settings.fps * RETENTION_NS * 1e-9),
+        resend=settings.resend,
+        source_port=source_port,
+    )
+    return Stream(camera, receiving, assembler, address)
 
 
 def let_go(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:

@@ -145,12 +145,13 @@ class Status:
 Reply = Ok | Refusal | Alarm | Banner | Setting | Message | Status
 
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
-_BANNER = re.compile(r"Grbl(?:HAL)? (\d+)\.(\d+)\w* .*\[?.*help\]")
-_SETTING = re.compile(r"\$(\d{1,3})=(-?\d+(?:\.\d+)?)")
+_NUMBER = r"-?\d{1,9}\.\d{1,6}"  # nine digits of mm: what is longer is noise, and might not be finite
+_BANNER = re.compile(r"Grbl(?:HAL)? (\d{1,3})\.(\d{1,3})\w* .*\[?.*help\]")
+_SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)")
 _STATUS = re.compile(
     r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?((?:\|[A-Za-z]+:[-+\w.,:]*)*)>"
 )
-_AXES = re.compile(r"(-?\d+\.\d+),(-?\d+\.\d+)(?:,-?\d+\.\d+)*")
+_AXES = re.compile(rf"({_NUMBER}),({_NUMBER})(?:,{_NUMBER})*")
 
 
 def parse(line: str) -> Reply | None:

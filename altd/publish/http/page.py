@@ -70,7 +70,7 @@ Errors have a JSON object with `error`: 404 for an unknown path, 405 for a metho
 | limit | |
 |---|---|
 | requests a connection | 1: the unit closes after its answer |
-| connections | {CONNECTIONS}; a further one is closed unanswered |
+| connections | {CONNECTIONS}, fewer where descriptors are few; a further one is closed unanswered |
 | streams | {CLIENTS} |
 | time to send the request header | {REQUEST_S:g} s, then the connection is closed |
 | size of a request header that comes in pieces | {HEADER_BYTES} bytes |

@@ -56,7 +56,7 @@ class HttpPublisher:
 
         with listen(self._settings) as listener:
             self.port = listener.getsockname()[1]
-            await serve(self._application(), listener, serving)
+            await serve(self._application(), listener, self._component, serving)
 
     async def index(self, _: Request) -> Response:
         """The page."""

@@ -2,7 +2,8 @@
 
 What uvicorn leaves open and this module closes: it installs signal handlers, it exits the process when the
 port is taken, it waits for ever for the end of a request header, its ``limit_concurrency`` refuses requests
-but keeps the connections, and it does not end by cancellation.
+but keeps the connections, it fails where a request turns out malformed after its header, and it does not end
+by cancellation.
 """
 
 from __future__ import annotations
@@ -13,14 +14,21 @@ import socket
 from collections.abc import Callable, Iterator
 from typing import cast
 
+import h11
 import uvicorn
 from starlette.types import ASGIApp
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from altd.config import Http
+from altd.service.health import Component
+from altd.tcp_port.accepting import accept, is_among_last
+from altd.tcp_port.accepting import listen as listen_tcp
 
 CONNECTIONS = 64
 """More than these are closed at once: a flood must leave the daemon its file descriptors."""
+
+KEPT_DESCRIPTORS = 8
+"""Where the process may have few descriptors, so many are left to controllers, cameras and ports."""
 
 REQUEST_S = 10.0
 """A client that has not sent a whole request header by then is cut off."""
@@ -42,15 +50,16 @@ _HEADERS = [
 
 def listen(settings: Http) -> socket.socket:
     """The listening socket; raises OSError that names the address."""
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listener = socket.create_server((settings.host, settings.port), family=family, backlog=CONNECTIONS)
+    listener = listen_tcp(settings.host, settings.port)
     # what is set here every accepted connection inherits
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * STALLED_S)
     return listener
 
 
-async def serve(application: ASGIApp, listener: socket.socket, ready: Callable[[], None]) -> None:
+async def serve(
+    application: ASGIApp, listener: socket.socket, component: Component, ready: Callable[[], None]
+) -> None:
     """Serve until cancelled; every connection is closed by then."""
     config = uvicorn.Config(
         application,
@@ -66,14 +75,18 @@ async def serve(application: ASGIApp, listener: socket.socket, ready: Callable[[
         timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=HEADER_BYTES,
     )
-    await _Server(config, ready).serve(sockets=[listener])
+    await _Server(config, listener, component, ready).serve()
 
 
 class _Server(uvicorn.Server):
-    """Leaves the signals to the daemon and ends by cancellation."""
+    """Leaves the signals to the daemon, accepts connections in altd's way and ends by cancellation."""
 
-    def __init__(self, config: uvicorn.Config, ready: Callable[[], None]) -> None:
+    def __init__(
+        self, config: uvicorn.Config, listener: socket.socket, component: Component, ready: Callable[[], None]
+    ) -> None:
         super().__init__(config)
+        self._listener = listener
+        self._component = component
         self._ready = ready
 
     @contextlib.contextmanager
@@ -81,17 +94,32 @@ class _Server(uvicorn.Server):
         """Install no handlers."""
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Leave the listening to ``main_loop``."""
+        self.servers = []
+        self.started = True
+
     async def main_loop(self) -> None:
         """Serve; cut every connection on the way out, which ends the tasks behind them."""
+        accepting = asyncio.ensure_future(accept(self._listener, self._component, self._admit))
         self._ready()
         try:
-            await super().main_loop()
+            await asyncio.gather(accepting, super().main_loop())
         finally:
-            for server in self.servers:
-                server.close()
+            accepting.cancel()
             for connection in list(self.server_state.connections):
                 connection.transport.abort()
             await self.shutdown()
+
+    async def _admit(self, connection: socket.socket) -> None:
+        """Serve a connection, or close it where there are enough."""
+        if len(self.server_state.connections) >= CONNECTIONS or is_among_last(connection, KEPT_DESCRIPTORS):
+            self._component.count("connections_refused")
+            connection.close()
+            return
+        await asyncio.get_running_loop().connect_accepted_socket(
+            lambda: _BoundedProtocol(self.config, self.server_state, {}), connection
+        )
 
 
 class _BoundedProtocol(H11Protocol):
@@ -100,11 +128,8 @@ class _BoundedProtocol(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
-        """Refuse what is too much; write nothing ahead of the client."""
+        """Write nothing ahead of the client, and wait for its request only so long."""
         super().connection_made(transport)
-        if len(self.connections) > CONNECTIONS:
-            transport.abort()
-            return
         transport.set_write_buffer_limits(high=0)
         self._deadline = self.loop.call_later(REQUEST_S, self._give_up)
 
@@ -113,6 +138,20 @@ class _BoundedProtocol(H11Protocol):
         if self._deadline is not None:
             self._deadline.cancel()
         super().connection_lost(exc)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is malformed, if no answer is under way; whatever is under way ends.
+
+        uvicorn would send a second answer, and log a traceback when h11 refuses that.
+        """
+        cycle = cast("RequestResponseCycle | None", self.cycle)  # uvicorn's annotation knows no None
+        if cycle is not None:
+            cycle.disconnected = True
+            cycle.message_event.set()
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            super().send_400_response(msg)
+        else:
+            self.transport.abort()
 
     def _give_up(self) -> None:
         asked = cast("object | None", self.cycle)  # uvicorn's annotation knows no None

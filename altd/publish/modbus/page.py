@@ -55,12 +55,17 @@ Generated from the register table: `python -m altd.publish.modbus.page > docs/mo
 | line | port {tcp.port} | {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
 | unit id | {tcp.unit_id}; 0 and 255 answer too | {rtu["unit_id"].default} |
 | other unit ids | exception 11 | silence, the bus may be shared |
-| clients | {MAX_CLIENTS}; one more closes the one that has been quiet for longest | one request, one answer |
+| clients | {MAX_CLIENTS}; one more closes another, see below | one request, one answer |
 
 Port, baud rate, parity, stop bits and unit id are those of a fresh `altd.toml`; it says what your unit has.
 
+When all {MAX_CLIENTS} connections are taken, a new one closes another: first one that never asked, then one
+of the address that most come from, then the one that has been quiet for longest. So a controller that asks
+keeps its connection, whatever another host opens.
+
 Everything is read only. Function 4 (input registers) and function 3 (holding registers) read the same
-registers; function 43/14 reads vendor, product and version.
+registers; function 43/14 reads vendor, product and version, as a stream (read codes 1 to 3; an unknown object
+starts again at object 0) or one object (code 4; an unknown one is exception 2).
 
 Addresses on this page count from 0, as on the wire. Where a tool counts from 1, add 1: address {FLOATS} is
 3{FLOATS + 1:04} as an input register and 4{FLOATS + 1:04} as a holding register.

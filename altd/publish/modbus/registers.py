@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -30,6 +31,7 @@ PER_UNIT = 10_000
 """Counts per mm, degree or mm/m in the scaled block."""
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_FLOAT_MAX = sys.float_info.max
 _FLOAT32_MAX = float.fromhex("0x1.fffffep127")
 
 
@@ -150,7 +152,9 @@ def _constant(value: float) -> Callable[[Snapshot], float]:
 def _scaled(value: Callable[[Snapshot], float | None]) -> Callable[[Snapshot], float | None]:
     def counts(snapshot: Snapshot) -> float | None:
         plain = value(snapshot)
-        return None if plain is None else PER_UNIT * plain
+        if plain is None or not math.isfinite(plain):
+            return None
+        return max(-_FLOAT_MAX, min(PER_UNIT * plain, _FLOAT_MAX))  # a product that overflows is held, too
 
     return counts
 

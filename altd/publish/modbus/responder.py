@@ -12,23 +12,21 @@ from typing import cast
 
 from pymodbus.constants import ExcCodes
 from pymodbus.datastore import ModbusServerContext
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU, ReadDeviceInformationRequest
-from pymodbus.pdu.device import ModbusControlBlock
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
-from altd import __version__
+from altd.publish.modbus.identification import READ_DEVICE_IDENTIFICATION, identification
 from altd.publish.modbus.registers import SIZE, Snapshot, image
 from altd.service.board import Board
 from altd.service.health import Component
 
-READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS, READ_DEVICE_IDENTIFICATION = 3, 4, 43
-FUNCTIONS = frozenset({READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS, READ_DEVICE_IDENTIFICATION})
-"""What is served (Modbus Application Protocol V1.1b3, 6.3, 6.4, 6.21); the rest is an illegal function."""
+READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
+"""What is served beside the identification (Modbus Application Protocol V1.1b3, 6.3, 6.4); the rest is an
+illegal function."""
 
-IDENTITY = {0: "altd", 1: "ALT", 2: __version__, 4: "Active Laser Target"}
-"""Vendor, product code, version and product name (ibid. 6.21)."""
+_READ_BYTES = 5
+"""Function, address and number of registers; pymodbus would answer a longer one, too."""
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it logs a line for every malformed request
-ModbusControlBlock().Identity.update(IDENTITY)  # type: ignore[no-untyped-call]  # one for the whole process
 
 
 class Responder:
@@ -43,20 +41,26 @@ class Responder:
         """The response to a request, both from the function code on and not empty."""
         response = await self._response(request)
         self._component.count("requests")
-        if isinstance(response, ExceptionResponse):
+        if isinstance(response, ExcCodes):
             self._component.count("exceptions")
-        else:
-            self._component.gave_data()
-        return bytes([response.function_code]) + response.encode()
+            return bytes([request[0] | 0x80, response])
+        self._component.gave_data()
+        return response
 
-    async def _response(self, request: bytes) -> ModbusPDU:
+    async def _response(self, request: bytes) -> bytes | ExcCodes:
+        """The response, or the code of the exception."""
         function = request[0]
-        if function not in FUNCTIONS:
-            return ExceptionResponse(function, ExcCodes.ILLEGAL_FUNCTION)
-        decoded = self._decoder.decode(request)
-        if decoded is None or _has_read_code_0(decoded):
-            return ExceptionResponse(function, ExcCodes.ILLEGAL_VALUE)
-        return await decoded.datastore_update(cast("ModbusServerContext", self), 0)
+        if function == READ_DEVICE_IDENTIFICATION:
+            return identification(request)
+        if function not in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
+            return ExcCodes.ILLEGAL_FUNCTION
+        decoded = self._decoder.decode(request) if len(request) == _READ_BYTES else None
+        if decoded is None:
+            return ExcCodes.ILLEGAL_VALUE
+        response: ModbusPDU = await decoded.datastore_update(cast("ModbusServerContext", self), 0)
+        if isinstance(response, ExceptionResponse):
+            return ExcCodes(response.exception_code)
+        return bytes([response.function_code]) + response.encode()
 
     async def async_getValues(  # noqa: N802  the name by which pymodbus asks its context
         self, device_id: int, function: int, address: int, count: int
@@ -66,8 +70,3 @@ class Responder:
             return ExcCodes.ILLEGAL_ADDRESS
         board = self._board
         return image(Snapshot(board.read(), board.age_s(), board.published))[address : address + count]
-
-
-def _has_read_code_0(request: ModbusPDU) -> bool:
-    """Whether it asks for the identification of kind 0: pymodbus 3.16 lets it pass and then stumbles."""
-    return isinstance(request, ReadDeviceInformationRequest) and request.read_code == 0

@@ -12,41 +12,21 @@ from collections.abc import Callable
 from pymodbus.framer import FramerRTU
 
 from altd.config import SerialPort
+from altd.publish.modbus.bus import LONGEST, Bus
 from altd.publish.modbus.responder import Responder
 from altd.serial_port.port import Port, describe, opened
 from altd.service.board import Board
 from altd.service.health import Component, State
 
-LONGEST = 256
-"""Bytes of the longest frame (Serial 2.5.1)."""
-
-SHORTEST = 4
-"""Unit id, function and CRC."""
-
-TORN_S = 0.1
-"""A silence that no frame bridges. The specification says 1.5 characters (Serial 2.5.1.1), but USB adapters
-hand over what they have every 16 ms."""
-
 BITS_PER_CHARACTER = 11
+
+KEPT = 1024
+"""Bytes that are kept of what comes without a silence: a busy computer hears some frames at once."""
 
 
 def silence_s(baud: int) -> float:
     """The silence that ends a frame: 3.5 characters, above 19200 baud 1.75 ms (Serial 2.5.1.1)."""
     return 1.75e-3 if baud > 19200 else 3.5 * BITS_PER_CHARACTER / baud
-
-
-def request_at_end(heard: bytes, unit_id: int) -> bytes | None:
-    """The request for this unit that ends ``heard``, without unit id and CRC; None when there is none.
-
-    The line has fallen silent, so a frame ends here; where it began is not known after noise or after other
-    units' traffic. The CRC (Serial 2.5.1.2) says whether a byte that equals the unit id began it.
-    """
-    begin = heard.find(unit_id, max(0, len(heard) - LONGEST))
-    while 0 <= begin <= len(heard) - SHORTEST:
-        if FramerRTU.check_CRC(heard[begin:-2], int.from_bytes(heard[-2:], "big")):
-            return heard[begin + 1 : -2]
-        begin = heard.find(unit_id, begin + 1)
-    return None
 
 
 class ModbusRtuPublisher:
@@ -67,19 +47,11 @@ class ModbusRtuPublisher:
 
     async def _serve(self, port: Port) -> None:
         clock = asyncio.get_running_loop().time
-        heard, heard_at, answered = b"", clock(), b""
+        bus, answered = Bus(self._settings.unit_id), b""
         while True:
-            first = await port.read()
-            if clock() - heard_at > TORN_S:
-                heard = b""
-            heard = (heard + first + await self._until_silence(port))[-LONGEST:]
-            heard_at = clock()
-            if answered and heard.endswith(answered):
-                heard = b""  # a two-wire adapter hears what it sends
-                continue
-            request = request_at_end(heard, self._settings.unit_id)
-            if request is not None:
-                heard = b""
+            heard = await port.read() + await self._until_silence(port)
+            request = bus.hear(heard[-KEPT:], clock())
+            if request is not None and self._framed(request) != answered:  # a two-wire adapter hears itself
                 answered = self._framed(await self._responder.answer(request))
                 if not port.write(answered):  # the controller does not listen; it asks again when it does
                     self._component.count("answers_dropped")
@@ -90,7 +62,7 @@ class ModbusRtuPublisher:
         with contextlib.suppress(TimeoutError):
             while True:
                 async with asyncio.timeout(silence_s(self._settings.baud)):
-                    heard = (heard + await port.read())[-LONGEST:]
+                    heard = (heard + await port.read())[-KEPT:]
         return heard
 
     def _framed(self, answer: bytes) -> bytes:

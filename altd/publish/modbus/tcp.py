@@ -9,7 +9,9 @@ import asyncio
 import contextlib
 import socket
 import struct
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from pymodbus.constants import ExcCodes
 
@@ -17,6 +19,7 @@ from altd.config import ModbusTcp
 from altd.publish.modbus.responder import Responder
 from altd.service.board import Board
 from altd.service.health import Component, State
+from altd.tcp_port.accepting import accept, is_among_last, listen
 
 MBAP = struct.Struct(">HHHB")
 """Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
@@ -25,14 +28,37 @@ LONGEST = 254
 """The largest length field: the unit and a protocol data unit of 253 bytes."""
 
 MAX_CLIENTS = 32
-"""With more, the one that has been quiet for longest is closed (Messaging 4.2): connections that a controller
-has forgotten make room for it."""
+"""With more, one is closed (Messaging 4.2): connections that a controller has forgotten make room for it."""
+
+KEPT_DESCRIPTORS = 4
+"""Where the process may have few descriptors, so many are left to cameras and ports."""
 
 _DIRECT = frozenset({0, 255})
 """Unit ids for the device itself, not for something behind a gateway (Messaging 4.4.1.2)."""
 
 READ_AHEAD = 1024
 """While more than twice as many bytes wait for their answers, nothing more is read from a client."""
+
+
+@dataclass(slots=True, eq=False)
+class _Client:
+    """One connection: whence it comes, when it asked last (None: never), and the task that serves it."""
+
+    address: str
+    since_s: float
+    asked_s: float | None = None
+    serving: asyncio.Task[None] | None = None
+
+
+def next_to_go(clients: list[_Client]) -> _Client:
+    """Who makes room: who never asked, then who comes from where most do, then the longest quiet."""
+    crowd = Counter((client.asked_s is None, client.address) for client in clients)
+
+    def rank(client: _Client) -> tuple[bool, int, float]:
+        silent = client.asked_s is None
+        return not silent, -crowd[silent, client.address], client.asked_s or client.since_s
+
+    return min(clients, key=rank)
 
 
 class ModbusTcpPublisher:
@@ -42,48 +68,58 @@ class ModbusTcpPublisher:
         self._settings = settings
         self._responder = Responder(board, component)
         self._component = component
-        self._clients: dict[asyncio.StreamWriter, asyncio.Task[None]] = {}
+        self._clients: list[_Client] = []
         self.port = settings.port
         """The port that is served; it differs from the setting when that is 0, once it listens."""
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the address cannot be had."""
-        server = await asyncio.start_server(
-            lambda reader, writer: self._admit(clients, reader, writer),
-            self._settings.host,
-            self._settings.port,
-            limit=READ_AHEAD,
-            start_serving=False,
-        )
-        async with asyncio.TaskGroup() as clients:
-            try:
-                _detect_dead_peers(server)
-                await server.start_serving()
-                self.port = server.sockets[0].getsockname()[1]
+        with listen(self._settings.host, self._settings.port) as listener:
+            _detect_dead_peers(listener)
+            self.port = listener.getsockname()[1]
+            async with asyncio.TaskGroup() as clients:
                 ready()
                 self._component.say(State.OK, f"Modbus TCP on port {self.port}")
-                await asyncio.get_running_loop().create_future()
-            finally:
-                server.close()
+                await accept(listener, self._component, lambda connection: self._admit(clients, connection))
 
-    def _admit(
-        self, clients: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        """Start to serve a client; ``_clients`` has the one that has been quiet for longest in front."""
-        if len(self._clients) >= MAX_CLIENTS:
-            self._clients.pop(next(iter(self._clients))).cancel()
-            self._component.count("clients_displaced")
-        self._clients[writer] = clients.create_task(self._serve(reader, writer), name="modbus tcp client")
-        self._clients[writer].add_done_callback(lambda _: self._dismiss(writer))
-        self._component.count("clients")
+    async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
+        """Serve a connection; where there are enough, one that is there already makes room."""
+        full = len(self._clients) >= MAX_CLIENTS or is_among_last(connection, KEPT_DESCRIPTORS)
+        if full and not self._clients:
+            self._component.count("connections_refused")
+            connection.close()
+            return
+        if full:
+            self._displace(next_to_go(self._clients))
+        loop = asyncio.get_running_loop()
+        client = _Client(connection.getpeername()[0], loop.time())
 
-    def _dismiss(self, writer: asyncio.StreamWriter) -> None:
-        self._clients.pop(writer, None)
+        def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            client.serving = tasks.create_task(self._serve(client, reader, writer), name="modbus tcp client")
+            client.serving.add_done_callback(lambda _: self._dismiss(client, writer))
+            self._clients.append(client)
+            self._component.count("clients")
+
+        streams = asyncio.StreamReaderProtocol(asyncio.StreamReader(READ_AHEAD), begin)
+        await loop.connect_accepted_socket(lambda: streams, connection)
+
+    def _displace(self, client: _Client) -> None:
+        self._clients.remove(client)
+        self._component.count("clients_displaced")
+        if client.serving is not None:
+            client.serving.cancel()
+
+    def _dismiss(self, client: _Client, writer: asyncio.StreamWriter) -> None:
+        if client in self._clients:
+            self._clients.remove(client)
         self._component.count("clients", -1)
         writer.transport.abort()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve(
+        self, client: _Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
         """Answer one client until it leaves or stops making sense."""
+        clock = asyncio.get_running_loop().time
         with contextlib.suppress(OSError, asyncio.IncompleteReadError):  # it left
             while True:
                 transaction, protocol, length, unit = MBAP.unpack(await reader.readexactly(MBAP.size))
@@ -91,9 +127,9 @@ class ModbusTcpPublisher:
                     self._component.count("garbled")  # where the next frame begins cannot be known
                     return
                 answer = await self._answer(unit, await reader.readexactly(length - 1))
+                client.asked_s = clock()
                 writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                 await writer.drain()
-                self._clients[writer] = self._clients.pop(writer)
                 await asyncio.sleep(0)  # a client with many requests at once does not hold up the rest
 
     async def _answer(self, unit: int, request: bytes) -> bytes:
@@ -103,10 +139,10 @@ class ModbusTcpPublisher:
         return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])
 
 
-def _detect_dead_peers(server: asyncio.Server) -> None:
+def _detect_dead_peers(listener: socket.socket) -> None:
     """Have the kernel end a connection whose other end has been gone for a minute (Messaging 4.3.2)."""
-    for listener in server.sockets:  # what it accepts inherits its options
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
-        listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
+    # what is set here every accepted connection inherits
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 30)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 10)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)

@@ -8,6 +8,7 @@ from altd.publish.example import MEASURED
 from altd.publish.serial.console import COMMANDS, WATCH_S, Console
 from altd.publish.serial.examples import SPOT_LOST, health
 from altd.publish.serial.lines import LONGEST_LINE
+from altd.publish.serial.publisher import PAUSE_S, TURN_BYTES
 from altd.records import Measurement
 
 
@@ -32,6 +33,9 @@ has at most {LONGEST_LINE} characters. The console only shows: nothing typed her
 {commands}
 `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. Uncertainties are standard deviations
 (1 sigma). Times are UTC.
+
+The console takes at most {TURN_BYTES} characters and one line at a time, and rests {1000 * PAUSE_S:g} ms
+after each: a line that floods it waits, and measuring does not.
 
 When nothing appears: Enter again, then check the cable (RS232: receive and transmit crossed; RS485: A and B),
 and that the terminal's speed is the port's `baud`. Unreadable characters mean a wrong speed or parity.

@@ -17,7 +17,11 @@ CONSOLE_WAITING = 16384
 """Bytes of console output that may wait for a slow line."""
 
 PAUSE_S = 0.02
-"""Rest after each reading: a line that floods, or echoes all it is sent, must not keep the unit busy."""
+"""Rest after each turn: a line that floods, or echoes all it is sent, must not keep the unit busy."""
+
+TURN_BYTES = 128
+"""Typed characters that the console takes in a turn, and no more than one line of them: a turn then takes the
+event loop about a millisecond, whatever comes in. 6,400 characters a second are more than anybody types."""
 
 
 class TelegramPublisher:
@@ -91,8 +95,10 @@ class ConsolePublisher:
             ready()
             self._component.say(State.OK, f"console on {describe(self._settings)}")
             self._show(port, console.greet())
+            waiting = b""
             while True:
-                typed = await self._typed(port, console.watching_s)
+                waiting = waiting or await self._typed(port, console.watching_s)
+                typed, waiting = _first_line(waiting)
                 known = console.commands
                 self._show(port, console.feed(typed) if typed else console.tick())
                 self._component.count("commands", console.commands - known)
@@ -102,13 +108,19 @@ class ConsolePublisher:
     async def _typed(self, port: Port, watching_s: float | None) -> bytes:
         """What is typed next; nothing once the interval of ``watch`` is over."""
         if watching_s is None:
-            return await port.read()
+            return await port.read(limit=TURN_BYTES)
         pause = asyncio.ensure_future(self._clock.sleep(watching_s))
         try:
-            return await port.read(until=pause)
+            return await port.read(until=pause, limit=TURN_BYTES)
         finally:
             pause.cancel()
 
     def _show(self, port: Port, text: bytes) -> None:
         if text and not port.write(text):
             self._component.count("answers_dropped")
+
+
+def _first_line(typed: bytes) -> tuple[bytes, bytes]:
+    """What was typed up to the end of its first line, and the rest."""
+    end = next((place + 1 for place, byte in enumerate(typed) if byte in LINE_END), len(typed))
+    return typed[:end], typed[end:]

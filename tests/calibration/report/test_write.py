@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import pytest
@@ -14,22 +16,45 @@ def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
         write_together(tmp_path, {"a": content, "b": content})
     found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     assert found == {"a": b"22", "b": b"22", "other": b"stays"}
-    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o644
+
+
+def test_files_have_the_mode_that_the_umask_leaves_and_keep_it(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_together(tmp_path, {"a": b"1"})
+        (tmp_path / "b").write_bytes(b"1")
+        (tmp_path / "b").chmod(0o600)
+        write_together(tmp_path, {"b": b"2"})
+    finally:
+        os.umask(before)
+    assert [(tmp_path / name).stat().st_mode & 0o777 for name in "ab"] == [0o640, 0o600]
 
 
 @pytest.mark.parametrize("before", [None, b"old"])
-def test_when_the_second_cannot_be_written_the_first_is_as_it_was(
-    before: bytes | None, tmp_path: Path
+def test_when_the_second_cannot_be_named_the_first_is_as_it_was(
+    before: bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A disk that takes both files and then refuses the second name: nothing real does that on demand."""
+
+    def replace(temporary: Path, place: Path) -> None:
+        if place.name == "b":
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        temporary.rename(place)
+
+    monkeypatch.setattr(Path, "replace", replace)
     if before is not None:
         (tmp_path / "a").write_bytes(before)
-    (tmp_path / "b").mkdir()
-    with pytest.raises(BadInputError, match="Is a directory"):
+    with pytest.raises(BadInputError, match="Input/output error"):
         write_together(tmp_path, {"a": b"new", "b": b"new"})
-    found = sorted(path.name for path in tmp_path.iterdir())
-    assert found == (["b"] if before is None else ["a", "b"])
-    if before is not None:
-        assert (tmp_path / "a").read_bytes() == before
+    found = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert found == ({} if before is None else {"a": before})
+
+
+def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    with pytest.raises(BadInputError, match="is a folder, not a file that can be replaced"):
+        write_together(tmp_path, {"a": b"new", "b": b"new"})
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
 def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -50,11 +75,17 @@ def test_the_folder_is_made_when_it_is_written(tmp_path: Path) -> None:
         ("none/report", "No such file"),
         ("file", "is not a folder"),
         ("full", "full/calibration.pdf: is a folder"),
+        (
+            "linked",
+            "linked/calibration.html: is a symbolic link: name the file that it points to, /etc/passwd",
+        ),
     ],
 )
 def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "full" / "calibration.pdf").mkdir(parents=True)
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / "calibration.html").symlink_to("/etc/passwd")
     with pytest.raises(BadInputError, match=why) as caught:
         check_report(tmp_path / place)
     assert place in str(caught.value)

@@ -16,7 +16,7 @@ from altd.ports import (
     CameraRefusedError,
     CameraTimeoutError,
 )
-from altd.records import Origin
+from altd.records import CameraIdentity, Origin
 
 pytestmark = pytest.mark.own_network
 
@@ -57,6 +57,7 @@ class TestFrames:
         assert not first.pixels.flags.writeable
         assert (first.camera, first.bits, second.sequence) == ("front", 8, 1)
         assert grabbed.camera.origin is Origin.SIMULATED
+        assert grabbed.camera.identity == CameraIdentity("T1", "Fake", "aravis")
 
     def test_of_16_bits_have_their_bytes_in_order(self, cameras: Cameras) -> None:
         cameras.start()
@@ -171,7 +172,7 @@ class TestExposure:
         try:
             assert not camera.next_frame(1).changing
             camera.set_exposure(4.0, 0.0)
-            assert camera.next_frame(1).changing
+            wait_for(lambda: camera.next_frame(1).changing, 1)  # those before were exposed before
             wait_for(lambda: not camera.next_frame(1).changing, 1)
         finally:
             camera.close()

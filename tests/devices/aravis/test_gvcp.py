@@ -60,10 +60,24 @@ class TestQuestions:
             lambda question: [ack(question, b"\0\0\0\0", status=0x8006)],
             lambda question: [ack(question, b"\0\0\0\0", of=1)],
             lambda question: [ack(question, b"\0\0\0\0", claimed=4000)],
+            lambda question: [ack(question, b"\0\0\0\0", claimed=2)],
             lambda question: [ack(question, b"\0")],
+            lambda question: [ack(question, b"\0" * 5), ack(question, b"\0" * 249)],
+            lambda question: [ack(question, b"\0" * 248)],
             lambda question: [question],
         ],
-        ids=["nothing", "noise", "refusal", "answer to another question", "cut off", "too short", "echo"],
+        ids=[
+            "nothing",
+            "noise",
+            "refusal",
+            "answer to another question",
+            "cut off",
+            "longer than it says",
+            "too short",
+            "too long",
+            "of another address",
+            "echo",
+        ],
     )
     def test_what_is_no_answer_is_none_in_time(self, answer: Callable[[bytes], list[bytes]]) -> None:
         with answering(answer):
@@ -71,6 +85,14 @@ class TestQuestions:
             assert gvcp.privilege(ELSEWHERE, 0.1) is None
             assert gvcp.greet(ELSEWHERE, 0.1) is None
             assert time.monotonic() - began_s < 1.0
+
+    def test_no_two_have_the_same_number(self) -> None:
+        """Who does not see the question cannot forge its answer."""
+        asked: list[bytes] = []
+        with answering(lambda question: asked.append(question[6:8]) or []):
+            for _ in range(20):
+                gvcp.privilege(ELSEWHERE, 0.01)
+        assert len(set(asked)) > 15
 
     def test_the_answer_is_found_behind_noise(self) -> None:
         with answering(
@@ -80,6 +102,7 @@ class TestQuestions:
 
     def test_a_name_is_text_whatever_the_camera_says(self) -> None:
         hostile = bytearray(248)
+        hostile[0x24:0x28] = socket.inet_aton(ELSEWHERE)
         hostile[0x48:0x68] = b"\xff\x1b[2J\n" * 5 + b"\xff\xff"
         with answering(lambda question: [ack(question, bytes(hostile))]):
             greeting = gvcp.greet(ELSEWHERE, 1.0)

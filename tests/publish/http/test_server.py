@@ -102,6 +102,32 @@ async def test_what_is_no_request_is_refused(served: Served, request_bytes: byte
         assert (await unit.ask("/api/status")).status == 200
 
 
+@pytest.mark.parametrize("path", ["/api/status", "/api/stream", "/nothing"])
+@pytest.mark.parametrize(
+    "body",
+    [b"zz\r\n", b"-1\r\n", b"5\r\nabc\r\n\x00\r\n", b"\xff" * 500, b"0\r\n\x00:\r\n\r\n"],
+    ids=["no number", "negative", "wrong length", "binary", "trailer"],
+)
+@pytest.mark.parametrize("pause_s", [0.0, 0.02], ids=["at once", "later"])
+async def test_a_malformed_body_after_a_good_header_logs_nothing(
+    served: Served, caplog: pytest.LogCaptureFixture, path: str, body: bytes, pause_s: float
+) -> None:
+    head = f"GET {path} HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        writer.write(head)
+        if pause_s:
+            await writer.drain()
+            await asyncio.sleep(pause_s)
+        with contextlib.suppress(ConnectionError, TimeoutError):
+            writer.write(body)
+            await asyncio.wait_for(reader.read(), 0.2)
+        writer.close()
+        assert (await unit.ask("/api/status")).status == 200
+        await unit.until(lambda: unit.publisher._streams.open == 0)
+    assert caplog.records == []
+
+
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=20))
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 async def test_garbage_does_not_trouble_it(served: Served, garbage: list[bytes]) -> None:

@@ -7,10 +7,12 @@ import contextlib
 import re
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from publish.modbus.wire import UNIT, Measured, Serving
+from support.clock import FakeClock
 from support.foreign import need_program
 
 from altd.config import SerialPort
@@ -46,10 +48,10 @@ def line(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
 
 @pytest.mark.parametrize("table", [3, 4])
 async def test_over_tcp_mbpoll_reads_what_the_page_shows(
-    tcp: ModbusTcpPublisher, board: Board, table: int
+    tcp: ModbusTcpPublisher, board: Board, clock: FakeClock, table: int
 ) -> None:
     assert page.EXAMPLE.measurement is not None
-    board.publish(page.EXAMPLE.measurement)
+    board.publish(replace(page.EXAMPLE.measurement, t_ns=clock.now_ns))
     at = ("-m", "tcp", "-p", tcp.port, "-a", UNIT, "127.0.0.1")
 
     assert await mbpoll("-t", f"{table}:float", "-r", 20, "-c", 15, *at) == page.mbpoll_lines()

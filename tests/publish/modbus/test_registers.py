@@ -22,7 +22,7 @@ from altd.publish.modbus.registers import (
     image,
 )
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
-from altd.records import Fault, Measurement, Reason
+from altd.records import Beam, Fault, Measurement, Reason
 
 
 def decode(words: list[int], address: int, layout: str) -> Any:
@@ -219,3 +219,9 @@ def test_a_packed_number_is_the_nearest_that_its_type_has(value: float) -> None:
 def test_only_what_is_not_known_reads_as_not_known(value: float, kind: Type) -> None:
     assert (kind.pack(value) == kind.unknown) == (not math.isfinite(value))
     assert len(kind.pack(value)) == kind.words
+
+
+def test_a_scaled_number_that_overflows_is_held_at_the_end_and_not_unknown(measured: Measured) -> None:
+    beam = Beam(1e305, -1e305, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    words = image(Snapshot(measured(beam=beam), 0.5, 1))
+    assert words[60:64] == [0x7FFF, 0xFFFF, 0x8000, 0x0001]

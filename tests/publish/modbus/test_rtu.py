@@ -11,14 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import settings as trying
-from hypothesis import strategies as st
 from publish.modbus.wire import ONE, ONE_ANSWER, UNIT, Serving
 
 from altd.config import SerialPort
 from altd.publish.modbus.registers import SIZE
-from altd.publish.modbus.rtu import ModbusRtuPublisher, request_at_end, silence_s
+from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
 from altd.service.board import Board
 from altd.service.health import Component
 
@@ -270,15 +267,3 @@ def test_the_silence_is_3_5_characters_but_never_shorter_than_1_75_ms() -> None:
     assert silence_s(9600) == pytest.approx(4.01e-3, rel=1e-3)
     assert silence_s(19200) == pytest.approx(2.005e-3, rel=1e-3)
     assert silence_s(115200) == 1.75e-3
-
-
-@trying(derandomize=True)  # a CRC of 16 bits fits noise now and then
-@given(st.binary(max_size=300), st.integers(1, 247), st.binary(min_size=1, max_size=253))
-def test_a_request_is_found_behind_any_noise(noise: bytes, unit: int, pdu: bytes) -> None:
-    assert request_at_end(noise + frame(pdu, unit), unit) == pdu
-
-
-@given(st.binary(max_size=300), st.integers(1, 247))
-def test_what_ends_with_no_frame_holds_no_request(noise: bytes, unit: int) -> None:
-    found = request_at_end(noise, unit)
-    assert found is None or noise.endswith(frame(found, unit))

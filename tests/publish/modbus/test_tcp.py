@@ -10,11 +10,14 @@ from typing import Any
 import pytest
 from publish.modbus.wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measured, connected, frame, words
 
+from altd import __version__
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Beam
 from altd.service.board import Board
 from altd.service.health import Component
+
+VERSION = __version__.encode()
 
 
 async def test_input_and_holding_registers_are_the_same(
@@ -44,6 +47,7 @@ async def test_any_part_of_the_table_can_be_read(client: Client) -> None:
         ("04 0000 ffff", "84 03"),
         ("04 0000", "84 03"),
         ("04", "84 03"),
+        ("04 0066 0002 00", "84 03"),
         ("04 0001 0078", "84 02"),
         ("03 0078 0001", "83 02"),
         ("04 ffff 007d", "84 02"),
@@ -86,6 +90,29 @@ async def test_the_device_identifies_itself(client: Client) -> None:
     answer = await client.ask(bytes.fromhex("2b 0e 01 00"))
     assert answer[:4] == bytes.fromhex("2b 0e 01 83")
     assert answer[7:].startswith(b"\x00\x04altd\x01\x03ALT\x02")
+
+
+@pytest.mark.parametrize("read_code", [1, 2, 3])
+@pytest.mark.parametrize("unknown", [3, 5, 7, 0x7F, 0x80, 0xFF])
+async def test_a_stream_from_an_unknown_object_starts_again_at_object_0(
+    client: Client, read_code: int, unknown: int
+) -> None:
+    """V1.1b3, 6.21: "the server responds as if object 0 were pointed out"."""
+    from_0 = await client.ask(bytes([0x2B, 0x0E, read_code, 0]))
+    assert from_0[6] == {1: 3, 2: 4, 3: 4}[read_code]
+    assert await client.ask(bytes([0x2B, 0x0E, read_code, unknown])) == from_0
+
+
+async def test_a_stream_goes_on_from_a_known_object(client: Client) -> None:
+    answer = await client.ask(bytes.fromhex("2b 0e 02 02"))
+    assert answer[:9] == bytes.fromhex("2b 0e 02 83 00 00 02 02") + bytes([len(VERSION)])
+    assert answer[9:] == VERSION + b"\x04\x13Active Laser Target"
+
+
+@pytest.mark.parametrize("unknown", [3, 5, 7, 0x7F, 0x80, 0xFF])
+async def test_one_unknown_object_is_an_illegal_address(client: Client, unknown: int) -> None:
+    assert await client.ask(bytes([0x2B, 0x0E, 4, unknown])) == bytes.fromhex("ab 02")
+    assert (await client.ask(bytes.fromhex("2b 0e 04 01")))[6:] == b"\x01\x01\x03ALT"
 
 
 @pytest.mark.parametrize("unit", [UNIT, 0, 255])

@@ -123,6 +123,29 @@ async def test_when_all_places_are_taken_the_longest_quiet_client_goes(
         assert component.counters["clients_displaced"] == 1
 
 
+async def test_connections_that_never_ask_do_not_displace_who_does(
+    tcp: ModbusTcpPublisher, component: Component, client: Client
+) -> None:
+    assert await client.ask(ONE) == ONE_ANSWER
+    for _ in range(3):
+        async with contextlib.AsyncExitStack() as stack:
+            for silent in [connected(tcp) for _ in range(MAX_CLIENTS + 1)]:
+                await stack.enter_async_context(silent)
+            assert await client.ask(ONE) == ONE_ANSWER
+    assert component.counters["clients_displaced"] >= 3
+
+
+async def test_a_host_that_crowds_the_unit_displaces_its_own_connections_first(
+    tcp: ModbusTcpPublisher, client: Client
+) -> None:
+    assert await client.ask(ONE) == ONE_ANSWER
+    async with contextlib.AsyncExitStack() as stack:
+        for coming in [connected(tcp, "127.0.0.2") for _ in range(2 * MAX_CLIENTS)]:
+            crowding = await stack.enter_async_context(coming)
+            assert await crowding.ask(ONE) == ONE_ANSWER
+        assert await client.ask(ONE) == ONE_ANSWER
+
+
 async def test_a_storm_of_connections_holds_no_more_than_the_places(
     tcp: ModbusTcpPublisher, component: Component
 ) -> None:

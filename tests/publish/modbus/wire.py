@@ -54,9 +54,9 @@ class Client:
 
 
 @contextlib.asynccontextmanager
-async def connected(tcp: ModbusTcpPublisher) -> AsyncIterator[Client]:
-    """A connection; at the end the server has let go of it, too."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port)
+async def connected(tcp: ModbusTcpPublisher, address: str = "127.0.0.1") -> AsyncIterator[Client]:
+    """A connection from an address of the loopback; at the end the server has let go of it, too."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port, local_addr=(address, 0))
     try:
         yield Client(reader, writer)
     finally:

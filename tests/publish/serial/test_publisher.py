@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
+import os
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 
@@ -160,7 +162,7 @@ class TestConsole:
             for _ in range(3):
                 await clock.jump(0.5)
                 assert b"10.012" in await wire.receive(lines(1))
-                board.publish(measured)
+                board.publish(replace(measured, t_ns=clock.now_ns))
             wire.send(b"q")
             assert await wire.receive(lambda data: data.endswith(b"> ")) == b"> "
             await clock.jump(0.5)
@@ -181,11 +183,26 @@ class TestConsole:
                     await asyncio.sleep(0.02)
             assert answers == 10
 
+    async def test_a_flood_of_commands_takes_one_turn_of_the_loop_for_each(
+        self, wire: Wire, component: Component, publisher: ConsolePublisher
+    ) -> None:
+        async with serving(publisher):
+            await wire.receive(lambda data: data.endswith(b"> "))
+            wire.send(b"status\r" * 30)
+            done = [0]
+            async with asyncio.timeout(10.0):
+                while done[-1] < 30:
+                    await asyncio.sleep(0)
+                    with contextlib.suppress(BlockingIOError):
+                        os.read(wire.far, 65536)
+                    done.append(component.counters.get("commands", 0))
+        assert max(after - before for before, after in itertools.pairwise(done)) == 1
+
     async def test_answers_that_nobody_takes_are_counted_and_it_lives_on(
         self, wire: Wire, component: Component, publisher: ConsolePublisher
     ) -> None:
         async with serving(publisher) as task:
-            for _ in range(200):
+            for _ in range(2000):
                 with contextlib.suppress(BlockingIOError):
                     wire.send(b"status\r" * 60)
                 await asyncio.sleep(0.005)

@@ -1,0 +1,98 @@
+"""What a calibration must be to be measured with, beyond the types of its fields: each map is one.
+
+The checksum says that a file is as somebody wrote it, not that it is right.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from altd.calibration.model import Calibration, TargetCalibration
+from altd.mapping.grid import Axis
+from altd.mapping.tensor_map import TensorMap
+from altd.records import FloatArray
+
+_MOST_NODES = 256
+"""Along an axis; a plate of LEDs has up to 100."""
+_LARGEST_DEGREE = 15
+"""Above, powers lose digits (``gram_powers``)."""
+_MOST_ERRORS = 2 * (_LARGEST_DEGREE + 1) ** 2
+"""Two for each coefficient: what ``fit_tensor_map`` makes."""
+_MOST_CORNERS = 4 * _MOST_NODES
+_BESIDE = 0.25
+"""By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
+_SAME_MM = 1e-3
+_STRAIGHT = 1e-6
+"""Sine of the largest bend inwards at a corner, by rounding."""
+
+
+def check_calibration(calibration: Calibration) -> None:
+    """Raise ValueError that names the target and the map when a calibration cannot be measured with."""
+    names = calibration.target_names
+    if len(set(names)) < len(names):
+        raise ValueError("targets: two targets have the same name")
+    if any(after.z_mm <= before.z_mm for before, after in itertools.pairwise(calibration.targets)):
+        raise ValueError("targets: z_mm must grow from target to target, in beam order")
+    for target in calibration.targets:
+        place = f"targets.{target.name}"
+        for name, fitted in (("map", target.map), ("cross_check.map", target.cross_check.map)):
+            _check_grid(f"{place}.{name}", fitted)
+            _check_hull(f"{place}.{name}.hull_mm", fitted.hull_mm, fitted.x_axis, fitted.y_axis)
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                _check_map(f"{place}.map", target)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            raise ValueError(f"{place}.map: its numbers are too large to compute with") from error
+
+
+def _check_grid(place: str, fitted: TensorMap) -> None:
+    for name, axis, degree in zip("xy", (fitted.x_axis, fitted.y_axis), fitted.degree, strict=True):
+        if axis.nodes > _MOST_NODES:
+            raise ValueError(f"{place}.{name}_axis: has {axis.nodes} nodes, more than {_MOST_NODES}")
+        most = min(axis.nodes - 1, _LARGEST_DEGREE)
+        if not 1 <= degree <= most:
+            raise ValueError(f"{place}.degree: {degree} along {name}, but it must be 1 to {most}")
+    errors = fitted.spread_px.shape[2]
+    if errors < 1:
+        raise ValueError(f"{place}.spread: is empty, so nothing is known of the map's uncertainty")
+    if errors > _MOST_ERRORS:
+        raise ValueError(f"{place}.spread: has {errors} columns, more than {_MOST_ERRORS}")
+
+
+def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> None:
+    """Convex, counter-clockwise, run round once, and not beyond the grid by more than a step."""
+    if len(hull_mm) > _MOST_CORNERS:
+        raise ValueError(f"{place}: has {len(hull_mm)} corners, more than {_MOST_CORNERS}")
+    first = np.array([axis.first_mm - axis.step_mm for axis in (x_axis, y_axis)])
+    last = np.array([axis.last_mm + axis.step_mm for axis in (x_axis, y_axis)])
+    if not ((first <= hull_mm) & (hull_mm <= last)).all():
+        raise ValueError(f"{place}: reaches beyond the grid")
+    edge = np.roll(hull_mm, -1, axis=0) - hull_mm
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    if length.min() < _SAME_MM:
+        raise ValueError(f"{place}: two corners in a row are the same")
+    ahead = edge / length[:, None]
+    after = np.roll(ahead, -1, axis=0)
+    sines = ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0]
+    turns = np.arctan2(sines, np.einsum("ij,ij->i", ahead, after)).sum() / (2 * np.pi)
+    if sines.min() < -_STRAIGHT or round(turns) != 1:
+        raise ValueError(f"{place}: is no convex polygon, counter-clockwise")
+
+
+def _check_map(place: str, target: TargetCalibration) -> None:
+    """The hull lies in the picture, the map is one to one in it, and its inverse finds the middle again."""
+    fitted = target.map
+    hull_px = fitted.to_px(fitted.hull_mm)
+    size = np.array([target.width, target.height], dtype=np.float64)
+    if not ((-_BESIDE * size <= hull_px) & (hull_px <= (1 + _BESIDE) * size)).all():
+        raise ValueError(f"{place}: puts its hull outside of the picture")
+    if fitted.folds:
+        raise ValueError(f"{place}: puts two places of its hull on one pixel")
+    middle_mm = fitted.hull_mm.mean(axis=0)
+    u_px, v_px = fitted.to_px(middle_mm[None])[0].tolist()
+    point = target.point(u_px, v_px)
+    if point is None or not np.allclose((point.x_mm, point.y_mm), middle_mm, atol=1e-3):
+        raise ValueError(f"{place}: does not find a place from its pixel")
+    target.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)

@@ -1,0 +1,298 @@
+"""Frames put together from the packets of a stream, whoever sent them.
+
+Bounded by construction: the size of a frame is what the camera was set to, never what a packet says; at most
+``max_open`` frames are under way; a packet that does not fit into one of them is dropped. And one sender
+alone: where two packets contradict each other, nobody can tell which of them is the camera's, and no frame is
+given out until ``QUARANTINE_NS`` after the last contradiction. No input or output here: packets and times are
+handed in.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from altd.devices.aravis import gvsp
+
+RETENTION_NS = 100_000_000
+"""A frame that lacks packets is given up so long after the last of them; it holds up those behind it."""
+QUARANTINE_NS = 2_000_000_000
+
+_RESEND_AFTER_NS = 10_000_000
+_RESEND_INTERVAL_NS = 25_000_000
+_MAX_RESENDS = 3
+_MAX_RANGES = 16
+_REMEMBERED_LEADERS = 16
+_STANDARD_IDS = 65535
+_EXTENDED_IDS = 2**64 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFormat:
+    """What the camera was set to send: sizes in bytes, ``packet_bytes`` with all headers (IP, UDP, GVSP).
+
+    ``payload_bytes`` is what the camera says a block has; it may fill up behind the image.
+    """
+
+    width: int
+    height: int
+    pixel_format: int
+    image_bytes: int
+    payload_bytes: int
+    packet_bytes: int
+    ticks_per_s: int
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block of the stream. ``fault`` says what is wrong with it; it then has no data.
+
+    ``device_ns`` is the camera's own timestamp, 0 where it has none; ``arrived_ns`` that of the leader's
+    arrival on the monotonic clock.
+    """
+
+    fault: str
+    frame_id: int
+    device_ns: int = 0
+    arrived_ns: int = 0
+    data: memoryview | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Whence frames come and by which ids, as the first leader shows it, and hence what is in which packet.
+
+    ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to ``most`` may
+    come.
+    """
+
+    port: int
+    extended: bool
+    data_bytes: int
+    needed: int
+    last_data_bytes: int
+    most: int
+
+
+@dataclass(slots=True)
+class _OpenBlock:
+    """A block whose leader has come. ``have[k]`` is 1 when packet k has; the last one is the trailer's."""
+
+    id: int
+    layout: _Layout
+    device_ns: int
+    arrived_ns: int
+    last_ns: int
+    missing: int
+    pixels: memoryview
+    have: bytearray
+    resends: int = 0
+    asked_ns: int = 0
+
+
+class Assembler:
+    """Takes packets, gives blocks in their order. ``source_port`` 0: the camera does not tell its port.
+
+    ``refused`` counts packets that fit nowhere, ``contradictions`` those that show a second sender;
+    ``last_refusal`` and ``last_contradiction`` say what the last one was.
+    """
+
+    def __init__(
+        self, stream_format: StreamFormat, *, max_open: int, resend: bool, source_port: int = 0
+    ) -> None:
+        self.refused = self.contradictions = 0
+        self.last_refusal = self.last_contradiction = ""
+        self._format = stream_format
+        self._max_open = max_open
+        self._resend = resend
+        self._source_port = source_port
+        self._layout: _Layout | None = None
+        self._open: dict[int, _OpenBlock] = {}
+        self._leaders: deque[tuple[int, bytes]] = deque(maxlen=_REMEMBERED_LEADERS)
+        self._last_whole: _OpenBlock | None = None
+        self._quiet_until_ns = 0
+        self._request_id = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether a block is under way."""
+        return bool(self._open)
+
+    def quarantined(self, now_ns: int) -> bool:
+        """Whether frames are withheld because of a contradiction."""
+        return now_ns < self._quiet_until_ns
+
+    def take(self, packet: memoryview, port: int, now_ns: int) -> None:
+        """A datagram that came from the camera's address and ``port``."""
+        header = gvsp.read_header(packet)
+        if header is None or (self._source_port and port != self._source_port):
+            self.refused += 1
+            return
+        body = packet[header.size :]
+        if header.packet_format == gvsp.LEADER:
+            self._take_leader(header, body, port, now_ns)
+            return
+        block = self._open.get(header.block_id)
+        if block is None and self._last_whole is not None and header.block_id == self._last_whole.id:
+            block = self._last_whole
+        if block is None or header.extended != block.layout.extended:
+            self.refused += 1
+        elif header.packet_format == gvsp.PAYLOAD:
+            self._take_payload(block, header.packet_id, body, port, now_ns)
+        elif header.packet_format == gvsp.TRAILER:
+            self._take_trailer(block, header.packet_id, body, port, now_ns)
+        else:
+            self.refused += 1
+
+    def blocks(self, now_ns: int) -> Iterator[Block]:
+        """Those that are whole or given up, in the order in which they began."""
+        while self._open:
+            block = next(iter(self._open.values()))
+            whole = block.missing == 0
+            waits = now_ns - block.last_ns < RETENTION_NS and (self._resend or len(self._open) == 1)
+            if not whole and waits:
+                return
+            del self._open[block.id]
+            if not whole:
+                yield Block(f"{block.missing} packets missing", block.id)
+                continue
+            self._last_whole = block
+            if self.quarantined(now_ns):
+                yield Block(self.last_contradiction, block.id)
+            else:
+                yield Block("", block.id, block.device_ns, block.arrived_ns, block.pixels)
+
+    def resend_commands(self, now_ns: int) -> Iterator[bytes]:
+        """Requests for the packets that a block lacks since a while; at most three times a block."""
+        if not self._resend:
+            return
+        for block in self._open.values():
+            interval_ns = _RESEND_INTERVAL_NS if block.resends else _RESEND_AFTER_NS
+            if (
+                block.missing == 0
+                or block.resends == _MAX_RESENDS
+                or now_ns - max(block.last_ns, block.asked_ns) < interval_ns
+            ):
+                continue
+            block.resends += 1
+            block.asked_ns = now_ns
+            for first, last in _gaps(block.have):
+                self._request_id = self._request_id % 65535 + 1
+                yield gvsp.resend_command(self._request_id, block.id, block.layout.extended, first, last)
+
+    def _take_leader(self, header: gvsp.Header, body: memoryview, port: int, now_ns: int) -> None:
+        leader = gvsp.read_leader(body)
+        form = self._format
+        if leader is None or header.packet_id != 0:
+            self.refused += 1
+            return
+        if leader[1:] != (form.pixel_format, form.width, form.height, 0, 0):
+            self.refused += 1
+            self.last_refusal = (
+                f"sends {leader.width} x {leader.height} in format {leader.pixel_format:#x}, "
+                f"padded by {leader.padding_x} and {leader.padding_y}, and was not set to that"
+            )
+            return
+        layout = self._layout
+        if layout is None:
+            layout = self._layout = _layout(form, port, header.extended)
+        elif (port, header.extended) != (layout.port, layout.extended):
+            self._contradict("frames come from two ports", now_ns)
+            return
+        told = bytes(body)
+        known = next((other for block_id, other in self._leaders if block_id == header.block_id), None)
+        if known is not None:
+            if known != told:
+                self._contradict("two frames have the same number", now_ns)
+        elif self._leaders and not _is_ahead(header.block_id, self._leaders[-1][0], header.extended):
+            self._contradict("the frames' numbers go back", now_ns)
+        elif len(self._open) >= self._max_open:
+            self.refused += 1
+        else:
+            self._leaders.append((header.block_id, told))
+            device_ns = leader.timestamp * 1_000_000_000 // form.ticks_per_s if form.ticks_per_s else 0
+            self._open[header.block_id] = _OpenBlock(
+                id=header.block_id,
+                layout=layout,
+                device_ns=device_ns,
+                arrived_ns=now_ns,
+                last_ns=now_ns,
+                missing=layout.needed + 1,
+                pixels=memoryview(bytearray(form.image_bytes)),
+                have=bytearray(layout.needed + 2),
+            )
+
+    def _take_payload(
+        self, block: _OpenBlock, packet_id: int, body: memoryview, port: int, now_ns: int
+    ) -> None:
+        layout = block.layout
+        if 0 < packet_id < layout.needed:
+            fits = len(body) == layout.data_bytes
+        elif packet_id == layout.needed:
+            fits = layout.last_data_bytes <= len(body) <= layout.data_bytes
+            body = body[: layout.last_data_bytes]
+        else:
+            return  # behind the image, or nowhere
+        if not fits:
+            self.refused += 1
+        elif port != layout.port:
+            self._contradict("a frame's packets come from two ports", now_ns)
+        else:
+            begin = (packet_id - 1) * layout.data_bytes
+            place = block.pixels[begin : begin + len(body)]
+            if not block.have[packet_id]:
+                block.have[packet_id] = 1
+                place[:] = body
+                block.missing -= 1
+                block.last_ns = now_ns
+            elif place != body:
+                self._contradict("two packets have the same number", now_ns)
+
+    def _take_trailer(
+        self, block: _OpenBlock, packet_id: int, body: memoryview, port: int, now_ns: int
+    ) -> None:
+        layout = block.layout
+        fits = layout.needed < packet_id <= layout.most + 1
+        if not fits or not gvsp.is_trailer(body):
+            self.refused += 1
+        elif port != layout.port:
+            self._contradict("a frame's packets come from two ports", now_ns)
+        elif not block.have[-1]:
+            block.have[-1] = 1
+            block.missing -= 1
+            block.last_ns = now_ns
+
+    def _contradict(self, what: str, now_ns: int) -> None:
+        """Nothing that came until now is believed any more; who sends next is taken for the camera."""
+        self.contradictions += 1
+        self.last_contradiction = f"{what}: another sender uses the camera's address"
+        self._quiet_until_ns = now_ns + QUARANTINE_NS
+        self._open.clear()
+        self._leaders.clear()
+        self._layout = self._last_whole = None
+
+
+def _layout(form: StreamFormat, port: int, extended: bool) -> _Layout:
+    data_bytes = gvsp.data_bytes(form.packet_bytes, extended)
+    needed = -(-form.image_bytes // data_bytes)
+    most = max(needed, -(-form.payload_bytes // data_bytes))
+    return _Layout(port, extended, data_bytes, needed, form.image_bytes - (needed - 1) * data_bytes, most)
+
+
+def _is_ahead(block_id: int, last: int, extended: bool) -> bool:
+    """Whether a block's number follows another one's, over its wrap: by less than half of all numbers."""
+    count = _EXTENDED_IDS if extended else _STANDARD_IDS
+    return 0 < (block_id - last) % count < count / 2
+
+
+def _gaps(have: bytearray) -> Iterator[tuple[int, int]]:
+    """First and last packet id of the first ranges of packets that are missing; the leader never is."""
+    last = 0
+    for _ in range(_MAX_RANGES):
+        first = have.find(0, last + 1)
+        if first < 0:
+            return
+        following = have.find(1, first)
+        last = (len(have) if following < 0 else following) - 1
+        yield first, last

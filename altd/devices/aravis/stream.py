@@ -1,0 +1,107 @@
+"""A camera's stream of frames: a thread that takes its packets, and a short queue of what they made."""
+
+from __future__ import annotations
+
+import logging
+import select
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+
+from altd.devices.aravis.blocks import Assembler, Block
+from altd.devices.aravis.gvcp import PORT
+from altd.devices.aravis.packets import BATCH, PacketSocket
+
+log = logging.getLogger("altd")
+
+_QUEUE = 8
+"""Frames that nobody took; the oldest goes first."""
+_IDLE_POLL_MS = 50
+_BUSY_POLL_MS = 5
+_GATHER_S = 0.0003
+"""While a frame comes in: so long packets gather in the socket, else each one wakes the thread."""
+_LOG_REPEAT_S = 60.0
+_JOIN_TIMEOUT_S = 1.0
+
+
+class Stream:
+    """Gives the blocks that an assembler makes of the packets of ``receiving``; closes both at the end."""
+
+    def __init__(self, camera: str, receiving: PacketSocket, assembler: Assembler, address: str) -> None:
+        self._camera = camera
+        self._receiving = receiving
+        self._assembler = assembler
+        self._control = address, PORT
+        self._ready: deque[Block] = deque(maxlen=_QUEUE)
+        self._news = threading.Condition()
+        self._closing = False
+        self._failure: OSError | None = None
+        self._said_ns = 0
+        self._thread = threading.Thread(target=self._run, name=f"gvsp {address}", daemon=True)
+        self._thread.start()
+
+    @property
+    def quarantined(self) -> bool:
+        """Whether frames are withheld because somebody else sends in the camera's name."""
+        return self._assembler.quarantined(time.monotonic_ns())
+
+    @property
+    def remark(self) -> str:
+        """What is wrong with what comes, as far as anything is known."""
+        return self._assembler.last_contradiction if self.quarantined else self._assembler.last_refusal
+
+    def pop(self, timeout_s: float) -> Block | None:
+        """The oldest block not yet taken; None when none came in time. Raises OSError."""
+        with self._news:
+            self._news.wait_for(lambda: self._ready or self._failure, timeout_s)
+            if self._ready:
+                return self._ready.popleft()
+            if self._failure is not None:
+                raise self._failure
+            return None
+
+    def close(self) -> None:
+        """Let go of the port; within a twentieth of a second."""
+        self._closing = True
+        self._thread.join(_JOIN_TIMEOUT_S)
+        self._receiving.close()
+
+    def _run(self) -> None:
+        try:
+            poll = select.poll()
+            poll.register(self._receiving, select.POLLIN)
+            while not self._closing:
+                came = poll.poll(_BUSY_POLL_MS if self._assembler.busy else _IDLE_POLL_MS)
+                count = self._take() if came else 0
+                self._give()
+                if 0 < count < BATCH and self._assembler.busy:
+                    time.sleep(_GATHER_S)
+        except OSError as error:
+            with self._news:
+                self._failure = error
+                self._news.notify()
+
+    def _take(self) -> int:
+        assembler, count, before = self._assembler, 0, self._assembler.contradictions
+        now_ns = time.monotonic_ns()
+        for packet, port in self._receiving.receive():
+            assembler.take(packet, port, now_ns)
+            count += 1
+        if assembler.contradictions != before:
+            with self._news:
+                self._ready.clear()  # nobody knows whose these are
+            if not self._said_ns or now_ns - self._said_ns > _LOG_REPEAT_S * 1e9:
+                self._said_ns = now_ns
+                log.warning("camera %s: %s", self._camera, assembler.last_contradiction)
+        return count
+
+    def _give(self) -> None:
+        now_ns = time.monotonic_ns()
+        for block in self._assembler.blocks(now_ns):
+            with self._news:
+                self._ready.append(block)
+                self._news.notify()
+        for command in self._assembler.resend_commands(now_ns):
+            with suppress(OSError):  # the camera is away, or the network is: the frame is lost
+                self._receiving.send(command, self._control)

@@ -1,0 +1,144 @@
+"""Pictures: their size is known before they are decoded, for a file of a few bytes may claim any."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.errors import BadInputError
+from altd.files.reading import read_file
+from altd.records import PixelArray
+
+LARGEST_PX = 1 << 28
+"""16384 × 16384, more than any camera has."""
+PNG_HEAD_BYTES = 26
+
+_LARGEST_BYTES = 1 << 30
+_MOST_SAID = 1000
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_GREY = 0
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+_CRITICAL = (b"IHDR", b"PLTE", b"IDAT", b"IEND")
+
+
+def check_png_head(head: bytes, width: int, height: int, bits: int) -> None:
+    """Signature, size, depth and colour from the first 26 bytes (PNG specification, 11.2.2).
+
+    ``bits`` is the camera's depth: 8 needs a PNG of 8 bits, 9 to 16 one of 16. Raises ValueError that says
+    what does not fit.
+    """
+    if len(head) < PNG_HEAD_BYTES or not head.startswith(_PNG_SIGNATURE):
+        raise ValueError("is not a PNG")
+    png_width, png_height, depth, colour = struct.unpack_from(">IIBB", head, 16)
+    if (png_width, png_height) != (width, height):
+        raise ValueError(f"is {png_width} × {png_height}, expected {width} × {height}")
+    if colour != _PNG_GREY or depth != (8 if bits == 8 else 16):
+        raise ValueError(f"is not a grey PNG of {bits} bits")
+
+
+def decode_png(data: bytes, width: int, height: int, bits: int) -> PixelArray:
+    """The pixels (rows, columns) of a grey PNG of this size; raises ValueError."""
+    check_png_head(data, width, height, bits)
+    try:
+        pixels = _decode(_critical(data))
+    except ValueError as error:
+        raise ValueError(f"cannot be decoded as a frame: {error}") from error
+    if pixels is None or pixels.shape != (height, width):
+        raise ValueError("cannot be decoded as a frame")
+    return cast("PixelArray", pixels)
+
+
+def png_bytes(width: int, height: int, bits: int) -> int:
+    """What a PNG of this size may take: its pixels as they are, and as much again for all else."""
+    return 2 * width * height * (1 if bits == 8 else 2) + (1 << 20)
+
+
+def read_picture(path: Path) -> PixelArray:
+    """An 8- or 16-bit grey picture in any format that OpenCV reads; raises BadInputError.
+
+    For a command, which has one thread: what a decoder says on stderr is caught, and refuses it.
+    """
+    data = read_file(path, _LARGEST_BYTES)
+    try:
+        with _stderr_caught() as said:
+            pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
+    except ValueError as error:
+        raise BadInputError(path, f"is not an image that can be read: {error}") from error
+    if said:
+        raise BadInputError(path, f"is not an image that can be read: {said[0]}")
+    if pixels is None:
+        raise BadInputError(path, f"is not an image that can be read, of up to {LARGEST_PX} pixels")
+    if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
+        raise BadInputError(path, "is not an 8- or 16-bit grey image")
+    if min(pixels.shape) < 32:
+        raise BadInputError(path, f"is only {pixels.shape[1]} × {pixels.shape[0]} pixels")
+    return cast("PixelArray", pixels)
+
+
+@contextmanager
+def _stderr_caught() -> Iterator[list[str]]:
+    """The lines that go to the process' stderr meanwhile, also those of libraries in C."""
+    lines: list[str] = []
+    with os.fdopen(os.memfd_create("stderr"), "rb") as caught:
+        stderr = os.dup(2)
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        caught.seek(0)
+        lines += caught.read(_MOST_SAID).decode(errors="replace").splitlines()
+
+
+def _critical(data: bytes) -> bytes:
+    """A PNG without its ancillary chunks; raises ValueError when a chunk is torn, damaged or out of place.
+
+    Of what it finds itself, libpng tells stderr on its own, and the rest of a frame is none of its business.
+    """
+    parts, at = [_PNG_SIGNATURE], len(_PNG_SIGNATURE)
+    while len(data) >= at + 12:
+        length, kind = struct.unpack_from(">I4s", data, at)
+        chunk = data[at : at + 12 + length]
+        if len(chunk) < 12 + length or zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
+            break
+        if (kind == b"IHDR") != (at == len(_PNG_SIGNATURE)):
+            break
+        if kind in _CRITICAL:
+            parts.append(chunk)
+        if kind == b"IEND":
+            _check_header(data)
+            return b"".join(parts)
+        at += 12 + length
+    raise ValueError("it is torn or damaged")
+
+
+def _check_header(data: bytes) -> None:
+    """PNG specification, 11.2.2."""
+    width, height, depth, colour, compression, filtering, interlace = struct.unpack_from(">IIBBBBB", data, 16)
+    if width * height > LARGEST_PX:
+        raise ValueError(f"it is {width} × {height}, more than {LARGEST_PX} pixels")
+    if (
+        not (width and height and depth in _DEPTHS.get(colour, ()))
+        or compression
+        or filtering
+        or interlace > 1
+    ):
+        raise ValueError("its header is none of a PNG")
+
+
+def _decode(data: bytes) -> npt.NDArray[Any] | None:
+    """None for what is none, or claims more pixels than ``OPENCV_IO_MAX_IMAGE_PIXELS``: see ``cli``."""
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None

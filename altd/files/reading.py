@@ -1,0 +1,81 @@
+"""Reading what a path names, whatever that is: regular files only, no larger than agreed, never waiting."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from altd.errors import BadInputError
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFLNK: "a symbolic link",
+}
+
+
+def read_file(path: Path, largest_bytes: int) -> bytes:
+    """The content of a regular file, not more than ``largest_bytes``.
+
+    Raises BadInputError, also when the file changed while it was read: then it is neither the old one nor the
+    new one.
+    """
+    with _opened(path) as descriptor:
+        before = os.fstat(descriptor)
+        if before.st_size > largest_bytes:
+            raise BadInputError(path, f"is {before.st_size} bytes long, more than {largest_bytes}")
+        content = _read(descriptor, largest_bytes + 1)
+        after = os.fstat(descriptor)
+        if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+            raise BadInputError(path, "was changed while it was read")
+        if len(content) > largest_bytes:  # of a file of /proc, which has no size
+            raise BadInputError(path, f"is more than {largest_bytes} bytes long")
+        return content
+
+
+def read_head(path: Path, head_bytes: int) -> bytes:
+    """The first bytes of a regular file of any size; raises BadInputError."""
+    with _opened(path) as descriptor:
+        return _read(descriptor, head_bytes)
+
+
+def kind_of(mode: int) -> str:
+    """What a file that is not regular is, in a person's words, from its ``st_mode``."""
+    return _KINDS.get(stat.S_IFMT(mode), "no regular file")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[int]:
+    """A descriptor of a regular file. Anything else is not even opened: a device may act on it."""
+    try:
+        _demand_regular(path, path.stat().st_mode)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        try:
+            _demand_regular(path, os.fstat(descriptor).st_mode)  # it may be another file by now
+            yield descriptor
+        finally:
+            os.close(descriptor)
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    except ValueError as error:  # a NUL, or letters that the file system does not have
+        raise BadInputError(path, "is no path") from error
+
+
+def _demand_regular(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise BadInputError(path, f"is {kind_of(mode)}, not a file")
+
+
+def _read(descriptor: int, at_most_bytes: int) -> bytes:
+    parts: list[bytes] = []
+    left = at_most_bytes
+    while left > 0 and (part := os.read(descriptor, min(left, 1 << 20))):
+        parts.append(part)
+        left -= len(part)
+    return b"".join(parts)

@@ -1,0 +1,86 @@
+"""Writing a file whole or not at all: beside its place, and then under its name.
+
+Only a regular file is replaced. A device, a pipe or a folder would be lost, and behind a symbolic link may be
+anything: it is named to the person, who can name that file.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+from altd.errors import BadInputError
+from altd.files.reading import kind_of
+
+
+def check_replaceable(path: Path) -> None:
+    """Say before any work is done what would stop ``write_file``; raises BadInputError."""
+    try:
+        _demand_replaceable(path)
+        if not path.parent.is_dir():
+            raise BadInputError(path, "its folder does not exist")
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise BadInputError(path, "its folder cannot be written")
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be written") from error
+    except ValueError as error:  # a NUL, or letters that the file system does not have
+        raise BadInputError(path, "is no path") from error
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Make or replace a regular file; raises BadInputError, and then the old one is as it was."""
+    try:
+        replace_file(path, content)
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be written") from error
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """The same, with OSError when the disk refuses."""
+    temporary = write_beside(path, content)
+    try:
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink()
+        raise
+
+
+def write_beside(path: Path, content: bytes) -> Path:
+    """A new file in the same folder, on the disk, with the mode and the owner that ``path`` shall have.
+
+    Those of the file that it will replace, or what the umask leaves of 0666. Raises OSError, and
+    BadInputError for what cannot be replaced; nothing is left then.
+    """
+    old = _demand_replaceable(path)
+    temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(temporary, flags, 0o666 if old is None else 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            if old is not None:
+                with suppress(PermissionError):  # of another owner; only root may give files away
+                    os.fchown(descriptor, old.st_uid, old.st_gid)
+                os.fchmod(descriptor, old.st_mode & 0o777)
+            file.write(content)
+            file.flush()
+            os.fsync(descriptor)
+    except BaseException:
+        temporary.unlink()
+        raise
+    return temporary
+
+
+def _demand_replaceable(path: Path) -> os.stat_result | None:
+    """What is there now: a regular file, or nothing yet."""
+    try:
+        now = path.lstat()
+    except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(now.st_mode):
+        raise BadInputError(path, f"is a symbolic link: name the file that it points to, {path.readlink()}")
+    if not stat.S_ISREG(now.st_mode):
+        raise BadInputError(path, f"is {kind_of(now.st_mode)}, not a file that can be replaced")
+    return now

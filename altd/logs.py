@@ -1,0 +1,174 @@
+"""The log on standard error: it never holds up who logs, and nobody outside can flood it."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import logging
+import os
+import queue
+import re
+import select
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+LOG_REPEAT_S = 10.0
+"""A cause is said once in this time, and how often it came meanwhile with its next line."""
+
+MAX_CAUSES = 20
+"""Different causes of one logger that are said in this time; what comes beyond is counted."""
+
+MAX_WAITING_LINES = 1000
+"""More than these are dropped and counted while standard error takes nothing."""
+
+JOIN_TIMEOUT_S = 1.0
+"""How long the end waits for standard error to take what is left."""
+
+_ADDRESSES_AND_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+")
+
+
+@dataclass(slots=True)
+class _Cause:
+    line: str
+    said_s: float
+    held_back: int = 0
+
+
+class RepeatLimit:
+    """Lets warnings and errors of one cause pass once in ``LOG_REPEAT_S``, and counts the others.
+
+    A cause is a logger, a level and a message without its numbers. Lines that inform are not limited: they
+    come once a second at most, where they are made, and the last of them must be the true one.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._causes: dict[str, dict[str, _Cause]] = {}
+
+    def note(self, record: logging.LogRecord) -> str | None:
+        """What to add to the record's line, or None when it is held back."""
+        if record.levelno <= logging.INFO:
+            return ""
+        now_s = self._clock()
+        family = record.name.partition(".")[0]
+        message = record.getMessage()
+        causes = self._causes.setdefault(family, {})
+        key = f"{record.levelno} {_ADDRESSES_AND_NUMBERS.sub('', message)}"
+        if key not in causes and len(causes) >= MAX_CAUSES:
+            key, message = "", f"{family}: many different messages"
+        cause = causes.get(key)
+        if cause is not None and now_s - cause.said_s < LOG_REPEAT_S:
+            cause.held_back += 1
+            return None
+        held_back = 0 if cause is None else cause.held_back
+        causes[key] = _Cause(message.partition("\n")[0], now_s)
+        return _times(held_back)
+
+    def due(self, *, all_of_them: bool = False) -> list[str]:
+        """Lines for what was held back and did not come again; forgets causes that are over."""
+        now_s = self._clock()
+        lines = []
+        for causes in self._causes.values():
+            for key, cause in list(causes.items()):
+                if all_of_them or now_s - cause.said_s >= LOG_REPEAT_S:
+                    del causes[key]
+                    if cause.held_back:
+                        lines.append(cause.line + _times(cause.held_back))
+        return lines
+
+
+class StderrLog(logging.Handler):
+    """Hands lines to a thread that writes them; what standard error does not take in time is dropped."""
+
+    def __init__(self, prefix: str = "", descriptor: int = 2) -> None:
+        super().__init__()
+        self._prefix = prefix
+        self._descriptor = descriptor
+        self._limit = RepeatLimit()
+        self._lines: queue.Queue[str] = queue.Queue(MAX_WAITING_LINES)
+        self._dropped = 0
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        self._thread.start()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take a record; never waits."""
+        try:
+            note = self._limit.note(record)
+            if note is None:
+                return
+            said = copy.copy(record)
+            said.msg, said.args = record.getMessage() + note, None
+            self._put(self.format(said))
+        except Exception:
+            self.handleError(record)
+
+    def close(self) -> None:
+        """Write what is left, but wait for standard error no longer than ``JOIN_TIMEOUT_S``."""
+        if not self._ending.is_set():
+            self._put_due(all_of_them=True)
+            self._ending.set()
+            self._put("")  # wakes the thread
+            self._thread.join(JOIN_TIMEOUT_S)
+        super().close()
+
+    def _put(self, line: str) -> None:
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            self._dropped += 1
+
+    def _put_due(self, *, all_of_them: bool = False) -> None:
+        self.acquire()
+        try:
+            for line in self._limit.due(all_of_them=all_of_them):
+                self._put(line)
+        finally:
+            self.release()
+
+    def _run(self) -> None:
+        while not (self._ending.is_set() and self._lines.empty()):
+            try:
+                line = self._lines.get(timeout=LOG_REPEAT_S)
+            except queue.Empty:
+                self._put_due()
+                continue
+            if line:
+                self._write(line)
+            if self._lines.empty():
+                dropped, self._dropped = self._dropped, 0
+                if dropped:
+                    self._write(f"standard error took nothing for a while: {dropped} lines were dropped")
+
+    def _write(self, line: str) -> None:
+        """Write a line, however long it takes; a standard error that is gone takes nothing."""
+        rest = f"{self._prefix}{line}\n".encode(errors="backslashreplace")
+        try:
+            while rest:
+                try:
+                    rest = rest[os.write(self._descriptor, rest) :]
+                except BlockingIOError:
+                    select.select([], [self._descriptor], [])
+        except OSError:
+            self._dropped += 1
+
+
+@contextlib.contextmanager
+def logging_to_stderr(level: int, prefix: str = "altd: ") -> Iterator[None]:
+    """All that is logged goes to standard error, from ``level`` on and with ``prefix``."""
+    root, handler = logging.getLogger(), StderrLog(prefix)
+    before = root.level
+    root.addHandler(handler)
+    root.setLevel(level)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        root.setLevel(before)
+        handler.close()
+
+
+def _times(held_back: int) -> str:
+    return f" ({held_back} more like it in {LOG_REPEAT_S:g} s)" if held_back else ""

@@ -1,0 +1,85 @@
+"""Standard input, output and error as they may be: closed, full, gone."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import sys
+from typing import Any
+
+_COMPLAINT_TIMEOUT_MS = 1000
+
+_STREAMS = (("stdin", "r", os.O_WRONLY), ("stdout", "w", os.O_RDONLY), ("stderr", "w", os.O_WRONLY))
+"""Name, mode, and how nothing is opened for it: all but standard error then refuse to be used."""
+
+
+class _Output(io.FileIO):
+    """Standard output that remembers why it did not take something: whoever printed may have ignored it."""
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            self.failure = error
+            raise
+
+
+def prepare_streams() -> None:
+    """Put something behind those of the descriptors 0, 1 and 2 that are closed, and watch standard output.
+
+    Else the next file to be opened takes the number, and whoever prints writes into it. What is printed to a
+    closed standard output fails (EBADF), for a lost answer is no success.
+    """
+    is_process_output = sys.stdout is sys.__stdout__
+    for descriptor, (name, mode, way) in enumerate(_STREAMS):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, way)  # gets the lowest free number, this one
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(descriptor, mode, closefd=False))  # noqa: SIM115  a descriptor
+    if is_process_output:
+        sys.stdout = io.TextIOWrapper(
+            io.BufferedWriter(_Output(1, "w", closefd=False)),
+            encoding=sys.stdout.encoding,
+            errors="backslashreplace",  # the name of a file may be no text
+            line_buffering=sys.stdout.isatty() or getattr(sys.stdout, "write_through", False),
+        )
+
+
+def complain(line: str) -> None:
+    """A line on standard error, unless it takes none for a second."""
+    with contextlib.suppress(OSError, ValueError):
+        if _takes_output(sys.stderr.fileno()):
+            print(line, file=sys.stderr, flush=True)  # noqa: T201
+
+
+def output_failure() -> OSError | None:
+    """Why standard output did not take what was printed; None when it has taken all."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        return error
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    return raw.failure if isinstance(raw, _Output) else None
+
+
+def forget_unwritten() -> None:
+    """Drop what standard output and error did not take: at its end Python would try again, loudly."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, stream.fileno())
+            os.close(nothing)
+
+
+def _takes_output(descriptor: int) -> bool:
+    waiting = select.poll()
+    waiting.register(descriptor, select.POLLOUT)
+    return bool(waiting.poll(_COMPLAINT_TIMEOUT_MS))

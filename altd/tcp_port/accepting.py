@@ -1,0 +1,77 @@
+"""Accepting TCP connections so that a flood of them takes neither the loop's time nor the last descriptors.
+
+asyncio's own servers accept as many connections in a row as wait, and where descriptors have run out
+(EMFILE) they log a traceback for each and try all of them again: 60 connections at 32 descriptors made
+18,502 tracebacks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+import os
+import resource
+import socket
+from collections.abc import Awaitable, Callable
+from typing import NoReturn
+
+from altd.service.health import Component
+
+log = logging.getLogger("altd")
+
+BACKLOG = 128
+"""Connections that the kernel keeps until they are accepted."""
+
+RETRY_INTERVAL_S = 1.0
+
+_NO_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+_NO_LISTENER = frozenset({errno.EBADF, errno.EINVAL, errno.ENOTSOCK})
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """The listening socket; raises OSError that names the address."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
+    except OSError as error:
+        number = error.errno or errno.EADDRNOTAVAIL
+        sentence = os.strerror(number).lower() if number > 0 else f"no such address: {error.strerror}"
+        raise OSError(number, f"{host}:{port}: {sentence}") from error
+    listener.setblocking(False)
+    return listener
+
+
+async def accept(
+    listener: socket.socket, component: Component, admit: Callable[[socket.socket], Awaitable[None]]
+) -> NoReturn:
+    """Hand one connection after the other to ``admit``, until cancelled; the loop has a turn between two.
+
+    Raises OSError when the listening socket itself is gone.
+    """
+    loop = asyncio.get_running_loop()
+    while True:
+        try:
+            connection, _ = await loop.sock_accept(listener)
+        except OSError as error:  # any other: that connection was gone already (accept(2))
+            if error.errno in _NO_LISTENER:
+                raise
+            if error.errno in _NO_RESOURCES:
+                component.count("accepts_failed")
+                log.warning("%s: cannot accept connections: %s", component.name, error.strerror)
+                await asyncio.sleep(RETRY_INTERVAL_S)
+        else:
+            try:
+                await admit(connection)
+            except OSError:  # it left meanwhile
+                connection.close()
+        await asyncio.sleep(0)
+
+
+def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:
+    """Whether the connection has one of the process' last descriptors: cameras and ports need those.
+
+    A new descriptor has the lowest number that is free (POSIX.1-2017, 2.14), so a high one says that few are.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return limit != resource.RLIM_INFINITY and connection.fileno() >= limit - kept_descriptors

@@ -1,0 +1,227 @@
+"""The good side: hours of measuring with nothing wrong but dust, shaking, changing light and slow drift.
+
+Time is thinned out: every ``step_s`` of the unit's life the cameras expose ``BURST`` times at their rate,
+with fresh noise, through a chain that lives for an hour. What is refused or warned of is a false alarm.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+
+import numpy as np
+
+from altd.config import Installation, Measuring
+from altd.records import FloatArray, Frame, NoSpot, Spot
+from altd.service.chain import MeasuringChain, View
+from benchmarks.campaign.cache import calibrated
+from benchmarks.campaign.judge import Verdict, arrays, judge
+from benchmarks.campaign.scene import Noise, exposing, snapshot
+from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.way import CAMERAS
+from hw_sim.beam import BeamPose, Footprint
+from hw_sim.measure import HALF_AREA_MM, LARGEST_PITCH, LARGEST_YAW
+from hw_sim.motion import Vibration
+from hw_sim.sensor import Sensor
+from hw_sim.unit import Unit
+
+WINDOW, BURST = 20, 26
+HOUR_S = 3600.0
+PERIOD_NS = 50_000_000
+
+_HURRY_S = 9.0
+"""Within this time a machine in a hurry crosses a quarter of the target."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What a good unit lives through. ``lux_of`` is ambient light at ``t_s``; drifts are shares, of a day."""
+
+    unit: str
+    dust: float = 0.0
+    vibration: Vibration | None = None
+    lux_of: Callable[[float], float] = lambda t_s: 200.0
+    size_drift: float = 0.02
+    power_drift: float = 0.05
+    way_s: float = 700.0
+    """How long the machine takes from one end of the target to the other and back."""
+
+
+def _steps(t_s: float) -> float:
+    """Lights that are switched every seven minutes, between 0 and 1000 lx."""
+    return (0.0, 300.0, 1000.0, 60.0, 700.0)[int(t_s // 420.0) % 5]
+
+
+def _flicker(t_s: float) -> float:
+    """Lamps on 50.02 Hz: the light of 100 Hz beats slowly with the cameras."""
+    return 400.0 * (1.0 + 0.4 * math.sin(2.0 * math.pi * 100.04 * t_s))
+
+
+def _slow(t_s: float) -> float:
+    """Daylight: from darkness to 1000 lx and back within two hours."""
+    return 500.0 * (1.0 - math.cos(2.0 * math.pi * t_s / 7200.0))
+
+
+GOOD: dict[str, Circumstances] = {
+    "dusty": Circumstances("plain", dust=0.3),
+    "shaking": Circumstances("shaking", vibration=Vibration()),
+    "lights": Circumstances("flat", lux_of=_steps),
+    "flicker": Circumstances("ellipse", lux_of=_flicker, size_drift=0.04, power_drift=0.1),
+    "driving": Circumstances(
+        "bits-12", dust=0.1, vibration=Vibration(0.02, 0.05), lux_of=_slow, way_s=4 * _HURRY_S
+    ),
+}
+
+
+@dataclass(slots=True)
+class Count:
+    """The sums of one chunk of a unit's life; what they are of is in the names."""
+
+    measurements: int = 0
+    valid: int = 0
+    wrong: int = 0
+    frames: int = 0
+    invalid: Counter[str] = field(default_factory=Counter)
+    warned: Counter[str] = field(default_factory=Counter)
+    frames_refused: Counter[str] = field(default_factory=Counter)
+    squares: list[float] = field(default_factory=lambda: [0.0] * 4)
+    """Σ (error/sigma)² of x, y, yaw, pitch."""
+    largest_sigmas: float = 0.0
+
+    def merge(self, other: Count) -> None:
+        """Add another chunk."""
+        for name in ("measurements", "valid", "wrong", "frames"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.invalid += other.invalid
+        self.warned += other.warned
+        self.frames_refused += other.frames_refused
+        self.squares = [mine + theirs for mine, theirs in zip(self.squares, other.squares, strict=True)]
+        self.largest_sigmas = max(self.largest_sigmas, other.largest_sigmas)
+
+    @property
+    def rms(self) -> list[float]:
+        """Rms(error/sigma) of x, y, yaw, pitch; NaN without a valid measurement."""
+        return [math.sqrt(square / self.valid) if self.valid else math.nan for square in self.squares]
+
+    def as_json(self) -> str:
+        """For the file of results."""
+        return json.dumps({part.name: getattr(self, part.name) for part in fields(self)})
+
+    @classmethod
+    def of_json(cls, text: str) -> Count:
+        """What ``as_json`` wrote."""
+        document = json.loads(text)
+        for key in ("invalid", "warned", "frames_refused"):
+            document[key] = Counter(document[key])
+        return cls(**document)
+
+
+@cache
+def _unit(name: str) -> _GoodUnit:
+    return _GoodUnit(GOOD[name])
+
+
+class _GoodUnit:
+    """A unit in its circumstances."""
+
+    def __init__(self, lives: Circumstances) -> None:
+        spec = SIMULATED[lives.unit]
+        self.lives = lives
+        self.calibration = calibrated(lives.unit)
+        self.unit = Unit(replace(spec.config, vibration=lives.vibration, dust=lives.dust))
+        self.unit.follow(self.pose)
+        self.exposure_ms = spec.exposure_ms
+        self.sensor = Sensor(spec.config.bits)
+        self.noise = Noise(spec.config.seed)
+        self.distance_mm = spec.config.target_distance_mm
+
+    def pose(self, t_ns: int) -> BeamPose:
+        """Over the whole area of both targets, on ways that do not repeat."""
+        turns = 2.0 * math.pi * t_ns * 1e-9 / self.lives.way_s
+        places = []
+        for half_mm, slope, first, second in zip(
+            HALF_AREA_MM, (LARGEST_YAW, LARGEST_PITCH), (1.0, 1.318), (0.713, 0.871), strict=True
+        ):
+            front_mm = half_mm * math.sin(first * turns)
+            reach_mm = 0.95 * slope * self.distance_mm
+            rear_mm = max(-half_mm, min(half_mm, front_mm + reach_mm * math.sin(second * turns + 1.0)))
+            places.append((front_mm, (rear_mm - front_mm) / self.distance_mm))
+        (x_mm, slope_x), (y_mm, slope_y) = places
+        return BeamPose(x_mm, y_mm, slope_x, slope_y)
+
+    def truth(self, t_ns: int) -> FloatArray:
+        """X mm, y mm, yaw °, pitch °."""
+        pose = self.unit.truth(t_ns)
+        return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
+
+    def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
+        """One exposure, with light, spot size and power as they are then."""
+        eye, t_s = self.unit.eyes[camera], t_ns * 1e-9
+        electrons = eye.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
+        spots = [self._drifted(spot, t_s) for spot in self.unit.spots(camera, t_ns)]
+        region, beam_e = eye.view.beam_e(spots, self.exposure_ms)
+        electrons[region] += beam_e
+        noise = self.noise.picture(electrons.shape, rng)
+        pixels = snapshot(exposing(electrons, self.sensor), noise, self.sensor.bits)
+        pixels.flags.writeable = False
+        return Frame(camera, sequence, t_ns, pixels, self.sensor.bits)
+
+    def _drifted(self, spot: Footprint, t_s: float) -> Footprint:
+        """Temperature: the spot's size and the laser's power follow the day."""
+        day = math.sin(2.0 * math.pi * t_s / 86_400.0)
+        scale = 1.0 + self.lives.size_drift * day
+        power = 1.0 + self.lives.power_drift * math.cos(2.0 * math.pi * t_s / 50_000.0)
+        xx, xy, yy = (term / scale**2 for term in spot.form)
+        return replace(spot, form=(xx, xy, yy), peak_mw_per_mm2=spot.peak_mw_per_mm2 * power / scale**2)
+
+
+def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
+    """One hour of a unit's life through one chain."""
+    good = _unit(name)
+    rng = np.random.default_rng([seed, hour, *name.encode()])
+    count = Count()
+
+    def watch(frame: Frame, spot: Spot | NoSpot, *_: object) -> None:
+        count.frames += 1
+        if isinstance(spot, NoSpot):
+            count.frames_refused[f"{frame.camera}_{spot.reason}"] += 1
+
+    chain = MeasuringChain(
+        [View(camera, camera) for camera in good.calibration.target_names],
+        good.calibration,
+        Measuring(window=WINDOW, every=1),
+        Installation(),
+        watch=watch,
+    )
+    for step in range(max(1, round(HOUR_S / step_s))):
+        start_ns = round((hour * HOUR_S + step * step_s) * 1e9) // PERIOD_NS * PERIOD_NS + PERIOD_NS
+        _measure_burst(good, chain, start_ns, rng, count)
+    return count
+
+
+def _measure_burst(
+    good: _GoodUnit, chain: MeasuringChain, start_ns: int, rng: np.random.Generator, count: Count
+) -> None:
+    truth = []
+    for k in range(BURST):
+        t_ns = start_ns + k * PERIOD_NS
+        truth.append(good.truth(t_ns))
+        for camera in CAMERAS:
+            for measurement in chain.push(good.frame(camera, t_ns // PERIOD_NS, t_ns, rng)):
+                if k < WINDOW - 1:  # a window that is still filling is no measurement of the unit's life
+                    continue
+                judged = judge(measurement, np.mean(truth[-WINDOW:], axis=0))
+                count.measurements += 1
+                count.warned.update(judged.warnings)
+                count.invalid.update([", ".join(judged.reasons)] if judged.reasons else [])
+                count.wrong += judged.verdict is Verdict.WRONG
+                if measurement.beam is not None:
+                    values, sigma = arrays(measurement.beam)
+                    ratio = (values - np.mean(truth[-WINDOW:], axis=0)) / sigma
+                    count.valid += 1
+                    count.squares = [a + float(b) ** 2 for a, b in zip(count.squares, ratio, strict=True)]
+                    count.largest_sigmas = max(count.largest_sigmas, float(np.abs(ratio).max()))

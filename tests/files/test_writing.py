@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.devices import full_device
+
+from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, write_file
+
+
+@pytest.fixture(params=[0o022, 0o027, 0o077])
+def umask(request: pytest.FixtureRequest) -> Iterator[int]:
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
+
+
+def complaint(path: Path) -> str:
+    with pytest.raises(BadInputError) as early:
+        check_replaceable(path)
+    with pytest.raises(BadInputError) as late:
+        write_file(path, b"new")
+    assert early.value.message == late.value.message
+    return late.value.message
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_a_new_file_has_the_mode_that_the_umask_leaves(umask: int, tmp_path: Path) -> None:
+    write_file(tmp_path / "file", b"new")
+    assert mode(tmp_path / "file") == 0o666 & ~umask
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("kept", [0o600, 0o640, 0o666])
+def test_an_older_file_keeps_its_mode(kept: int, umask: int, tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+    path.chmod(kept)
+    write_file(path, b"new")
+    assert (path.read_bytes(), mode(path)) == (b"new", kept)
+
+
+def test_a_device_a_pipe_and_a_folder_are_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    assert complaint(tmp_path / "pipe") == "is a pipe, not a file that can be replaced"
+    assert complaint(tmp_path / "folder") == "is a folder, not a file that can be replaced"
+    device = full_device(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert complaint(device) == "is a device, not a file that can be replaced"
+    assert stat.S_ISCHR(device.stat().st_mode)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_a_symbolic_link_is_not_replaced_and_says_where_it_leads(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("file")
+    (tmp_path / "loop").symlink_to("loop")
+    assert complaint(tmp_path / "link") == "is a symbolic link: name the file that it points to, file"
+    assert complaint(tmp_path / "loop") == "is a symbolic link: name the file that it points to, loop"
+    assert (tmp_path / "file").read_bytes() == b"old"
+    (tmp_path / "folder").symlink_to(tmp_path)
+    write_file(tmp_path / "folder" / "file", b"new")  # a folder behind a link is a folder
+    assert (tmp_path / "file").read_bytes() == b"new"
+
+
+def test_what_names_no_place_is_refused(tmp_path: Path) -> None:
+    for path, why in (
+        (tmp_path / "none" / "file", "its folder does not exist"),
+        (tmp_path / "a\0b", "is no path"),
+        (tmp_path / ("x" * 300), "File name too long"),
+    ):
+        with pytest.raises(BadInputError, match=why):
+            check_replaceable(path)
+
+
+FILLING = """
+import pathlib, sys
+from altd.errors import BadInputError
+from altd.files.writing import write_file
+path = pathlib.Path(sys.argv[1]) / "file"
+write_file(path, b"old")
+try:
+    write_file(path, b"x" * 200_000)
+except BadInputError as error:
+    print(error.message, path.read_bytes(), [p.name for p in path.parent.iterdir()])
+"""
+
+
+def test_on_a_full_disk_the_old_file_is_untouched_and_nothing_is_left(tmp_path: Path) -> None:
+    """A real disk of 64 kB, in a mount namespace of its own."""
+    mount = f"mount -t tmpfs -o size=64k tmpfs {tmp_path} && exec {sys.executable} - {tmp_path}"
+    done = subprocess.run(
+        ["unshare", "-rm", "sh", "-c", mount], input=FILLING, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "No space left on device b'old' ['file']\n", done.stderr

@@ -1,0 +1,28 @@
+"""A place for the files of one process' examples: in memory where the computer has that, gone at its end."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from pathlib import Path
+
+MEMORY = Path("/dev/shm")
+
+
+@functools.cache
+def _made() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="altd-fuzz-", dir=MEMORY if MEMORY.is_dir() else None)
+
+
+def folder(name: str) -> Path:
+    """The folder of a target, made when it is not there."""
+    path = Path(_made().name) / name
+    path.mkdir(exist_ok=True)
+    return path
+
+
+def one_line(error: Exception) -> None:
+    """What a person is told of a bad file: one line, and not without end."""
+    text = str(error)
+    assert text.isprintable(), text
+    assert len(text) < 10_000

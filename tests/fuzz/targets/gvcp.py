@@ -1,0 +1,38 @@
+"""Datagrams on GigE Vision's control port, which anybody on the network may send."""
+
+from __future__ import annotations
+
+import struct
+
+from fuzz.spoil import spoilt_bytes
+from hypothesis import strategies as st
+
+from altd.devices.aravis import gvcp
+
+NAME = "gvcp"
+
+
+def _acknowledge(payload: bytes, acknowledged: int) -> bytes:
+    return struct.pack(">HHHH", 0, acknowledged, len(payload), 1) + payload
+
+
+def _introduction() -> bytes:
+    payload = bytearray(248)
+    payload[0x24:0x28] = bytes((192, 168, 7, 2))
+    for start, text in ((0x48, b"Maker"), (0x68, b"Model"), (0xD8, b"4711"), (0xE8, b"front")):
+        payload[start : start + len(text)] = text
+    return _acknowledge(bytes(payload), 3)
+
+
+EXAMPLES = spoilt_bytes(st.sampled_from((_introduction(), _acknowledge(b"\0\0\0\2", 0x81))))
+
+
+def check(example: bytes) -> None:
+    """An answer is used as a whole or not at all, and what is shown of it can be printed on one line."""
+    ack = gvcp._answer(example, gvcp._DISCOVERY)
+    greeting = None if ack is None else gvcp._greeting(ack)
+    if greeting is not None:
+        assert greeting.id.isprintable()
+        assert gvcp.is_address(greeting.address)
+    register = gvcp._answer(example, gvcp._READ_REGISTER)
+    assert register is None or len(register) <= len(example)

@@ -1,0 +1,103 @@
+"""Bytes into the real HTTP server: its answers are HTTP, it logs nothing, and the next client is served."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+
+import h11
+from fuzz.served import served
+from fuzz.spoil import spoilt_bytes
+from hypothesis import strategies as st
+
+from altd.config import Http
+from altd.publish.http.publisher import HttpPublisher
+
+NAME = "http"
+STATUSES = {200, 400, 404, 405, 503}
+
+_REQUESTS = tuple(
+    text.encode("latin-1")
+    for text in (
+        "GET /api/measurement HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "HEAD / HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "GET /api/stream HTTP/1.1\r\nHost: unit\r\nAccept: text/event-stream\r\n\r\n",
+        "GET /api/status?x=%00%ff&y HTTP/1.0\r\n\r\n",
+        "POST /api/measurement HTTP/1.1\r\nHost: unit\r\nContent-Length: 5\r\n\r\nhello",
+        "GET /api/status HTTP/1.1\r\nHost: unit\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
+        "PUT /api/stream HTTP/1.1\r\nHost: unit\r\nTransfer-Encoding: chunked\r\n\r\nffffffffff\r\nx",
+        "GET /api/status HTTP/1.1\r\nHost: unit\r\nExpect: 100-continue\r\nContent-Length: 3\r\n\r\n",
+        "GET /api/status HTTP/1.1\r\nHost: unit\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+        "OPTIONS * HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "CONNECT unit:80 HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "GET http://unit/../api//status#%2e%2e HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    )
+)
+_STREAMS = st.lists(st.sampled_from(_REQUESTS), min_size=1, max_size=3).map(b"".join)
+EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.sampled_from((1_000_000, 200, 40, 7)))
+"""What is sent, and in pieces of how many bytes."""
+
+_face = served(
+    lambda faces: HttpPublisher(
+        Http(host="127.0.0.1", port=0), faces.board, faces.health, faces.component(NAME)
+    )
+)
+
+
+def check(example: tuple[bytes, int]) -> None:
+    """One answer or none, as h11 reads it on the client's side."""
+    faces, publisher = _face()
+    heard = faces.do(_exchange(publisher.port, *example))
+    client = h11.Connection(h11.CLIENT)
+    client.send(h11.Request(method=_method(example[0]), target="/", headers=[("Host", "unit")]))
+    client.send(h11.EndOfMessage())
+    if heard:  # no bytes would mean the end of the connection
+        client.receive_data(heard)
+    final = None
+    while (event := client.next_event()) not in (h11.NEED_DATA, h11.PAUSED):
+        if isinstance(event, h11.Response):
+            assert final is None
+            final = event.status_code
+            assert final in STATUSES
+        if isinstance(event, h11.EndOfMessage):
+            break
+    assert (final is None) == (heard in (b"", b"HTTP/1.1 100 Continue\r\n\r\n", b"HTTP/1.1 100 \r\n\r\n"))
+
+
+def _method(stream: bytes) -> bytes:
+    """Whether the answer has a body depends on it."""
+    return b"HEAD" if stream.lstrip(b"\r\n").startswith(b"HEAD ") else b"GET"
+
+
+async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
+    """What came back by the time that another client has its answer."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    heard = b""
+    with contextlib.suppress(ConnectionError):
+        for begin in range(0, len(stream), piece):
+            if writer.transport.is_closing():
+                break
+            writer.write(stream[begin : begin + piece])
+            await asyncio.sleep(0)
+        await writer.drain()
+    await _another_client(port)
+    with contextlib.suppress(ConnectionError, TimeoutError):
+        while True:
+            async with asyncio.timeout(0.002):
+                if not (more := await reader.read(65536)):
+                    break
+            heard += more
+    writer.transport.abort()
+    await asyncio.sleep(0)
+    return heard
+
+
+async def _another_client(port: int) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"GET /api/measurement HTTP/1.1\r\nHost: unit\r\n\r\n")
+    head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 200 ")
+    assert json.loads(body)["sequence"] == 160
+    writer.close()

@@ -1,0 +1,114 @@
+"""A bus with silences, torn frames and noise: our requests are found, those of others left alone."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from fuzz.served import served
+from fuzz.spoil import spoilt_bytes
+from hypothesis import strategies as st
+from pymodbus.framer import FramerRTU
+
+from altd.publish.modbus.bus import Bus
+from altd.publish.modbus.responder import Responder
+
+NAME = "modbus_rtu"
+UNIT = 7
+WITHIN_S, APART_S = 0.016, 0.2
+"""The silence between the pieces of a frame that an adapter tears, and one that ends everything."""
+
+
+def _frame(unit: int, pdu: bytes) -> bytes:
+    frame = bytes([unit]) + pdu
+    return frame + FramerRTU.compute_CRC(frame).to_bytes(2, "big")
+
+
+@dataclass(frozen=True)
+class Said:
+    """What was said on the bus; ``asked`` is what this unit has to hear in it, None nothing."""
+
+    data: bytes
+    asked: bytes | None = None
+    is_noise: bool = False
+
+
+_OTHERS = st.integers(0, 247).filter(lambda unit: unit != UNIT)
+_LIKE_OURS = st.lists(st.sampled_from((UNIT, 3, 4, 0, 1, 2, 43, 14)) | st.integers(0, 255), max_size=60)
+
+
+@st.composite
+def _polls_of_others(draw: st.DrawFn) -> list[Said]:
+    unit, function = draw(_OTHERS.filter(bool)), draw(st.sampled_from((3, 4)))
+    content = bytes(draw(_LIKE_OURS))
+    content += bytes(len(content) % 2)
+    count = len(content) // 2
+    request = _frame(unit, struct.pack(">BHH", function, draw(st.integers(0, 0xFFFF)), max(count, 1)))
+    answer = _frame(unit, bytes([function, len(content)]) + content)
+    if count == 0 or draw(st.integers(0, 9)) == 0:
+        answer = _frame(unit, bytes([function | 0x80, 2]))
+    return [Said(request), Said(answer)]
+
+
+_READS = st.builds(
+    lambda function, a, n: struct.pack(">BHH", function, a, n),
+    st.sampled_from((3, 4)),
+    st.integers(0, 130),
+    st.integers(0, 130),
+)
+_OURS = _READS.map(lambda pdu: [Said(_frame(UNIT, pdu), pdu)])
+_NOISE = spoilt_bytes(_READS.map(lambda pdu: _frame(UNIT, pdu))).map(
+    lambda data: [Said(data, is_noise=True)] if data else []
+)
+EXAMPLES = st.lists(
+    st.tuples(_polls_of_others() | _OURS | _NOISE, st.integers(0, 300), st.sampled_from((WITHIN_S, APART_S))),
+    max_size=12,
+)
+"""What is said, where its last frame is torn, and the silence before it."""
+
+_face = served(lambda faces: _Silent(Responder(faces.board, faces.component(NAME))))
+
+
+@dataclass
+class _Silent:
+    """Serves nobody: the framer and the responder are asked directly, the silences are numbers."""
+
+    responder: Responder
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        ready()
+        await asyncio.get_running_loop().create_future()
+
+
+def check(example: list[tuple[list[Said], int, float]]) -> None:
+    """What is heard has a frame of its own; without noise it is all that was asked, and nothing else."""
+    faces, silent = _face()
+    bus, now_s, before, is_clear = Bus(UNIT), 0.0, b"", True
+    for said, torn_at, silence_s in example:
+        now_s += silence_s
+        if silence_s > 0.1:
+            is_clear = True
+        for one in said:
+            is_clear &= not one.is_noise
+            pieces = [one.data[:torn_at], one.data[torn_at:]] if one is said[-1] else [one.data]
+            heard = []
+            for piece in filter(None, pieces):
+                now_s += WITHIN_S
+                before = (before + piece)[-600:]
+                request = bus.hear(piece, now_s)
+                if request is not None:
+                    assert before.endswith(_frame(UNIT, request))
+                    faces.do(_answered(silent.responder, request))
+                    heard.append(request)
+            if is_clear:
+                assert heard == ([] if one.asked is None else [one.asked]), (one, heard)
+    read = struct.pack(">BHH", 4, 102, 2)
+    assert bus.hear(_frame(UNIT, read), now_s + 2.0) == read
+
+
+async def _answered(responder: Responder, request: bytes) -> None:
+    answer = await responder.answer(request)
+    assert 2 <= len(answer) <= 253
+    assert answer[0] in (request[0], request[0] | 0x80)

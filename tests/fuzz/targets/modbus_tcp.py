@@ -1,0 +1,128 @@
+"""Bytes into a real Modbus TCP server: who makes sense is answered as asked, and the next controller too."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+
+from fuzz.served import read_all, served
+from fuzz.spoil import spoilt_bytes
+from hypothesis import strategies as st
+
+from altd.config import ModbusTcp
+from altd.publish.modbus.tcp import ModbusTcpPublisher
+
+NAME = "modbus_tcp"
+UNIT = 7
+SIZE = 120
+TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
+TEST_ANSWER = struct.pack(">HHHB", 77, 0, 7, UNIT) + bytes.fromhex("04 04 12345678")
+
+_PDUS = (
+    *(struct.pack(">BHH", function, 0, count) for function in (3, 4) for count in (1, 120, 121, 125, 126)),
+    *(bytes.fromhex(text) for text in ("2b0e0100", "2b0e0200", "2b0e0402", "2b0e04ff", "2b0d00", "2b")),
+    *(bytes.fromhex(text) for text in ("010000 0001", "0600001234", "100000000102 1234", "080000a5a5", "11")),
+    *(
+        bytes.fromhex(text)
+        for text in ("140706000400010 00a".replace(" ", ""), "1800 00", "170000000100000001020000")
+    ),
+)
+
+
+def _frame(pdu: bytes, transaction: int, unit: int) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
+
+
+_FRAMES = st.builds(
+    _frame,
+    st.sampled_from(_PDUS) | spoilt_bytes(st.sampled_from(_PDUS)).map(lambda pdu: pdu[:253] or b"\4"),
+    st.integers(0, 0xFFFF),
+    st.sampled_from((UNIT, UNIT, 0, 255, 9)),
+)
+_STREAMS = st.lists(_FRAMES, min_size=1, max_size=6).map(b"".join)
+EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.integers(1, 300))
+"""What is sent, and in pieces of how many bytes."""
+
+_face = served(
+    lambda faces: ModbusTcpPublisher(
+        ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), faces.board, faces.component(NAME)
+    )
+)
+
+
+def check(example: tuple[bytes, int]) -> None:
+    """Each whole request has one answer of its own, up to where the bytes make no sense."""
+    faces, publisher = _face()
+    asked, is_garbled = _requests(example[0])
+    answers = faces.do(_exchange(publisher.port, *example))
+    for transaction, unit, pdu in asked:
+        if is_garbled and not answers:
+            break  # lost with the connection that was closed: who still sends into it is reset
+        got_transaction, protocol, length, got_unit = struct.unpack_from(">HHHB", answers)
+        assert (got_transaction, protocol, got_unit) == (transaction, 0, unit)
+        _judge(pdu, unit, answers[7 : 6 + length])
+        answers = answers[6 + length :]
+    assert answers == b""
+
+
+def _requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bool]:
+    """Transaction, unit and protocol data unit of what can be answered; and whether nonsense follows."""
+    requests = []
+    while len(stream) >= 7:
+        transaction, protocol, length, unit = struct.unpack_from(">HHHB", stream)
+        if protocol != 0 or not 2 <= length <= 254:
+            return requests, True
+        if len(stream) < 6 + length:
+            break
+        requests.append((transaction, unit, stream[7 : 6 + length]))
+        stream = stream[6 + length :]
+    return requests, False
+
+
+def _judge(asked: bytes, unit: int, answer: bytes) -> None:
+    function = asked[0]
+    if unit not in (UNIT, 0, 255):
+        assert answer == bytes([function | 0x80, 11])
+    elif function in (3, 4) and len(asked) == 5:
+        address, count = struct.unpack(">HH", asked[1:])
+        if not 1 <= count <= 125:
+            assert answer == bytes([function | 0x80, 3])
+        elif address + count > SIZE:
+            assert answer == bytes([function | 0x80, 2])
+        else:
+            assert answer[:2] == bytes([function, 2 * count])
+            assert len(answer) == 2 + 2 * count
+    elif function == 43 and answer[0] == 43:
+        assert asked[1] == 14
+        number, rest = answer[6], answer[7:]
+        for _ in range(number):
+            rest = rest[2 + rest[1] :]
+        assert number > 0
+        assert rest == b""
+    elif function not in (3, 4, 43):
+        assert answer == bytes([function | 0x80, 1])
+    else:
+        assert answer[0] == function | 0x80
+        assert answer[1] in (1, 2, 3)
+        assert len(answer) == 2
+
+
+async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
+    """What comes back; meanwhile another controller is answered."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    other_reader, other_writer = await asyncio.open_connection("127.0.0.1", port)
+    try:
+        with contextlib.suppress(ConnectionError):
+            for begin in range(0, len(stream), piece):
+                if writer.transport.is_closing():
+                    break
+                writer.write(stream[begin : begin + piece])
+                await asyncio.sleep(0)
+            other_writer.write(TEST_READ)
+            assert await other_reader.readexactly(len(TEST_ANSWER)) == TEST_ANSWER
+            writer.write_eof()
+        return await read_all(reader)
+    finally:
+        for closing in (writer, other_writer):
+            closing.transport.abort()

@@ -1,0 +1,127 @@
+"""Following a bus: whose frames are heard, and that the end of an answer of others is no request to us."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from publish.modbus.wire import ONE, UNIT
+
+from altd.publish.modbus.bus import LONGEST, TORN_S, Bus, frames_of
+
+OTHER = 9
+
+
+def register_after(data: bytes, register: int = 0xFFFF) -> int:
+    """The CRC register of the specification, bit by bit (Serial 6.2.2)."""
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register = (register >> 1) ^ 0xA001 if register & 1 else register >> 1
+    return register
+
+
+def frame(pdu: bytes, unit: int = UNIT) -> bytes:
+    return bytes([unit]) + pdu + struct.pack("<H", register_after(bytes([unit]) + pdu))
+
+
+def answer_that_ends_as_a_request(count: int = 20) -> bytes:
+    """An answer of another unit with ``count`` registers whose last 8 bytes are a whole request to this one.
+
+    Two bytes before them are chosen so that the register is there what it is where a frame begins; then both
+    frames end with the same CRC.
+    """
+    head = bytes([OTHER, 4, 2 * count]) + bytes(range(2 * count - 8))
+    register = register_after(head)
+    chosen = next(
+        bytes(pair)
+        for pair in itertools.product(range(256), repeat=2)
+        if register_after(bytes(pair), register) == 0xFFFF
+    )
+    answer = frame((head + chosen + bytes([UNIT]) + ONE)[1:], OTHER)
+    assert answer[-8:] == frame(ONE)
+    return answer
+
+
+READ_OF_20 = frame(struct.pack(">BHH", 4, 0, 20), OTHER)
+COLLIDING = answer_that_ends_as_a_request()
+
+
+def heard(*chunks: bytes, gap_s: float = 0.01) -> list[bytes | None]:
+    """What a unit makes of chunks with silences between them."""
+    bus = Bus(UNIT)
+    return [bus.hear(chunk, number * gap_s) for number, chunk in enumerate(chunks)]
+
+
+def test_an_answer_that_ends_as_a_request_is_no_request() -> None:
+    assert heard(READ_OF_20, COLLIDING) == [None, None]
+    assert heard(COLLIDING) == [None]
+    assert heard(READ_OF_20 + COLLIDING) == [None]
+    assert heard(*[READ_OF_20, COLLIDING] * 50) == [None] * 100
+
+
+@pytest.mark.parametrize("torn_at", range(1, len(COLLIDING)))
+def test_nor_when_it_comes_in_pieces(torn_at: int) -> None:
+    assert heard(READ_OF_20, COLLIDING[:torn_at], COLLIDING[torn_at:]) == [None] * 3
+
+
+@pytest.mark.parametrize("place", range(2, len(COLLIDING) - 8))
+def test_nor_when_it_was_damaged_on_its_way(place: int) -> None:
+    damaged = bytearray(COLLIDING)
+    damaged[place] ^= 0x10
+    assert heard(READ_OF_20, bytes(damaged)) == [None, None]
+
+
+def test_our_request_is_heard_behind_all_of_that() -> None:
+    for before in ([READ_OF_20, COLLIDING], [READ_OF_20], [COLLIDING], [READ_OF_20, COLLIDING[:20]]):
+        assert heard(*before, frame(ONE), gap_s=TORN_S + 0.01)[-1] == ONE
+    assert heard(READ_OF_20, COLLIDING, frame(ONE))[-1] == ONE
+    assert heard(READ_OF_20 + COLLIDING + frame(ONE)) == [ONE]
+
+
+def test_a_unit_that_does_not_answer_is_not_waited_for() -> None:
+    assert heard(READ_OF_20, frame(ONE)) == [None, ONE]
+    assert heard(READ_OF_20, READ_OF_20, frame(ONE)) == [None, None, ONE]
+    assert heard(READ_OF_20, b"\x13" + frame(ONE)) == [None, ONE]
+
+
+def test_random_traffic_of_others_is_never_a_request() -> None:
+    """40,000 polls of others, their registers full of this unit's id and of reads."""
+    random_numbers = random.Random(9)
+    bus, now_s = Bus(UNIT), 0.0
+    for _ in range(40_000):
+        count = random_numbers.randint(1, 20)
+        content = bytes(random_numbers.choices((UNIT, 3, 4, 0, 1, 2), k=2 * count))
+        for said in (
+            frame(struct.pack(">BHH", 4, 0, count), OTHER),
+            frame(bytes([4, 2 * count]) + content, OTHER),
+        ):
+            now_s += 0.01
+            assert bus.hear(said, now_s) is None
+
+
+@given(st.binary(max_size=200), st.integers(1, 247))
+def test_a_read_behind_any_noise_is_heard(noise: bytes, unit: int) -> None:
+    request = struct.pack(">BHH", 3, 10, 4)
+    assert Bus(unit).hear(noise + frame(request, unit), 0.0) == request
+
+
+@given(st.lists(st.tuples(st.integers(0, 247), st.binary(min_size=1, max_size=60)), min_size=1, max_size=8))
+def test_frames_to_this_unit_are_told_apart_whatever_they_hold(said: list[tuple[int, bytes]]) -> None:
+    frames = [frame(bytes([0x41]) + content, unit) for unit, content in said]
+    assert frames_of(b"".join(frames), UNIT) == frames
+
+
+@given(st.lists(st.binary(min_size=1, max_size=300), max_size=20), st.floats(0, 0.2))
+def test_whatever_is_heard_a_request_has_a_frame_that_holds_it(chunks: list[bytes], gap_s: float) -> None:
+    for number, request in enumerate(heard(*chunks, gap_s=gap_s)):
+        assert request is None or b"".join(chunks[: number + 1]).endswith(frame(request))
+
+
+def test_the_longest_frame_is_heard() -> None:
+    longest = frame(bytes(LONGEST - 3))
+    assert heard(longest) == [longest[1:-2]]

@@ -1,0 +1,42 @@
+"""Packets of GigE Vision's stream, made from the standard without the code under test."""
+
+from __future__ import annotations
+
+import struct
+
+MONO8 = 0x01080001
+LEADER, TRAILER, PAYLOAD = 1, 2, 3
+KILLER = bytes.fromhex("00000000820000000000000000000001f00000000000000100000000")
+"""A trailer with extended ids, packet id 0xF0000000: 28 bytes for which Aravis 0.8.26 allocates 64 GB."""
+
+
+def packet(
+    block_id: int, kind: int, number: int, body: bytes, extended: bool = False, status: int = 0
+) -> bytes:
+    if extended:
+        return struct.pack(">HHIQI", status, 0, 0x80000000 | kind << 24, block_id, number) + body
+    return struct.pack(">HHI", status, block_id, kind << 24 | number) + body
+
+
+def leader(
+    width: int, height: int, timestamp: int, pixel_format: int = MONO8, payload_type: int = 1
+) -> bytes:
+    return struct.pack(">HHQIIIIIHH", 0, payload_type, timestamp, pixel_format, width, height, 0, 0, 0, 0)
+
+
+def trailer(lines: int) -> bytes:
+    return struct.pack(">HHI", 0, 1, lines)
+
+
+def frame(
+    block_id: int, image: bytes, width: int, packet_bytes: int, timestamp: int = 1, extended: bool = False
+) -> list[bytes]:
+    """All packets of a frame, in order."""
+    size = packet_bytes - 28 - (20 if extended else 8)
+    lines = len(image) // width
+    bodies = [image[at : at + size] for at in range(0, len(image), size)]
+    return [
+        packet(block_id, LEADER, 0, leader(width, lines, timestamp), extended),
+        *(packet(block_id, PAYLOAD, n, body, extended) for n, body in enumerate(bodies, 1)),
+        packet(block_id, TRAILER, len(bodies) + 1, trailer(lines), extended),
+    ]

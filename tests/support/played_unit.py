@@ -1,0 +1,103 @@
+"""A calibrated unit that plays its own recording, and its daemon as a process under odd conditions."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from support.cli import altd, write_config
+from support.recordings import write_beams, write_scan
+
+BEAMS = [(10.0, 5.0, 0.02, -0.03)] * 3
+
+
+@dataclass(frozen=True)
+class PlayedUnit:
+    """Its files."""
+
+    folder: Path
+
+    @property
+    def calibration(self) -> Path:
+        return self.folder / "cal.json"
+
+    @property
+    def beams(self) -> Path:
+        return self.folder / "beams"
+
+    @property
+    def config(self) -> Path:
+        return self.folder / "altd.toml"
+
+    @classmethod
+    def made(cls, folder: Path) -> PlayedUnit:
+        unit = cls(folder)
+        write_scan(folder / "scan")
+        write_beams(unit.beams, BEAMS)
+        assert altd("calibrate", folder / "scan", "-o", unit.calibration).status == 0
+        write_config(unit.config, unit.calibration, unit.beams)
+        return unit
+
+
+@dataclass
+class PlayingDaemon:
+    """``altd run`` as a process, with HTTP and Modbus TCP on ports of their own."""
+
+    process: subprocess.Popen[bytes]
+    http: int
+    modbus: int
+
+    def measurement(self) -> dict[str, Any]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.http}/api/measurement", timeout=2) as page:
+            answer: dict[str, Any] = json.load(page)
+            return answer
+
+    def wait_until_valid(self, timeout_s: float = 20.0) -> None:
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            with contextlib.suppress(OSError):
+                if self.measurement()["valid"]:
+                    return
+            assert self.process.poll() is None, "it ended"
+            time.sleep(0.05)
+        raise AssertionError(f"not valid after {timeout_s} s")
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port: int = free.getsockname()[1]
+        return port
+
+
+@contextlib.contextmanager
+def playing(
+    unit: PlayedUnit, folder: Path, stderr: int, prepare: Callable[[], None] | None = None, more: str = ""
+) -> Iterator[PlayingDaemon]:
+    """The daemon; ``prepare`` runs in its process before it starts."""
+    http, modbus = free_port(), free_port()
+    faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+    config = write_config(folder / "altd.toml", unit.calibration, unit.beams, faces + more)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)],
+        stdin=subprocess.DEVNULL,
+        stderr=stderr,
+        preexec_fn=prepare,
+        env={**os.environ, "PYTHONWARNINGS": "error"},
+    )
+    try:
+        yield PlayingDaemon(process, http, modbus)
+    finally:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()

@@ -1,0 +1,326 @@
+"""In place of every file that a command reads or writes: what is none, or no good one. One line, status 2."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import evidence
+from support.cli import altd, refusal, write_config
+from support.devices import full_device
+from support.pngs import png
+from support.recordings import write_beams, write_scan
+
+from altd.calibration.file import save_calibration
+from altd.recording import open_recording
+
+HUGE = png(40_000, 40_000)
+BEAM = (10.0, 5.0, 0.02, -0.03)
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A config, what it plays and its calibration."""
+    path = tmp_path_factory.mktemp("unit")
+    save_calibration(evidence.calibration(), path / "cal.json")
+    write_beams(path / "beams", [BEAM], exposures=2)
+    write_config(path / "altd.toml", path / "cal.json", path / "beams")
+    assert altd("check-config", path / "altd.toml").status == 0
+    assert altd("replay", path / "beams", "--calibration", path / "cal.json").status == 0
+    return path
+
+
+@pytest.fixture
+def copy(unit: Path, tmp_path: Path) -> Path:
+    """The same, to be spoilt."""
+    shutil.copytree(unit, tmp_path / "unit")
+    write_config(tmp_path / "unit" / "altd.toml", tmp_path / "unit" / "cal.json", tmp_path / "unit" / "beams")
+    return tmp_path / "unit"
+
+
+def a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def a_device(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def a_loop(path: Path) -> None:
+    path.unlink()
+    path.symlink_to(path.name)
+
+
+def a_terabyte(path: Path) -> None:
+    os.truncate(path, 1 << 40)
+
+
+NO_FILES = {
+    a_pipe: "is a pipe, not a file",
+    a_device: "is a device, not a file",
+    a_folder: "is a folder, not a file",
+    a_loop: "Too many levels of symbolic links",
+    a_terabyte: "bytes long, more than",
+}
+
+
+@pytest.mark.parametrize("spoil", NO_FILES)
+@pytest.mark.parametrize("name", ["altd.toml", "cal.json", "beams/recording.json", "beams/frames.csv"])
+def test_what_is_no_file_in_place_of_one(name: str, spoil: Callable[[Path], None], copy: Path) -> None:
+    spoil(copy / name)
+    line = refusal(altd("check-config", copy / "altd.toml"))
+    assert f"{copy / name}: " in line
+    assert NO_FILES[spoil] in line
+
+
+@pytest.mark.parametrize("spoil", NO_FILES)
+def test_what_is_no_file_in_place_of_a_frame(spoil: Callable[[Path], None], copy: Path) -> None:
+    frame = copy / "beams" / "rear0001.png"
+    why = NO_FILES[spoil]
+    spoil(frame)
+    assert why in refusal(altd("locate", frame))
+    outcome = altd("replay", copy / "beams", "--calibration", copy / "cal.json")
+    assert outcome.status == 2
+    assert "frames.csv: row 5: rear0001.png: " in outcome.err
+    assert why in outcome.err
+    assert len(outcome.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("picture", [HUGE, png(65_536, 32_768)], ids=["40000 × 40000", "above 2³⁰"])
+def test_a_picture_that_claims_to_be_huge(picture: bytes, copy: Path) -> None:
+    frame = copy / "beams" / "rear0001.png"
+    frame.write_bytes(picture)
+    assert "more than 268435456 pixels" in refusal(altd("locate", frame))
+    assert "frames.csv: row 5: rear0001.png is" in refusal(
+        altd("replay", copy / "beams", "--calibration", copy / "cal.json")
+    )
+    assert "frames.csv: row 5: rear0001.png is" in refusal(
+        altd("calibrate", copy / "beams", "-o", copy / "new.json")
+    )
+
+
+def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_it_is_gone(
+    copy: Path,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    config = write_config(
+        copy / "altd.toml", copy / "cal.json", copy / "beams", f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
+    )
+    frames = sorted((copy / "beams").glob("rear*.png"))
+    good = {frame: frame.read_bytes() for frame in frames}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)], stderr=subprocess.PIPE
+    )
+
+    def until(valid: bool) -> dict[str, Any]:
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and process.poll() is None:
+            try:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/measurement", timeout=5) as page:
+                    answer: dict[str, Any] = json.load(page)
+                if answer["valid"] == valid:
+                    return answer
+            except OSError:
+                time.sleep(0.05)
+        raise AssertionError(f"status {process.poll()}")
+
+    def put(contents: dict[Path, bytes]) -> None:
+        for frame, content in contents.items():
+            (copy / "new").write_bytes(content)
+            (copy / "new").replace(frame)
+
+    try:
+        until(valid=True)
+        put(dict.fromkeys(frames, HUGE))
+        assert set(until(valid=False)["status"]) & {"rear_camera_silent", "stale"}
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/status", timeout=5) as page:
+            assert "is 40000 × 40000, expected 752 × 480" in page.read().decode()
+        put(good)
+        until(valid=True)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+    finally:
+        process.kill()
+        _, err = process.communicate()
+    assert all(line.startswith("altd: ") for line in err.decode().splitlines()), err.decode()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("window = 4", "window = " + "9" * 5000, "not TOML: Exceeds the limit"),
+        ("window = 4", "window = 0x" + "f" * 5000, "measuring.window: has more than 64 bits"),
+        ("window = 4", "window = " + "[" * 5000, "is nested too deeply"),
+        ("window = 4", "x" + ".a" * 20_000 + " = 4", "more than 64 dots"),
+        ("beams", "be\\u0000ams", "cameras.rear.path: has a NUL"),
+        ('name = "front"', 'name = "front\\n\\u001b[2J"', "targets.0.name: "),
+    ],
+)
+def test_a_config_that_no_parser_expects(old: str, new: str, why: str, copy: Path) -> None:
+    path = copy / "altd.toml"
+    path.write_text(path.read_text().replace(old, new))
+    assert why in refusal(altd("check-config", path))
+
+
+def test_a_path_with_letters_that_are_none_is_shown(unit: Path, tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff.toml")
+    shutil.copy(unit / "altd.toml", path)
+    outcome = altd("check-config", path)
+    assert outcome.status == 0
+    assert "\\udcff.toml: good" in outcome.out
+    assert "\\udcfe.toml: No such file" in refusal(altd("check-config", tmp_path / os.fsdecode(b"\xfe.toml")))
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"[" * 100_000, "is nested too deeply"),
+        (b'{"format": "altd-calibration/1", "x": ' + b"[" * 900 + b"]" * 900 + b"}", "cal.json: "),
+        (b'{"format": "altd-calibration/1", "format": "altd-calibration/1"}', "'format' stands twice"),
+        (b'{"format": ' + b"9" * 5000 + b"}", "has 5000 digits"),
+        (b'{"format": "\\ud800\\n"}', "format is '\\ud800\\n'"),
+        (b"\0" * 1000, "is not JSON"),
+    ],
+)
+def test_json_that_no_parser_expects(content: bytes, why: str, copy: Path) -> None:
+    (copy / "cal.json").write_bytes(content)
+    assert why in refusal(altd("check-config", copy / "altd.toml"))
+
+
+TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        (b"front0000.png", b"front0000\0.png", "row 2: front0000\\x00.png: is no path"),
+        (b"front0000.png", b'"front0000.png', "is no CSV text"),
+        (b"front0000.png", b'"' + b"x" * 200_000, "is no CSV text: field larger than field limit"),
+        (TABLE_HEAD, TABLE_HEAD + b",a" * 1_000_000, "row 2: "),
+        (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' stands twice"),
+        (b"front0000.png", b"\xff.png", "is no CSV text: 'utf-8' codec"),
+    ],
+)
+def test_a_table_that_no_parser_expects(old: bytes, new: bytes, why: str, copy: Path) -> None:
+    table = copy / "beams" / "frames.csv"
+    content = table.read_bytes()
+    assert old in content
+    table.write_bytes(content.replace(old, new, 1))
+    outcome = altd("check-config", copy / "altd.toml")
+    if outcome.status == 0 and b",a" in new:
+        return  # a million columns that nobody asks for are ignored
+    assert why in refusal(outcome)
+
+
+def test_a_table_may_have_a_byte_order_mark_and_any_line_ends(copy: Path) -> None:
+    table = copy / "beams" / "frames.csv"
+    lines = table.read_bytes().splitlines()
+    table.write_bytes(b"\xef\xbb\xbf" + b"\r\n".join(lines[:2]) + b"\n" + b"\r\n".join(lines[2:]))
+    assert altd("check-config", copy / "altd.toml").status == 0
+
+
+def test_lines_of_altd_map_that_are_no_text(unit: Path) -> None:
+    arguments = [
+        sys.executable,
+        "-m",
+        "altd.cli",
+        "map",
+        "--calibration",
+        unit / "cal.json",
+        "--target",
+        "rear",
+    ]
+    for content, why in ((b"\xff\xfe 1\n", "got '\\xff\\xfe 1'"), (b"x" * 10**6, "expected 'u v', got 'xxx")):
+        done = subprocess.run(arguments, input=content, capture_output=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert why in done.stderr.decode().replace("\\\\", "\\")
+        assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scan(tmp_path_factory.mktemp("scanned") / "scan")
+
+
+class TestWriting:
+    """``altd calibrate -o`` makes new files and replaces regular ones, nothing else."""
+
+    def test_what_is_no_file_is_not_replaced(self, scan: Path, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "pipe")
+        (tmp_path / "kept.json").write_text("kept")
+        (tmp_path / "link.json").symlink_to("kept.json")
+        device = full_device(tmp_path)
+        before = sorted(path.name for path in tmp_path.iterdir())
+        for output, why in (
+            (tmp_path / "pipe", "is a pipe, not a file that can be replaced"),
+            (tmp_path, "is a folder, not a file that can be replaced"),
+            (tmp_path / "link.json", "is a symbolic link: name the file that it points to, kept.json"),
+            (device, "is a device, not a file that can be replaced"),
+            ("/proc/version/x", "Not a directory"),
+        ):
+            assert why in refusal(altd("calibrate", scan, "-o", output)), output
+        assert stat.S_ISCHR(device.stat().st_mode)
+        assert (tmp_path / "kept.json").read_text() == "kept"
+        assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+    def test_the_mode_is_that_of_the_umask_or_of_the_file_that_was_there(
+        self, scan: Path, tmp_path: Path
+    ) -> None:
+        (tmp_path / "old.json").write_text("old")
+        (tmp_path / "old.json").chmod(0o640)
+        before = os.umask(0o077)
+        try:
+            for name, mode in (("new.json", 0o600), ("old.json", 0o640)):
+                outcome = altd("calibrate", scan, "-o", tmp_path / name)
+                assert outcome.status == 0, outcome.err
+                assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
+        finally:
+            os.umask(before)
+
+    def test_a_recording_is_not_written_onto_what_is_no_folder(self, unit: Path, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "pipe")
+        for output in (tmp_path / "pipe", full_device(tmp_path)):
+            line = refusal(altd("record", "--config", unit / "altd.toml", "-o", output, "--seconds", "0.2"))
+            assert "exists and is not an empty folder" in line
+
+    def test_on_a_full_disk_a_recording_ends_with_one_line_and_what_is_there_is_whole(
+        self, unit: Path, tmp_path: Path
+    ) -> None:
+        """A real disk with room for a few frames, in a mount namespace of its own; it is read there too."""
+        disk = tmp_path / "disk"
+        disk.mkdir()
+        code = (
+            f"mount -t tmpfs -o size=2m tmpfs {disk} && {sys.executable} -m altd.cli record --config "
+            f"{unit / 'altd.toml'} -o {disk / 'rec'} --seconds 60; echo status $?; "
+            f"cp -r {disk / 'rec'} {tmp_path / 'rec'}"
+        )
+        done = subprocess.run(
+            ["unshare", "-rm", "sh", "-c", code], capture_output=True, text=True, timeout=120, check=False
+        )
+        assert done.stdout == "status 2\n", done
+        assert done.stderr == f"altd record: {disk / 'rec'}: No space left on device\n"
+        recording = open_recording(tmp_path / "rec")
+        assert len(recording.rows) >= 4
+        assert len(list((tmp_path / "rec").rglob("*.png"))) == len(recording.rows)
+        for row in recording.rows:
+            recording.frame(row)
