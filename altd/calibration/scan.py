@@ -198,7 +198,7 @@ def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
             None,
             grid.block.most_missing - grid.block.missing,
             marks,
-            relative_sigmas(nodes),
+            relative_sigmas(nodes, job.image_size),
         )
     except ValueError as error:
         raise BadInputError(place, f"{job.name}: {error}") from error

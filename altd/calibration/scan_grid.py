@@ -9,10 +9,14 @@ import numpy as np
 
 from altd.calibration.scan_nodes import Node, Seen
 from altd.mapping.grid import Axis, Block
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.lens import fit_lens_map
+from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 
-_USUAL_PATTERN_PX = 0.04
-"""What print and speckle move an ordinary spot by: the nodes of unit-a and of simulated units scatter so."""
+_UNEVEN_RATIO = 1.5
+"""Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +56,26 @@ def scan_grid(seen: Seen) -> ScanGrid:
     return ScanGrid(axes, Block.within(cells, missing), positions_mm[usable])
 
 
-def relative_sigmas(nodes: Sequence[Node]) -> FloatArray:
+def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> FloatArray:
     """By how much each node (n,) scatters more than an ordinary one, by what its spots are known to.
 
-    A dim spot hardly does, since print and speckle move it as they move a bright one. One that the border of
-    the picture cuts is moved by them more, which its sigmas say.
+    An ordinary node scatters by what print and speckle do to its spot, which is seen about a first map; one
+    that the border of the picture cuts by more, which its own sigmas say. Raises ValueError when the nodes
+    are too few for a map.
     """
     sigmas_px = np.array([np.sqrt(np.mean(np.square(node.sigmas_px))) for node in nodes])
-    ordinary_px = np.hypot(np.median(sigmas_px), _USUAL_PATTERN_PX)
-    relative: FloatArray = np.maximum(sigmas_px / ordinary_px, 1.0)
+    relative = np.ones(len(nodes))
+    uneven = sigmas_px > _UNEVEN_RATIO * np.median(sigmas_px)
+    if not uneven.any():
+        return relative
+    places_mm = np.array([node.position_mm for node in nodes])
+    places_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+    hull_mm = convex_hull_mm(places_mm)
+    for _ in range(_ROUNDS):
+        first = (
+            fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
+            fit_lens_map(places_mm, places_px, hull_mm, image_size, relative_sigma=relative),
+        )
+        ordinary_px = min(fit.map.noise_px for fit in first)
+        relative = np.where(uneven, np.maximum(sigmas_px / ordinary_px, 1.0), 1.0)
     return relative
