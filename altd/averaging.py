@@ -88,6 +88,7 @@ def mean_spots(
         frames=int(np.count_nonzero(kept)),
         lost=len(exposures) - len(usable),
         shapes=tuple(_mean_shape(of_target) for of_target in by_target),
+        excess_px=tuple(math.sqrt(square) for square in excess_px2),
     )
 
 

@@ -215,8 +215,9 @@ class MeanSpots:
 
     ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
     is that of the means, u and v of one target after the other: vibration moves all spots together.
-    ``shapes`` holds the mean shape of each target's spots, None where one was not fitted. ``t_ns`` is the
-    mean time of the ``frames`` exposures that were averaged; ``lost`` were not usable.
+    ``shapes`` holds the mean shape of each target's spots, None where one was not fitted, ``excess_px`` what
+    light that is not explained adds to the sigma of each; the covariance holds it. ``t_ns`` is the mean time
+    of the ``frames`` exposures that were averaged; ``lost`` were not usable.
     """
 
     targets: tuple[str, ...]
@@ -226,6 +227,7 @@ class MeanSpots:
     frames: int
     lost: int
     shapes: tuple[SpotShape | None, ...] = ()
+    excess_px: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,7 @@ from altd.records import (
     CameraIdentity,
     Exposure,
     Fault,
+    FloatArray,
     Frame,
     MeanSpots,
     Measurement,
@@ -229,7 +230,10 @@ class MeasuringChain:
         except np.linalg.LinAlgError:
             fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
             return self._invalid(exposure.sequence, mean.t_ns, (fault,))
-        if (doubt := self._too_uncertain(beam) or range_fault(beam)) is not None:
+        if self._too_uncertain(beam):
+            fault = _unexplained(mean, points, doubts_mm, covariance) or self._unsteady(beam)
+            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
+        if (doubt := range_fault(beam)) is not None:
             return self._invalid(exposure.sequence, mean.t_ns, (doubt,))
         return self._valid(exposure, mean, points, beam)
 
@@ -245,15 +249,17 @@ class MeasuringChain:
             points.append(point)
         return points
 
-    def _too_uncertain(self, beam: Beam) -> Fault | None:
+    def _too_uncertain(self, beam: Beam) -> bool:
         """What scatters beyond the accuracy that is asked for is no measurement."""
-        sigma_mm = max(beam.sigma_x_mm, beam.sigma_y_mm)
-        sigma_mm_per_m = 1000 * math.radians(max(beam.sigma_yaw_deg, beam.sigma_pitch_deg))
+        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
+        settings = self._measuring
+        return sigma_mm > settings.max_sigma_mm or sigma_mm_per_m > settings.max_sigma_mm_per_m
+
+    def _unsteady(self, beam: Beam) -> Fault:
+        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
         if sigma_mm > self._measuring.max_sigma_mm:
             return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
-        if sigma_mm_per_m > self._measuring.max_sigma_mm_per_m:
-            return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
-        return None
+        return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
 
     def _valid(
         self, exposure: Exposure, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
@@ -284,6 +290,25 @@ class MeasuringChain:
 
     def _origin_faults(self) -> tuple[Fault, ...]:
         return tuple(Fault(Reason(o)) for o in sorted(set(self._origins()) - {Origin.CAMERA}))
+
+
+def _worst_sigmas(beam: Beam) -> tuple[float, float]:
+    """Of displacement mm and of direction mm/m."""
+    sigma_deg = max(beam.sigma_yaw_deg, beam.sigma_pitch_deg)
+    return max(beam.sigma_x_mm, beam.sigma_y_mm), 1000 * math.radians(sigma_deg)
+
+
+def _unexplained(
+    mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
+) -> Fault | None:
+    """The target whose light makes a measurement too uncertain, where it is that and no motion."""
+    scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
+    unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
+    worst = int(unexplained_mm.argmax())
+    if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
+        return None
+    detail = f"light that one spot does not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
+    return Fault(Reason.DISTORTED, mean.targets[worst], detail)
 
 
 def _in_words(spot: Spot | NoSpot) -> str:

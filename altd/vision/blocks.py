@@ -32,6 +32,19 @@ class Blocks:
     grain_variance: FloatArray
     """Per squared count of irradiance and squared grain."""
 
+    def only(self, kept: npt.NDArray[np.bool_]) -> Blocks:
+        """Some of the blocks."""
+        return Blocks(
+            self.light[kept],
+            self.monomials[:, kept],
+            None if self.bends is None else self.bends[:, kept],
+            self.f1[kept],
+            self.f2[kept],
+            self.read_variance[kept],
+            self.shot_variance[kept],
+            self.grain_variance[kept],
+        )
+
 
 def blocks_of(
     patch: Patch,

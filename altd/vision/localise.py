@@ -32,7 +32,7 @@ _BIAS_PER_EXCESS = 2.0
 reflection of 10 to 20 % one sigma of the spot aside displaces it five times as far as that."""
 _DISTORTED_FROM_SIGMAS = 5.5
 """One good spot in fifty million lies farther out."""
-_DISTORTED_FROM_DIAMETERS = 0.01
+_DISTORTED_FROM_DIAMETERS = 0.025
 """What may displace a spot by less only adds to its sigma: dust on the window does."""
 
 _E2 = math.exp(-2.0)

@@ -132,10 +132,9 @@ def test_who_watches_is_shown_each_measured_frame_with_its_spot(calibration: Cal
         Installation(),
         watch=lambda frame, spot: seen.append((frame.camera, frame.sequence, type(spot))),
     )
-    frames = shots([(10.0, 5.0)] * 2)
-    frames.append(replace(frames[0], sequence=2, changing=True))
-    frames.append(replace(frames[0], sequence=3, leds_on=True))
-    for taken in frames:
+    *frames, third, _ = shots([(10.0, 5.0)] * 3)
+    again = replace(frames[0], sequence=4)
+    for taken in (*frames, replace(third, changing=True), replace(third, sequence=3, leds_on=True), again):
         measured.push(taken)
     pairs = [(camera, number, Spot) for number in (0, 1) for camera in ("left", "right")]
     assert seen == [*pairs, ("left", 2, NoSpot)]
