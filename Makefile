@@ -52,7 +52,7 @@ check: venv ## style, types, layers, generated pages
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
 
-bench-area: venv ## beams anywhere on 140 × 110 mm against their truth, minutes; docs/studies/area.md
+bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes minutes
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.area
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors

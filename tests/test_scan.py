@@ -42,7 +42,7 @@ from hw_sim.stage import Stage
 from hw_sim.staged_scan import SimulatedLamps, scan_config
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
 
-SMALL = Scan(columns=4, rows=4, exposures=1, settle_s=0.02, led_pairs=0)
+SMALL = Scan(columns=4, rows=4, pitch_mm=25.0, exposures=1, settle_s=0.02, led_pairs=0)
 QUICK_TABLE = {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
 
 
@@ -263,7 +263,7 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
     scan = SMALL.model_copy(update={"retries": 0})
     with pytest.raises(ScanStoppedError) as caught:
         await scanned(unit, table, tmp_path / "scan", listener, scan)
-    assert "4 of 16 nodes are refused, at most 3 may be" in str(caught.value)
+    assert "4 of 16 nodes are refused, the others are no sufficient grid" in str(caught.value)
     assert "front spot_missing" in str(caught.value)
     assert len(listener.said) == 4
     unit.clear()
@@ -299,6 +299,7 @@ device = "{table.device}"
 feed_mm_per_min = 100000
 
 [scan]
+pitch_mm = 25
 columns = 4
 rows = 4
 settle_s = 0.02
