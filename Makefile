@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test fuzz check bench bench-guest bench-live bench-spray bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test fuzz check bench bench-area bench-guest bench-live bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -51,6 +51,9 @@ check: venv ## style, types, layers, generated pages
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
+
+bench-area: venv ## beams anywhere on 140 × 110 mm against their truth, minutes; docs/studies/area.md
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.area
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "pair or truth or figures"

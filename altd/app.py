@@ -15,7 +15,7 @@ from altd.errors import BadInputError, bare
 from altd.parts import calibration_of, cameras_of, indicators_of, lamps_of, setters_of, stage_of
 from altd.ports import Camera, Clock, Indicators, Lamps
 from altd.recording import Kind, UnitHeader, refuse_used_folder
-from altd.records import Frame, NoSpot, Spot
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
@@ -75,6 +75,12 @@ class Daemon:
             lambda: (camera.origin for camera in self._cameras.values()),
             self.clock.utc,
             self._watch,
+            lambda camera: self._cameras[camera].identity,
+            {
+                name: CameraIdentity(serial=settings.serial)
+                for name, settings in config.cameras.items()
+                if isinstance(settings, LiveCamera)
+            },
         )
         self._keepers = {
             name: ExposureKeeper(

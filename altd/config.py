@@ -117,6 +117,9 @@ class LiveCamera(Table):
     """Frames a second."""
     exposure: ExposureControl = ExposureControl()
     """A table of its own, see below."""
+    serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    """The camera's serial number, as `altd devices` shows it: another one in its place is
+    ``wrong_camera``. The serial number in the calibration counts as well."""
 
 
 class V4l2Camera(LiveCamera):
@@ -246,8 +249,8 @@ class Measuring(Table):
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
     """A camera is silent when no frame came for this long."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
-    """A value that was not followed by a new one for this long is not shown any more. Keep it longer than
-    ``every`` exposures take."""
+    """A value whose last exposure is older than this is not shown any more. Keep it longer than ``every``
+    exposures take."""
 
 
 class Installation(Table):
@@ -358,8 +361,8 @@ class Scan(Table):
     """Nodes along x."""
     rows: Annotated[int, Field(ge=4, le=64)] = 5
     """Nodes along y."""
-    pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 25.0
-    """Distance from node to node."""
+    pitch_mm: Annotated[float, Field(ge=1, le=1000)] = 28.0
+    """Distance from node to node. 6 × 5 nodes at 28 mm hold the 140 × 110 mm that the unit measures."""
     centre_x_mm: StageMillimetres = 0.0
     """The middle of the grid in the unit frame."""
     centre_y_mm: StageMillimetres = 0.0

@@ -45,6 +45,8 @@ def _video_cameras() -> Iterator[str]:
             yield from _remark(f"cannot be looked at: {found.why}")
             continue
         yield from _remark(f"{found.card}, kernel driver {found.driver}")
+        if found.serial is not None:
+            yield f'  serial = "{found.serial}"'
         for pixel_format, sizes in found.formats.items():
             yield from _remark(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
         if not found.formats:

@@ -169,7 +169,9 @@ class Pairer(Generic[Item]):
             settled += self._give_up_before(group)
             settled.append(self._settle(group))
         elif len(self._waiting[camera]) > _PATIENCE:
-            settled.append(self._settle(self._group_of(min(self._waiting[camera], key=self._order))))
+            group = self._group_of(min(self._waiting[camera], key=self._order))
+            settled += self._give_up_before(group)
+            settled.append(self._settle(group))
         return settled
 
     def flush(self) -> list[Pair[Item]]:
@@ -228,7 +230,7 @@ class Pairer(Generic[Item]):
         return near and abs(lag_ns) <= self._max_lag_ns
 
     def _give_up_before(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
-        """Settle, incomplete as they are, the exposures older than a complete one."""
+        """Settle, incomplete as they are, the exposures older than one that is settled."""
         first = min(self._order(waiting) for waiting in group.values())
         settled = []
         while older := [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from altd.calibration.file import check_image_size, load_calibration
+from altd.calibration.file import check_camera, check_image_size, load_calibration
 from altd.calibration.model import Calibration
 from altd.config import AravisCamera, CameraLamps, Config, LiveCamera, RecordingCamera, V4l2Camera
 from altd.devices.playback import Playback, PlaybackCamera
@@ -62,6 +62,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
         camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
         if isinstance(camera, PlaybackCamera):
             check_image_size(calibration, path, target.name, camera.width, camera.height)
+            check_camera(calibration, path, target.name, camera.identity)
         elif isinstance(settings, LiveCamera):
             check_image_size(calibration, path, target.name, settings.width, settings.height)
     return calibration

@@ -7,7 +7,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
-from altd.records import Frame, Origin
+from altd.records import CameraIdentity, Frame, Origin
 
 
 class CameraError(Exception):
@@ -61,6 +61,10 @@ class Camera(Protocol):
 
         A camera may find out only when it is opened.
         """
+
+    @property
+    def identity(self) -> CameraIdentity | None:
+        """Which camera this is, known once open; None: the source cannot tell."""
 
     @property
     def waits(self) -> bool:

@@ -25,7 +25,7 @@ from altd.files.documents import parse_json
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
 from altd.measurement_json import utc_text
-from altd.records import Frame
+from altd.records import CameraIdentity, Frame
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -65,8 +65,33 @@ class CameraHeader(_Header):
     width: Annotated[int, Field(ge=16, le=20_000)]
     height: Annotated[int, Field(ge=16, le=20_000)]
     bits: Annotated[int, Field(ge=8, le=16)]
+    serial: str | None = None
+    """The camera's serial number, where its driver tells one."""
+    model: str | None = None
+    """What its maker calls it."""
+    driver: str | None = None
+    """The driver that named it: ``driver`` of the config."""
     mirrored: bool | None = None
     """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Which camera it was, as far as the recording knows."""
+        return CameraIdentity(self.serial, self.model, self.driver)
+
+
+def camera_header(frame: Frame, camera: CameraIdentity | None) -> CameraHeader:
+    """The header of a camera that delivers such frames."""
+    known = camera or CameraIdentity()
+    rows, columns = frame.pixels.shape
+    return CameraHeader(
+        width=columns,
+        height=rows,
+        bits=frame.bits,
+        serial=known.serial,
+        model=known.model,
+        driver=known.driver,
+    )
 
 
 class UnitHeader(_Header):
@@ -307,7 +332,10 @@ class RecordingWriter:
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = _read_header(self._path / HEADER_FILE)
         if (there.cameras, there.unit) != (header.cameras, header.unit):
-            raise BadInputError(self._path / HEADER_FILE, "is of another unit or of cameras of another size")
+            raise BadInputError(
+                self._path / HEADER_FILE,
+                "is of another unit, of other cameras, or of cameras of another size",
+            )
         try:
             self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)
             self._file.truncate(resume_at)

@@ -32,6 +32,28 @@ class Origin(StrEnum):
     SIMULATED = "simulated"
 
 
+@dataclass(frozen=True, slots=True)
+class CameraIdentity:
+    """Which camera this is, as its driver tells; None: not known."""
+
+    serial: str | None = None
+    model: str | None = None
+    driver: str | None = None
+
+    def difference_from(self, expected: CameraIdentity) -> str:
+        """What tells this camera from the expected one, in words; empty when nothing does.
+
+        What one of the two does not know tells nothing, and another driver names cameras otherwise.
+        """
+        if None not in (self.driver, expected.driver) and self.driver != expected.driver:
+            return ""
+        for what in ("serial", "model"):
+            is_, should_be = getattr(self, what), getattr(expected, what)
+            if None not in (is_, should_be) and is_ != should_be:
+                return f"its {what} is {is_!r}, expected {should_be!r}"
+        return ""
+
+
 class Reason(StrEnum):
     """Why a measurement is invalid, or what a valid one warns of.
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from altd.calibration.file import check_image_size, load_calibration
+from altd.calibration.file import check_camera, check_image_size, load_calibration
 from altd.config import Installation, Measuring
 from altd.errors import BadInputError
 from altd.measurement_json import as_line
@@ -26,6 +26,7 @@ def replay(recording_path: Path, calibration_path: Path, window: int, every: int
     calibration = load_calibration(calibration_path, header.unit.serial)
     for camera, size in header.cameras.items():
         check_image_size(calibration, calibration_path, camera, size.width, size.height)
+        check_camera(calibration, calibration_path, camera, size.identity)
     missing = [name for name in calibration.target_names if name not in header.cameras]
     if missing:
         raise BadInputError(recording_path, f"has no camera {missing[0]!r}")

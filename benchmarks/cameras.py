@@ -56,6 +56,7 @@ class MemoryCamera:
     waits = False
     origin = Origin.SIMULATED
     exposure_range = None
+    identity = None
 
     def __init__(self, source: Source, index: int) -> None:
         self.name = CAMERAS[index]

@@ -17,9 +17,11 @@ import altd.vision.localise as localise_room
 import altd.vision.search as search_room
 from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
+from altd.freshness import FreshnessCheck
 from altd.pairing import Pairer
 from altd.records import Exposure, Frame, MeanSpots, Origin, Spot, TargetPoint
 from altd.service.chain import MeasuringChain, View
+from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate, spot_in
 from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
 
@@ -193,7 +195,14 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
     pairer: Pairer[Spot] = Pairer(CAMERAS, "time", 10_000_000, 30_000_000)
     window = ExposureWindow(CAMERAS, WINDOW, 1)
     chain = _chain(material)
+    fresh = {camera: FreshnessCheck() for camera in CAMERAS}
+    synchrony = SynchronyCheck(CAMERAS)
+    to_check, to_compare = iter(run), iter(exposures)
     to_pair, to_average, to_chain = iter(run), iter(exposures), iter(run)
+
+    def check_two() -> None:
+        for frame in next(to_check):
+            fresh[frame.camera].repeated(frame)
 
     def pair_two() -> None:
         for frame in next(to_pair):
@@ -215,7 +224,9 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
         for target, point, (u, v) in zip(material.calibration.targets, found, mean.px, strict=True)
     ]
     return [
+        _Stage("new frames, both", 1, [check_two] * calls),
         _Stage("pairing", 1, [pair_two] * calls),
+        _Stage("motion in step", 1, [lambda: synchrony.look(next(to_compare))] * calls),
         _Stage(f"averaging over {WINDOW}", 1, [lambda: window.add(next(to_average))] * calls),
         _Stage("mapping, one point", 2, map_works),
         _Stage("cross-check, one point", 2, check_works),

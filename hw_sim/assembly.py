@@ -10,8 +10,10 @@ import numpy as np
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
 from hw_sim.targets import DotPattern, DotPrint
 
-FRAME_HALF_MM = (74.0, 59.0)
-"""The 140 × 110 mm of the target with the frame and its LEDs around: what the picture must hold."""
+SEEN_HALF_MM = (77.5, 62.5)
+"""What the picture must hold: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1), so 155 × 125 mm of the
+plate's 160 × 130 (App. A.3). It is what the thesis' lens of 5.7 mm sees from 250 mm (Sec. 3.3.2): 126 mm
+across the 480 rows of 6 µm."""
 
 MARGIN_PX = 3.0
 
@@ -26,8 +28,13 @@ def make_dots(pattern: DotPattern, rng: np.random.Generator) -> DotPrint:
     return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)), pattern)
 
 
-def make_lens(focal_range_mm: tuple[float, float], mirrored: bool, rng: np.random.Generator) -> Lens:
-    """A barrel lens beside the beam, as near to its target as the frame around that allows."""
+def make_lens(
+    focal_range_mm: tuple[float, float],
+    mirrored: bool,
+    rng: np.random.Generator,
+    seen_half_mm: tuple[float, float] = SEEN_HALF_MM,
+) -> Lens:
+    """A barrel lens beside the beam, as near to its target as what it must see allows."""
     side = rng.choice([-1.0, 1.0])
     turned = rotation(
         math.radians(side * rng.uniform(8.0, 13.0)),
@@ -48,7 +55,7 @@ def make_lens(focal_range_mm: tuple[float, float], mirrored: bool, rng: np.rando
         translation_mm=np.array([aim_x, aim_y, 0.0]),
         mirrored=mirrored,
     )
-    return filling_the_picture(lens, FRAME_HALF_MM, (30.0, 60.0))
+    return filling_the_picture(lens, seen_half_mm, (30.0, 60.0))
 
 
 def filling_the_picture(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:

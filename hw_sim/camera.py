@@ -6,7 +6,7 @@ import threading
 import time
 
 from altd.ports import CameraError, CameraTimeoutError, ExposureRange
-from altd.records import Frame, Origin
+from altd.records import CameraIdentity, Frame, Origin
 from hw_sim.unit import CAMERAS, Unit
 
 EXPOSURE_RANGE = ExposureRange(0.02, 40.0, 0.0, 24.0)
@@ -71,6 +71,11 @@ class SimulatedCamera:
     def origin(self) -> Origin:
         """Always simulated, and every output says so."""
         return Origin.SIMULATED
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """One camera of one simulated unit."""
+        return CameraIdentity(f"{self._unit.config.serial}-{self._name}", "simulated", "hw_sim")
 
     @property
     def waits(self) -> bool:

@@ -29,7 +29,7 @@ class Fault(StrEnum):
     CUT_BY_EDGE = "cut_by_edge"
     """The beam stands where the front camera's picture ends, normal to the targets."""
     OUT_OF_AREA = "out_of_area"
-    """The beam stands at OUT_OF_AREA_MM, in the picture but outside the scanned area."""
+    """The beam stands at OUT_OF_AREA_MM, in the picture but farther out than a scan makes a map good for."""
     OUT_OF_STEP = "out_of_step"
     """The rear camera exposes, and stamps, half a period late."""
     FRONT_SILENT = "front_silent"
@@ -42,7 +42,7 @@ class Fault(StrEnum):
 
 SECOND_SPOT_MM = 40.0
 OVERLOAD = 100.0
-OUT_OF_AREA_MM = (68.5, 0.0)
+OUT_OF_AREA_MM = (90.0, 0.0)
 DROPPED_SHARE = 0.2
 ALL_PIXELS = frozenset({Fault.BLACK, Fault.WHITE, Fault.NOISE_ONLY})
 """Faults that leave nothing of the picture."""

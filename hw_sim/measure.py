@@ -22,8 +22,8 @@ LARGEST_YAW, LARGEST_PITCH = 0.110, 0.250
 POSES_STREAM = 5
 """Keeps the poses' random numbers apart from those of the frames."""
 
-HALF_AREA_MM = (62.5 - 3.0, 50.0 - 3.0)
-"""The scanned area less 3 mm, which holds both spots of every pose."""
+HALF_AREA_MM = (70.0, 55.0)
+"""Of the 140 × 110 mm of App. A.1, which hold both spots of every pose."""
 
 
 def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator) -> list[BeamPose]:

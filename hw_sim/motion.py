@@ -43,7 +43,7 @@ class Drive:
 
 
 SLOW_DRIVE = Drive(x_mm=24.0, y_mm=16.0, yaw_mrad=60.0, pitch_mrad=70.0, period_s=180.0)
-"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 62.5 × 50."""
+"""A slow Lissajous figure. At most 41 × 36 mm from the middle on the rear target: the scan has 70 × 56."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

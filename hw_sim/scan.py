@@ -13,8 +13,8 @@ from hw_sim.recording import Progress, recording
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
-COLUMNS, ROWS, PITCH_MM = 6, 5, 25.0
-"""The grid of Fig. 3.24: 125 × 100 mm around the middle."""
+COLUMNS, ROWS, PITCH_MM = 6, 5, 28.0
+"""The grid of Fig. 3.24 over the area of App. A.1: 140 × 112 mm around the middle."""
 
 STAGE_STREAM = 6
 """Keeps the stage's random numbers apart from those of the frames."""
@@ -23,18 +23,20 @@ LED_REFERENCE = (False, True, False, True)
 """The frame LEDs in the exposures before the grid, with the beam in the middle."""
 
 
-def grid_mm() -> list[tuple[float, float]]:
+def grid_mm(pitch_mm: float = PITCH_MM) -> list[tuple[float, float]]:
     """The nodes (x, y) of the scan in mm, row by row from the smallest x and y."""
     return [
-        ((column - (COLUMNS - 1) / 2.0) * PITCH_MM, (row - (ROWS - 1) / 2.0) * PITCH_MM)
+        ((column - (COLUMNS - 1) / 2.0) * pitch_mm, (row - (ROWS - 1) / 2.0) * pitch_mm)
         for row in range(ROWS)
         for column in range(COLUMNS)
     ]
 
 
-def record_scan(folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress) -> None:
+def record_scan(
+    folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress, pitch_mm: float = PITCH_MM
+) -> None:
     """Write the scan of a unit into ``folder``: LED reference pairs, then ``exposures`` a node."""
-    nodes = grid_mm()
+    nodes = grid_mm(pitch_mm)
     planned = len(LED_REFERENCE) + len(nodes) * exposures
     with recording(folder, unit, "scan", planned, progress) as recorder:
         for leds_on in LED_REFERENCE:

@@ -18,8 +18,8 @@ WINDOW_TRANSMISSION = 0.92
 """Clear glass with two uncoated faces."""
 
 LED_DIAMETER_MM = 5.0
-LED_POSITIONS_MM = ((-70.0, 48.0), (0.0, 55.0), (70.0, 48.0), (-70.0, -48.0), (0.0, -55.0), (70.0, -48.0))
-"""The six frame LEDs (Sec. 3.4, App. A.3): clear of the scanned 125 × 100 mm, within the picture."""
+LED_POSITIONS_MM = ((-74.0, 48.0), (0.0, 59.0), (74.0, 48.0), (-74.0, -48.0), (0.0, -59.0), (74.0, -48.0))
+"""The six frame LEDs (Sec. 3.4, App. A.3): beside the 140 × 110 mm that are measured, within the picture."""
 
 
 @dataclass(frozen=True, slots=True)

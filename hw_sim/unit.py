@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.records import Frame, PixelArray
-from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
+from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, SEEN_HALF_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, settle
 from hw_sim.eye import Eye, Settings
@@ -49,9 +49,10 @@ class UnitConfig:
 
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
     ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
-    given. ``expansion`` is by how much of its length the frame between the targets has grown since it was
-    adjusted: the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on
-    window and plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
+    given, and the cameras stand where their pictures hold ``seen_half_mm`` to each side of the middle.
+    ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
+    the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on window and
+    plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
     """
 
     seed: int = 1
@@ -67,6 +68,7 @@ class UnitConfig:
     dots: DotPattern | None = field(default_factory=DotPattern)
     front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
     rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
+    seen_half_mm: tuple[float, float] = SEEN_HALF_MM
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
@@ -98,8 +100,8 @@ class Unit:
         rngs = (np.random.default_rng(stream) for stream in streams)
         dots = make_dots(self._pattern, next(rngs))
         lenses = {
-            FRONT: make_lens(self.config.front_focal_mm, mirrored=True, rng=next(rngs)),
-            REAR: make_lens(self.config.rear_focal_mm, mirrored=False, rng=next(rngs)),
+            FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.seen_half_mm),
+            REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.seen_half_mm),
         }
         self.eyes: Mapping[str, Eye] = {
             name: Eye(

@@ -105,6 +105,20 @@ def test_descriptors_that_run_out_are_a_line_and_cost_no_measurement(
     assert len(said.splitlines()) <= 8, said.decode()
 
 
+@pytest.mark.parametrize("closed", [(2,), (0, 1, 2)])
+def test_a_daemon_needs_no_standard_stream(
+    played_unit: PlayedUnit, tmp_path: Path, closed: tuple[int, ...]
+) -> None:
+    def close() -> None:
+        for descriptor in closed:
+            os.close(descriptor)
+
+    with playing(played_unit, tmp_path, subprocess.DEVNULL, close) as daemon:
+        daemon.wait_until_valid()
+        daemon.process.send_signal(signal.SIGTERM)
+        assert daemon.process.wait(10) == 0
+
+
 def test_a_terminal_that_goes_away_ends_the_daemon_in_order(played_unit: PlayedUnit, tmp_path: Path) -> None:
     with playing(played_unit, tmp_path, subprocess.DEVNULL) as daemon:
         daemon.wait_until_valid()

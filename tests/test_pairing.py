@@ -232,3 +232,18 @@ def test_by_time_an_exposure_without_the_first_camera_keeps_its_number() -> None
             out += p.add("front", n, n * PERIOD, "f")
         out += p.add("rear", 7000 + n, n * PERIOD, "r")
     assert [pair.sequence for pair in out] == list(range(12))
+
+
+@pytest.mark.parametrize(("by", "lost"), [("sequence", 0.3), ("time", 0.2)])
+def test_exposures_come_out_in_their_order_whatever_is_lost(by: str, lost: float) -> None:
+    rng = np.random.default_rng(6)
+    p = pairer(by)
+    out = []
+    for n in range(2000):
+        for camera in ("front", "rear"):
+            if n < 20 or rng.random() >= lost:
+                out += p.add(camera, n, n * PERIOD, n)
+    times = [pair.t_ns for pair in out]
+    assert len(out) > 1500
+    assert times == sorted(set(times))
+    assert [pair.sequence for pair in out] == sorted({pair.sequence for pair in out})

@@ -48,6 +48,11 @@ class CrossCheck:
             largest_px=float(apart_px.max()),
         )
 
+    def allowed_px(self, checked: TensorMap, outside_mm: float) -> float:
+        """The bound at a place that lies so far outside the hull, where both maps are less sure."""
+        beyond_px = max(outside_mm, 0.0) * math.hypot(checked.beyond_px_per_mm, self.map.beyond_px_per_mm)
+        return math.hypot(self.bound_px, _BOUND_SIGMAS * beyond_px)
+
     def apart_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
         """How far from (u, v) this map puts the point (x, y) that the other one found for it."""
         u, v, (middle_x, middle_y), (per_x, per_y) = self._plain

@@ -33,7 +33,9 @@ class TargetEvidence:
     ``nodes_mm`` (n, 2) and ``nodes_px`` (n, 2) are the nodes that were used, ``residuals_px`` (n, 2) measured
     minus mapped, ``missed_px`` (n, 2) by how much each misses the map made without it, ``scatter_px`` (n, 2)
     the standard deviation of single exposures at the node (NaN where it has one), ``exposures`` (n,) their
-    number. ``left_out`` holds the nodes (x, y) mm that were not used, each with the reason.
+    number. ``relative_sigma`` (n,) is 1 for a node whose spot is known as well as most, more for one that
+    is known worse and counts less. ``left_out`` holds the nodes (x, y) mm that were not used, each with the
+    reason, ``leds_dropped`` in words the frame LEDs that shine and could not be located.
     """
 
     name: str
@@ -41,7 +43,9 @@ class TargetEvidence:
     nodes_px: FloatArray
     residuals_px: FloatArray
     missed_px: FloatArray
+    relative_sigma: FloatArray
     scatter_px: FloatArray
     exposures: tuple[int, ...]
     left_out: tuple[tuple[tuple[float, float], str], ...]
+    leds_dropped: tuple[str, ...]
     candidates: tuple[Candidate, ...]

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from altd.calibration.cross_check import CrossCheck
+from altd.calibration.fingerprint_file import FingerprintTable, as_document, from_table
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
@@ -25,7 +26,7 @@ from altd.files.writing import write_file
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
-from altd.records import FloatArray
+from altd.records import CameraIdentity, FloatArray
 from altd.vision.flat import Flat, Source
 from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings
@@ -69,6 +70,8 @@ class _Map(_Table):
     spread_v_px: list[list[Coefficient]]
     noise_px: PositivePixels
     hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
+    margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
 
 
 class _CrossCheck(_Table):
@@ -121,6 +124,8 @@ class _Target(_Table):
     name: str
     z_mm: Millimetres
     camera_serial: str | None
+    camera_model: str | None = None
+    camera_driver: str | None = None
     width: Side
     height: Side
     localiser: _Localiser
@@ -132,6 +137,7 @@ class _Target(_Table):
     repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
     leds_px: list[tuple[Pixels, Pixels]]
     spot: _Spot | None = None
+    fingerprint: FingerprintTable | None = None
 
 
 class _Unit(_Table):
@@ -199,6 +205,13 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
         )
 
 
+def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:
+    """Refuse a recording of another camera than the one that the target was calibrated with."""
+    known = calibration.target(target)
+    if known is not None and (difference := camera.difference_from(known.camera)):
+        raise BadInputError(path, f"target {target!r} was calibrated with another camera: {difference}")
+
+
 def _checksum(document: dict[str, Any]) -> str:
     """SHA-256 over the document without its checksum, keys sorted, no spaces."""
     canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
@@ -219,7 +232,9 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
     return {
         "name": target.name,
         "z_mm": target.z_mm,
-        "camera_serial": None,
+        "camera_serial": target.camera.serial,
+        "camera_model": target.camera.model,
+        "camera_driver": target.camera.driver,
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
@@ -240,6 +255,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "repeatability_px": target.repeatability_px.tolist(),
         "leds_px": target.leds_px.tolist(),
         "spot": None if target.spot == UNKNOWN_SPOT else asdict(target.spot),
+        "fingerprint": as_document(target.fingerprint),
     }
 
 
@@ -264,6 +280,8 @@ def _map_document(fitted: TensorMap) -> dict[str, Any]:
         "spread_v_px": fitted.spread_px[1].tolist(),
         "noise_px": fitted.noise_px,
         "hull_mm": fitted.hull_mm.tolist(),
+        "margin_mm": fitted.margin_mm,
+        "beyond_px_per_mm": fitted.beyond_px_per_mm,
     }
 
 
@@ -278,13 +296,15 @@ def _from_content(content: _File) -> Calibration:
 
 
 def _from_target(target: _Target) -> TargetCalibration:
+    flat = _from_flat(target)
+    place = f"targets.{target.name}.fingerprint"
     return TargetCalibration(
         name=target.name,
         z_mm=target.z_mm,
         width=target.width,
         height=target.height,
         localiser=SpotSettings(**target.localiser.model_dump()),
-        flat=_from_flat(target),
+        flat=flat,
         map=_from_map(f"targets.{target.name}.map", target.map),
         cross_check=CrossCheck(
             map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
@@ -299,6 +319,8 @@ def _from_target(target: _Target) -> TargetCalibration:
         repeatability_px=np.array(target.repeatability_px),
         leds_px=np.array(target.leds_px).reshape(-1, 2),
         spot=UNKNOWN_SPOT if target.spot is None else _from_spot(target.spot),
+        camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
+        fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
     )
 
 
@@ -335,6 +357,8 @@ def _from_map(place: str, content: _Map) -> TensorMap:
         ),
         noise_px=content.noise_px,
         hull_mm=np.array(content.hull_mm),
+        margin_mm=content.margin_mm,
+        beyond_px_per_mm=content.beyond_px_per_mm,
     )
 
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from altd.calibration.cross_check import CrossCheck
 from altd.calibration.evidence import Candidate
+from altd.calibration.margin import OuterRow, outer_rows, with_margin
+from altd.mapping.camera import Optics
 from altd.mapping.hull import convex_hull_mm
-from altd.mapping.lens import fit_lens_maps
+from altd.mapping.lens import fit_lens_map, fit_lens_maps
 from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 from altd.records import FloatArray
@@ -33,6 +37,18 @@ class TargetFit:
     cross_check: CrossCheck
     candidates: tuple[Candidate, ...]
     dropped: list[int]
+
+
+class _Nodes(NamedTuple):
+    """Places (n, 2) mm, where they are seen (n, 2) px, and each one's relative sigma (n,)."""
+
+    mm: FloatArray
+    px: FloatArray
+    relative_sigma: FloatArray
+
+    def without(self, outer: OuterRow) -> _Nodes:
+        """All but an outer row."""
+        return _Nodes(*(np.delete(values, outer.rows, axis=0) for values in self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,21 +84,28 @@ def fit_nodes(
     degree: tuple[int, int] | None,
     most_dropped: int,
     marks: Marks | None = None,
+    relative_sigma: FloatArray | None = None,
 ) -> TargetFit:
     """Fit nodes (n, 2) mm at (n, 2) px by every model; the best is the map, the other family's checks it.
 
     A node without which the map of the others is clearly better, such as one at which the stage was bumped,
     is left out; one after the other, at most ``most_dropped``. ``marks`` of a print guide the lens models.
-    Raises ValueError when the nodes are no grid or too few.
+    ``relative_sigma`` (n,) says by how much one node scatters more than another. Raises ValueError when the
+    nodes are no grid or too few.
     """
+    each = np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma
+
+    def fit(rows: npt.NDArray[np.intp]) -> _Families:
+        return _fit_families(nodes_mm[rows], nodes_px[rows], each[rows], image_size, degree, marks)
+
     kept = np.arange(len(nodes_mm))
-    families = _fit_families(nodes_mm, nodes_px, image_size, degree, marks)
+    families = fit(kept)
     while len(nodes_mm) - len(kept) < most_dropped:
         trials = []
         for row, gain in _suspects(families).items():
             others = np.delete(kept, row)
             try:
-                without = _fit_families(nodes_mm[others], nodes_px[others], image_size, degree, marks)
+                without = fit(others)
             except ValueError:
                 continue
             if without.best.left_out_px < gain * families.best.left_out_px:
@@ -90,9 +113,21 @@ def fit_nodes(
         if not trials:
             break
         kept, families = min(trials, key=lambda trial: trial[1].best.left_out_px)
+    nodes = _Nodes(nodes_mm[kept], nodes_px[kept], each[kept])
+    tensor, lens = families.tensor, families.lens
+    try:
+        outer = outer_rows(nodes.mm)
+        inner = [nodes.without(row) for row in outer]
+        tensors = [_tensor_again(others, degree) for others in inner]
+        lenses = [_lens_again(lens, others, image_size, marks) for others in inner]
+        tensor = with_margin(tensor, nodes.mm, nodes.px, outer, tensors)
+        lens = with_margin(lens, nodes.mm, nodes.px, outer, lenses)
+    except ValueError:  # too few nodes to leave any out: known between them, and no further
+        pass
+    best, other = (tensor, lens) if families.best is families.tensor else (lens, tensor)
     return TargetFit(
-        families.best,
-        CrossCheck.between(families.best, families.other),
+        best,
+        CrossCheck.between(best, other),
         tuple(_candidate(fit) for fit in families.tensors + families.lenses),
         sorted(set(range(len(nodes_mm))) - set(kept.tolist())),
     )
@@ -115,17 +150,38 @@ def _suspects(families: _Families) -> dict[int, float]:
 def _fit_families(
     nodes_mm: FloatArray,
     nodes_px: FloatArray,
+    relative_sigma: FloatArray,
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
     marks: Marks | None,
 ) -> _Families:
     hull_mm = convex_hull_mm(nodes_mm)
     if degree is None:
-        tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm)
+        tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm, relative_sigma)
     else:
-        tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree)]
-    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, marks)
+        tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree, relative_sigma)]
+    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, marks, relative_sigma)
     return _Families(_unfolded(tensors), _unfolded(lenses))
+
+
+def _tensor_again(nodes: _Nodes, degree: tuple[int, int] | None) -> Fit:
+    """The tensor polynomial through other nodes; its degree is chosen anew."""
+    return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), degree, nodes.relative_sigma)
+
+
+def _lens_again(fit: Fit, nodes: _Nodes, image_size: tuple[int, int], marks: Marks | None) -> Fit:
+    """The same lens model through other nodes."""
+    optics: Optics = "fisheye" if fit.map.model.startswith("fisheye") else "brown"
+    return fit_lens_map(
+        nodes.mm,
+        nodes.px,
+        convex_hull_mm(nodes.mm),
+        image_size,
+        optics,
+        0 if fit.degree is None else fit.degree[0],
+        marks,
+        nodes.relative_sigma,
+    )
 
 
 def _handicapped_px(fit: Fit) -> float:

@@ -75,6 +75,8 @@ def flats_of(
                 f"{camera}: frames of {header.width} × {header.height}, "
                 f"those of the scan are {of_scan.width} × {of_scan.height}",
             )
+        if other := header.identity.difference_from(of_scan.identity):
+            raise BadInputError(path, f"{camera}: the flat is of another camera than the scan: {other}")
         try:
             flats[camera] = _flat(recording, header, rows, progress)
         except ValueError as error:

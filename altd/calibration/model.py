@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 
@@ -11,7 +11,8 @@ import numpy as np
 from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.records import FloatArray, TargetPoint
+from altd.records import CameraIdentity, FloatArray, TargetPoint
+from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.reference import UNKNOWN_SPOT, SpotReference
 from altd.vision.settings import SpotSettings
@@ -25,7 +26,8 @@ class TargetCalibration:
     ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
-    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like.
+    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
+    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known.
     """
 
     name: str
@@ -43,6 +45,8 @@ class TargetCalibration:
     repeatability_px: FloatArray
     leds_px: FloatArray
     spot: SpotReference = UNKNOWN_SPOT
+    camera: CameraIdentity = field(default_factory=CameraIdentity)
+    fingerprint: Fingerprint | None = None
 
     @cached_property
     def inverse(self) -> InverseMap:
@@ -59,11 +63,13 @@ class TargetCalibration:
     def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str:
         """Why the point that ``point`` found for (u, v) cannot be believed, in words; empty when it can."""
         apart_px = self.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
-        if apart_px <= self.cross_check.bound_px:
+        outside_mm = self.inverse.outside_mm(point.x_mm, point.y_mm)
+        bound_px = self.cross_check.allowed_px(self.map, outside_mm)
+        if apart_px <= bound_px:
             return ""
         return (
             f"the {self.map.model} and the {self.cross_check.map.model} map are {apart_px:.2f} px apart at "
-            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {self.cross_check.bound_px:.2f} px"
+            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {bound_px:.2f} px"
         )
 
 

@@ -14,6 +14,7 @@ from itertools import count
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
+from altd.calibration.fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.result import (
@@ -170,6 +171,8 @@ def _target(
         residual_max_mm=float(distance_mm.max()),
         repeatability_px=_pooled(scatter_px),
         leds_px=np.empty((0, 2)),
+        camera=camera.identity,
+        fingerprint=hot_pixels_of(recording, rows),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
     evidence = TargetEvidence(
@@ -178,9 +181,11 @@ def _target(
         nodes_px=fit.map.to_px(nodes_mm[kept]) + fit.residuals_px,
         residuals_px=fit.residuals_px,
         missed_px=fit.missed_px,
+        relative_sigma=fit.relative_sigma,
         scatter_px=scatter_px,
         exposures=exposures,
         left_out=tuple(missing + [(tuple(nodes_mm[row].tolist()), why) for row, why in complaints.items()]),
+        leds_dropped=(),
         candidates=fitted.candidates,
     )
     return target, evidence, leds.lights

@@ -10,6 +10,7 @@ import numpy as np
 
 from altd.calibration.agreement import Verdict, agreement, verdict
 from altd.calibration.evidence import TargetEvidence
+from altd.calibration.fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.flat import flat_likeness
 from altd.calibration.model import Calibration, TargetCalibration
@@ -21,6 +22,7 @@ from altd.calibration.result import (
     cross_check_doubts,
     residual_distances_mm,
 )
+from altd.calibration.scan_grid import relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, look, printed_nodes
 from altd.calibration.spot_reference import spot_reference
 from altd.errors import BadInputError
@@ -33,7 +35,6 @@ from altd.vision.reference import UNKNOWN_SPOT
 from altd.vision.settings import SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
-_LARGEST_MISSING_SHARE = 0.2
 _LEAST_LIKENESS = 0.5
 """0.8 to 1 for the right flat; moved by a pixel it is below 0.5, moved by more about 0."""
 _MARKS_COST = 1.2
@@ -48,7 +49,7 @@ class _Made:
     evidence: TargetEvidence
     scatter: NodeScatter
     remark: str = ""
-    doubt: str = ""
+    doubts: tuple[str, ...] = ()
     must_agree: bool = False
     """Whether no print excuses the two localisers."""
 
@@ -77,14 +78,15 @@ def calibrate_scan(
     made = [_calibrate_target(job, progress) for job in jobs]
     patterns_px = pattern_noise_px([target.scatter for target in made])
     verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
+    marked = [_with_camera(job, of) for job, of in zip(jobs, made, strict=True)]
     calibration = Calibration(
         unit_serial=header.unit.serial,
         created=datetime.now(UTC),
         recording_note=header.note,
         recording_sha256=recording.sha256(),
         targets=tuple(
-            _with_pattern(job, of.target, pattern_px)
-            for job, of, pattern_px in zip(jobs, made, patterns_px, strict=True)
+            _with_pattern(job, target, pattern_px)
+            for job, (target, _), pattern_px in zip(jobs, marked, patterns_px, strict=True)
         ),
     )
     return CalibrationResult(
@@ -93,14 +95,20 @@ def calibrate_scan(
             f"{of.evidence.name} node x {x:g} y {y:g} mm: {why}"
             for of in made
             for (x, y), why in of.evidence.left_out
-        ),
+        )
+        + tuple(f"{of.evidence.name} {led}" for of in made for led in of.evidence.leds_dropped),
         tuple(of.evidence for of in made),
         (
             *cross_check_doubts(calibration.targets),
-            *(of.doubt for of in made if of.doubt),
+            *(doubt for of in made for doubt in of.doubts),
+            *(doubt for _, doubt in marked if doubt),
             *(of.doubt for of in verdicts if of.doubt is not None),
         ),
-        (*(of.remark for of in made), *(of.remark for of in verdicts)),
+        (
+            *(of.remark for of in made),
+            *(line for of in made for line in _unequal_nodes(of.evidence)),
+            *(of.remark for of in verdicts),
+        ),
     )
 
 
@@ -115,9 +123,9 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
         made = _fit_target(job, look(job, progress), None)
-        doubt = _doubt_of_flat(flat_likeness(first_frames(job), job.flat), job.name)
+        doubts = _doubts_of_flat(flat_likeness(first_frames(job), job.flat), job.name)
         remark = f"{job.name}: localised through its recorded flat"
-        return replace(made, remark=remark, doubt=doubt, must_agree=True)
+        return replace(made, remark=remark, doubts=made.doubts + doubts, must_agree=True)
     printed, nodes = printed_nodes(job)
     if 2 * printed > nodes:
         job = replace(job, localiser=_MOMENT)
@@ -133,6 +141,16 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     return replace(made, remark=f"{job.name}: {remark}", must_agree=not printed)
 
 
+def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str]:
+    """The target with its camera's identity and fingerprint, and what is doubtful about that."""
+    target = made.target
+    fingerprint, doubt = fingerprint_of(
+        job.recording, job.rows, target.localiser, target.flat, made.must_agree and target.flat is None
+    )
+    camera = job.recording.header.cameras[job.name].identity
+    return replace(target, camera=camera, fingerprint=fingerprint), doubt and f"{job.name}: {doubt}"
+
+
 def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
     """On the two localisers; a recorded flat leaves no pattern to excuse them."""
     target = made.target
@@ -141,12 +159,12 @@ def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
     return verdict(target.name, target.localiser.method, seen, allowed_px if made.must_agree else None)
 
 
-def _doubt_of_flat(likeness: float, name: str) -> str:
+def _doubts_of_flat(likeness: float, name: str) -> tuple[str, ...]:
     if not likeness < _LEAST_LIKENESS:  # a flat that is too even to tell is no worse than none
-        return ""
+        return ()
     return (
         f"{name}: the flat is not what the spots show (likeness {likeness:.2f} of 1): "
-        "was it recorded before camera, lens or window were moved?"
+        "was it recorded before camera, lens or window were moved?",
     )
 
 
@@ -163,16 +181,24 @@ def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
 
 def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
     """The maps through the nodes that can be used; raises BadInputError where they are too few."""
-    place, nodes = job.recording.path, seen.usable
-    refused, most = seen.refused, int(_LARGEST_MISSING_SHARE * len(seen.nodes))
-    if len(refused) > most or not nodes:
-        why = refused[0].complaints[0] if refused else "no row has a position"
-        raise BadInputError(
-            place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
-        )
+    place, nodes, refused = job.recording.path, seen.usable, seen.refused
+    if not seen.nodes:
+        raise BadInputError(place, f"{job.name}: 0 of 0 nodes have no spot: no row has a position")
     try:
+        grid = scan_grid(seen)
+        if not grid.block.is_sufficient:
+            why = refused[0].complaints[0] if refused else "they are no grid"
+            raise BadInputError(
+                place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
+            )
         fitted = fit_nodes(
-            _positions_mm(nodes), _spots_px(nodes), job.image_size, None, most - len(refused), marks
+            _positions_mm(nodes),
+            _spots_px(nodes),
+            job.image_size,
+            None,
+            grid.block.most_missing - grid.block.missing,
+            marks,
+            relative_sigmas(nodes, job.image_size),
         )
     except ValueError as error:
         raise BadInputError(place, f"{job.name}: {error}") from error
@@ -180,7 +206,22 @@ def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
         mapped_px = fitted.fit.map.to_px(_positions_mm([node]))
         off_px = float(np.linalg.norm(_spots_px([node]) - mapped_px))
         node.refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
-    return _Made(_target(job, seen, fitted), _evidence(job, seen, fitted), _scatter(seen.usable, fitted))
+    margin_mm = fitted.fit.map.margin_mm
+    return _Made(
+        _target(job, seen, fitted),
+        _evidence(job, seen, fitted),
+        _scatter(seen.usable, fitted),
+        doubts=tuple(f"{job.name}: {line}" for line in grid.missing_ends(margin_mm)),
+    )
+
+
+def _unequal_nodes(evidence: TargetEvidence) -> list[str]:
+    """Which nodes count less than the others, in words."""
+    return [
+        f"{evidence.name} node x {x:g} y {y:g} mm counts by 1/{sigma**2:.1f}: its spot is known worse"
+        for (x, y), sigma in zip(evidence.nodes_mm.tolist(), evidence.relative_sigma.tolist(), strict=True)
+        if sigma > 1.0
+    ]
 
 
 def _positions_mm(nodes: Sequence[Node]) -> FloatArray:
@@ -219,9 +260,11 @@ def _evidence(job: Job, seen: Seen, fitted: TargetFit) -> TargetEvidence:
         nodes_px=_spots_px(seen.usable),
         residuals_px=fitted.fit.residuals_px,
         missed_px=fitted.fit.missed_px,
+        relative_sigma=fitted.fit.relative_sigma,
         scatter_px=np.array([_scatter_px(node.spots_px) for node in seen.usable]),
         exposures=tuple(len(node.spots_px) for node in seen.usable),
         left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
+        leds_dropped=seen.leds_dropped,
         candidates=fitted.candidates,
     )
 

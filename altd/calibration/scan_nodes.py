@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from altd.calibration.result import Progress
 from altd.recording import Recording, Row
-from altd.records import FloatArray, Frame, NoSpot
+from altd.records import FloatArray, Frame, NoSpot, Reason, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
 from altd.vision.localise import locate, shows_print
@@ -21,10 +22,11 @@ _SAME_NODE_MM = 0.5
 
 @dataclass(slots=True)
 class Node:
-    """The exposures at one node: stage positions mm, spots px, and why the others have none."""
+    """The exposures at one node: stage positions mm, spots and their sigmas px, and why others have none."""
 
     positions_mm: list[tuple[float, float]] = field(default_factory=list)
     spots_px: list[tuple[float, float]] = field(default_factory=list)
+    sigmas_px: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
     located: list[Row] = field(default_factory=list)
     """The rows that the spots come from."""
@@ -48,6 +50,7 @@ class Node:
     def refuse(self, why: str) -> None:
         """Take its exposures out of use."""
         self.spots_px.clear()
+        self.sigmas_px.clear()
         self.located.clear()
         self.complaints.append(why)
 
@@ -58,6 +61,8 @@ class Seen:
 
     nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
+    leds_dropped: tuple[str, ...] = ()
+    """The frame LEDs of the last pair that shine and could not be located, in words."""
 
     @property
     def usable(self) -> list[Node]:
@@ -113,8 +118,9 @@ def look(job: Job, progress: Progress) -> Seen:
         elif not row.leds_on:
             dark = frame
         elif dark is not None:  # LED reference exposures come in pairs: off, then on
-            spots = locate_leds(frame, dark)
-            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in spots]).reshape(-1, 2))
+            leds = locate_leds(frame, dark)
+            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
+            seen.leds_dropped = leds.dropped
         progress(done, len(job.rows))
     return seen
 
@@ -140,13 +146,22 @@ def node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
     return round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)
 
 
+def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot | NoSpot:
+    """The spot at a node. One that the border of the picture cuts has a profile where it has no moment."""
+    spot = locate(frame, localiser, flat)
+    if isinstance(spot, NoSpot) and spot.reason is Reason.CUT_BY_EDGE and localiser.method != "profile":
+        return locate(frame, replace(localiser, method="profile"), flat)
+    return spot
+
+
 def _take_node(seen: Seen, frame: Frame, row: Row, position_mm: tuple[float, float], job: Job) -> None:
     node = seen.nodes.setdefault(node_key(position_mm), Node())
     node.positions_mm.append(position_mm)
-    spot = locate(frame, job.localiser, job.flat)
+    spot = node_spot(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
         detail = f" ({spot.detail})" if spot.detail else ""
         node.complaints.append(f"{spot.reason} in {row.file}{detail}")
     else:
         node.spots_px.append((spot.u_px, spot.v_px))
+        node.sigmas_px.append(math.hypot(spot.sigma_px, spot.excess_px))
         node.located.append(row)

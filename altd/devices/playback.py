@@ -72,6 +72,7 @@ class PlaybackCamera:
         self.origin = Origin.PLAYBACK
         self.waits = not playback.realtime
         self.exposure_range = None
+        self.identity = playback.recording.header.cameras[name].identity
         self.width = playback.recording.header.cameras[name].width
         self.height = playback.recording.header.cameras[name].height
         self._playback = playback

@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 
 from altd.records import FloatArray
 
 _SAME_MM = 1e-3
 _UNEVEN_STEPS = 0.1
+_ONE_STEP = 1.5
+"""Steps up to so many times the smallest one have no node between them that is missing."""
+
+MIN_LINES = 4
+"""The rows, and the columns, that a map needs."""
+
+MAX_MISSING_SHARE = 0.2
+"""Of the nodes between the outermost rows and columns that are there."""
+
+_MOSTLY = 0.5
+
+Cell = tuple[int, int]
+"""Column and row of a node, counted from any one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +55,8 @@ class Axis:
         """The axis through positions that lie near equidistant nodes, as a stage reports them.
 
         Positions closer together than a third of the widest gap count as one node; the nodes' means may
-        lie off equal steps by a tenth of a step, since the fit uses the positions themselves. Raises
-        ValueError when there are fewer than two nodes or the steps differ by more.
+        lie off equal steps by a tenth of a step, since the fit uses the positions themselves. A node may be
+        missing in between. Raises ValueError when there are fewer than two nodes or the steps differ by more.
         """
         ordered = np.sort(mm)
         gaps = np.diff(ordered)
@@ -50,9 +65,74 @@ class Axis:
         nodes = np.array(
             [part.mean() for part in np.split(ordered, np.flatnonzero(gaps > gaps.max() / 3) + 1)]
         )
-        step = float(nodes[-1] - nodes[0]) / (len(nodes) - 1)
-        off = nodes - (nodes[0] + step * np.arange(len(nodes)))
+        steps = np.diff(nodes)
+        single = steps[steps < _ONE_STEP * steps.min()]
+        numbers = np.rint((nodes - nodes[0]) / single.mean())
+        step = float((nodes[-1] - nodes[0]) / numbers[-1])
+        off = nodes - (nodes[0] + step * numbers)
         if np.abs(off).max() > _UNEVEN_STEPS * step:
-            steps = np.diff(nodes)
             raise ValueError(f"steps from {steps.min():.3f} to {steps.max():.3f} mm are not equal")
-        return cls(float(nodes[0]), step, len(nodes))
+        return cls(float(nodes[0]), step, int(numbers[-1]) + 1)
+
+    def numbers(self, mm: FloatArray) -> npt.NDArray[np.intp]:
+        """Which node of the axis each position belongs to, counted from 0 at the first."""
+        return np.rint((mm - self.first_mm) / self.step_mm).astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """What is left of a grid without the outer rows and columns that are missing."""
+
+    columns: range
+    rows: range
+    missing: int
+    """Nodes within it that are missing."""
+
+    @property
+    def cells(self) -> int:
+        """Nodes within it."""
+        return len(self.columns) * len(self.rows)
+
+    @property
+    def most_missing(self) -> int:
+        """How many of its nodes may be missing."""
+        return int(MAX_MISSING_SHARE * self.cells)
+
+    @property
+    def is_sufficient(self) -> bool:
+        """Whether a map can be made of it."""
+        return min(len(self.columns), len(self.rows)) >= MIN_LINES and self.missing <= self.most_missing
+
+    @classmethod
+    def within(cls, cells: Collection[Cell], missing: Collection[Cell]) -> Self:
+        """The block of a grid of ``cells`` of which some are ``missing``.
+
+        While too many are missing, the outer row or column that misses most goes, if that is most of it.
+        """
+        gone = set(missing)
+        columns, rows = (range(min(line), max(line) + 1) for line in zip(*cells, strict=True))
+        while True:
+            inside = [(column, row) for column, row in gone if column in columns and row in rows]
+            block = cls(columns, rows, len(inside))
+            if len(inside) <= block.most_missing:
+                return block
+            without = [
+                (sum(column == end for column, _ in inside) / len(rows), "column", end)
+                for end in (columns[0], columns[-1])
+            ]
+            without += [
+                (sum(row == end for _, row in inside) / len(columns), "row", end)
+                for end in (rows[0], rows[-1])
+            ]
+            share, line, end = max(without)
+            if share <= _MOSTLY:
+                return block
+            if line == "column":
+                columns = _without(columns, end)
+            else:
+                rows = _without(rows, end)
+
+
+def _without(line: range, end: int) -> range:
+    """A range without its first or its last number."""
+    return line[1:] if end == line[0] else line[:-1]

@@ -17,6 +17,8 @@ _START_DEGREE = 3
 _MAX_STEPS = 12
 _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
+_BEYOND_SIGMA_MM = 0.05
+"""What a place outside the nodes' hull may be uncertain by, an axis: the accuracy of Tables 3.3 and 3.4."""
 _SINGULAR = 1e-12
 
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
@@ -69,9 +71,10 @@ class InverseMap:
 
         Returns the points, d(x, y)/d(u, v) as (n, 2, 2) mm/px, and the covariance (n, 2, 2) mm² that the
         map's own noise leaves: what a single place scatters about the map (print and speckle are fixed
-        patterns, so no averaging removes it) and what the map itself is uncertain by. A point for which
-        Newton does not converge, that lies beyond a fold of the map, or outside the hull by more than three
-        of its sigmas, is NaN.
+        patterns, so no averaging removes it) and what the map itself is uncertain by, outside the hull more
+        and more. A point for which Newton does not converge, that lies beyond a fold of the map, or outside
+        the hull by more than three of its sigmas and either the map's margin or what it is known to there,
+        is NaN.
         """
         mm = np.empty((len(points_px), 2))
         inverse_jacobian = np.empty((len(points_px), 2, 2))
@@ -106,17 +109,28 @@ class InverseMap:
         return (math.nan, math.nan), _UNKNOWN, _UNKNOWN
 
     def _judged(self, x: float, y: float, inverse_jacobian: Rows) -> tuple[tuple[float, float], Rows, Rows]:
-        """A point found, with its covariance; NaN when that leaves it outside the hull."""
+        """A point found, with its covariance; NaN where the map is not known."""
         (xu, xv), (yu, yv) = inverse_jacobian
         uu, uv, vv = self._variance_px2(x, y)
+        outside_mm = self.outside_mm(x, y)
+        at_hull_mm2 = (xu * xu + yu * yu) * uu + 2 * (xu * xv + yu * yv) * uv + (xv * xv + yv * yv) * vv
+        if outside_mm > 0.0:
+            beyond = (self.forward.beyond_px_per_mm * outside_mm) ** 2
+            uu, vv = uu + beyond, vv + beyond
         xy = xu * yu * uu + (xu * yv + xv * yu) * uv + xv * yv * vv
         covariance = (
             (xu * xu * uu + 2 * xu * xv * uv + xv * xv * vv, xy),
             (xy, yu * yu * uu + 2 * yu * yv * uv + yv * yv * vv),
         )
-        allowed_mm = _HULL_SIGMAS * math.sqrt(covariance[0][0] + covariance[1][1])
-        inside = all(nx * x + ny * y - offset <= allowed_mm for nx, ny, offset in self._edges)
-        return (x, y) if inside else (math.nan, math.nan), inverse_jacobian, covariance
+        xx, yy = covariance[0][0], covariance[1][1]
+        known = outside_mm <= _HULL_SIGMAS * math.sqrt(at_hull_mm2) or (
+            outside_mm <= self.forward.margin_mm and max(xx, yy) <= _BEYOND_SIGMA_MM**2
+        )
+        return (x, y) if known else (math.nan, math.nan), inverse_jacobian, covariance
+
+    def outside_mm(self, x_mm: float, y_mm: float) -> float:
+        """How far a place lies outside the nodes' hull, across its farthest edge; negative inside."""
+        return max(nx * x_mm + ny * y_mm - offset for nx, ny, offset in self._edges)
 
     def _variance_px2(self, x: float, y: float) -> tuple[float, float, float]:
         """Variances of u and v and their covariance: the place's own pattern and the map's spread."""

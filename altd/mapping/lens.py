@@ -34,8 +34,34 @@ _DENSE_MISS_PX = 5e-4
 """How far the tensor polynomial that stands for a lens may lie off it: a hundredth of the nodes' noise."""
 
 
+class _Nodes(NamedTuple):
+    """Places (n, 2) mm, where they are seen (n, 2) px, and each one's relative sigma (n,)."""
+
+    mm: FloatArray
+    px: FloatArray
+    relative_sigma: FloatArray
+
+    def misses(self, camera: Camera) -> FloatArray:
+        """Seen less projected (2 n,), px, u and v of a node after another, each by its relative sigma."""
+        misses: FloatArray = (self.px - camera.to_px(self.mm)).ravel() / self.each
+        return misses
+
+    def slopes(self, camera: Camera) -> FloatArray:
+        """The camera's Jacobian (2 n, m), each row by its node's relative sigma."""
+        return camera.jacobian(self.mm) / self.each[:, None]
+
+    @property
+    def each(self) -> FloatArray:
+        """The relative sigmas of all coordinates (2 n,)."""
+        return np.repeat(self.relative_sigma, 2)
+
+
+def _seen(nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray | None) -> _Nodes:
+    return _Nodes(nodes_mm, nodes_px, np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma)
+
+
 class _State(NamedTuple):
-    """A camera at its best, and what the nodes say of it."""
+    """A camera at its best, and what the nodes say of it; residuals by the nodes' relative sigma."""
 
     camera: Camera
     noise_px: float
@@ -52,18 +78,20 @@ def fit_lens_map(
     optics: Optics = "brown",
     bend_degree: int = 0,
     marks: Marks | None = None,
+    relative_sigma: FloatArray | None = None,
 ) -> Fit:
     """Levenberg and Marquardt's least squares through nodes (n, 2) mm at (n, 2) px, with weak priors.
 
     ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``marks`` of
-    a print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through
-    the camera on a dense grid, with what the nodes' noise leaves in it.
-    Raises ValueError when the nodes are too few or lie on a line.
+    a print say how the plane is bent between the nodes too; ``relative_sigma`` (n,) by how much one node
+    scatters more than another. The map is kept as a tensor polynomial through the camera on a dense grid,
+    with what the nodes' noise leaves in it. Raises ValueError when the nodes are too few or lie on a line.
     """
-    state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px, marks)
+    seen = _seen(nodes_mm, nodes_px, relative_sigma)
+    state = _settle(_start(nodes_mm, nodes_px, image_size, optics), seen, marks)
     if bend_degree > 1:
-        state = _settle(_bent(state.camera, nodes_mm, bend_degree), nodes_mm, nodes_px, marks)
-    return _as_fit(state, nodes_mm, hull_mm)
+        state = _settle(_bent(state.camera, nodes_mm, bend_degree), seen, marks)
+    return _as_fit(state, seen, hull_mm)
 
 
 def fit_lens_maps(
@@ -72,20 +100,22 @@ def fit_lens_maps(
     hull_mm: FloatArray,
     image_size: tuple[int, int],
     marks: Marks | None = None,
+    relative_sigma: FloatArray | None = None,
 ) -> list[Fit]:
     """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
 
     A model that fails only loses; raises ValueError when all of them do.
     """
     fits, complaint = [], ValueError()
+    seen = _seen(nodes_mm, nodes_px, relative_sigma)
     for optics in OPTICS:
         try:
-            state = _settle(_start(nodes_mm, nodes_px, image_size, optics), nodes_mm, nodes_px, marks)
-            fits.append(_as_fit(state, nodes_mm, hull_mm))
+            state = _settle(_start(nodes_mm, nodes_px, image_size, optics), seen, marks)
+            fits.append(_as_fit(state, seen, hull_mm))
             for degree in _BEND_DEGREES:
                 bent = _bent(state.camera, nodes_mm, degree)
                 if len(bent.parameters) <= _LARGEST_SHARE * 2 * len(nodes_mm):
-                    fits.append(_as_fit(_settle(bent, nodes_mm, nodes_px, marks), nodes_mm, hull_mm))
+                    fits.append(_as_fit(_settle(bent, seen, marks), seen, hull_mm))
         except ValueError as error:
             complaint = error
     if not fits:
@@ -97,7 +127,7 @@ def _bent(camera: Camera, nodes_mm: FloatArray, degree: int) -> Camera:
     return camera.with_bend(Bend(Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1]), degree))
 
 
-def _as_fit(state: _State, nodes_mm: FloatArray, hull_mm: FloatArray) -> Fit:
+def _as_fit(state: _State, nodes: _Nodes, hull_mm: FloatArray) -> Fit:
     camera, bend = state.camera, state.camera.bend
     model: Model = "lens" if camera.optics == "brown" else "fisheye"
     if bend is not None:
@@ -105,33 +135,36 @@ def _as_fit(state: _State, nodes_mm: FloatArray, hull_mm: FloatArray) -> Fit:
     spread = np.asarray(np.linalg.cholesky(state.covariance), dtype=np.float64)
     missed, standard = _unlevered(state.residuals_px, state.leverage)
     return Fit(
-        map=_as_tensor(camera, model, nodes_mm, spread, state.noise_px, hull_mm),
-        residuals_px=state.residuals_px,
-        missed_px=missed,
+        map=_as_tensor(camera, model, nodes.mm, spread, state.noise_px, hull_mm),
+        residuals_px=state.residuals_px * nodes.relative_sigma[:, None],
+        missed_px=missed * nodes.relative_sigma[:, None],
         standard_px=standard,
+        relative_sigma=nodes.relative_sigma,
         degree=None if bend is None else (bend.degree, bend.degree),
         parameters=len(camera.parameters),
         bound=float(np.trace(state.leverage)),
     )
 
 
-def _settle(camera: Camera, nodes_mm: FloatArray, nodes_px: FloatArray, marks: Marks | None) -> _State:
+def _settle(camera: Camera, nodes: _Nodes, marks: Marks | None) -> _State:
     """Fit, learn the noise, which says what the priors weigh, and fit again."""
     noise_px, precision = _FIRST_NOISE_PX, np.diag(1 / camera.prior**2)
     for _ in range(_ROUNDS):
-        camera = _descend(camera, precision, nodes_mm, nodes_px, noise_px, marks)
+        camera = _descend(camera, precision, nodes, noise_px, marks)
         known = precision
         if marks is not None:
             slopes = marks.misfit(camera)[1]
             known = precision + slopes.T @ slopes
-        residuals = nodes_px - camera.to_px(nodes_mm)
-        jacobian = camera.jacobian(nodes_mm)
+        residuals = nodes.misses(camera)
+        jacobian = nodes.slopes(camera)
         normal = jacobian.T @ jacobian
         leverage = jacobian @ np.linalg.inv(normal + known * noise_px**2) @ jacobian.T
-        freedom = 2 * len(nodes_mm) - float(np.trace(leverage))
+        freedom = len(residuals) - float(np.trace(leverage))
         noise_px = max(math.sqrt(float(np.square(residuals).sum()) / freedom), _LEAST_NOISE_PX)
     covariance = np.linalg.inv(normal / noise_px**2 + known)
-    return _State(camera, noise_px, residuals, np.asarray(covariance, dtype=np.float64), leverage)
+    return _State(
+        camera, noise_px, residuals.reshape(-1, 2), np.asarray(covariance, dtype=np.float64), leverage
+    )
 
 
 def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], optics: Optics) -> Camera:
@@ -158,13 +191,12 @@ def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, in
 def _descend(
     camera: Camera,
     precision: FloatArray,
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
+    nodes: _Nodes,
     noise_px: float,
     marks: Marks | None,
 ) -> Camera:
     def cost(candidate: Camera) -> float:
-        miss = (nodes_px - candidate.to_px(nodes_mm)) / noise_px
+        miss = nodes.misses(candidate) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
         total = float(np.square(miss).sum() + prior)
         if marks is not None:
@@ -173,8 +205,7 @@ def _descend(
 
     now, damping = cost(camera), 1e-3
     for _ in range(_MAX_STEPS):
-        jacobian = camera.jacobian(nodes_mm) / noise_px
-        miss = (nodes_px - camera.to_px(nodes_mm)).ravel() / noise_px
+        jacobian, miss = nodes.slopes(camera) / noise_px, nodes.misses(camera) / noise_px
         normal = jacobian.T @ jacobian + precision
         gradient = jacobian.T @ miss - precision @ camera.parameters
         if marks is not None:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from altd.mapping.gram import gram_basis, gram_powers
-from altd.mapping.grid import Axis
+from altd.mapping.grid import MIN_LINES, Axis
 from altd.mapping.hull import contains
 from altd.records import FloatArray
 
@@ -19,7 +19,6 @@ Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
 _ACROSS = 21
 """Points along each axis for what is said of the whole hull."""
 
-_FEWEST_NODES = 4
 _LARGEST_DEGREE = 6
 _LEAST_FREEDOM = 2
 _FREE_SHARE = 0.25
@@ -45,7 +44,9 @@ class TensorMap:
     each of the m columns is one independent error of 1 sigma. Its square is the covariance of Eq. 3.49–3.53.
     ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v: print and speckle
     scatter alike along both, and 30 nodes leave little freedom to tell. No averaging of exposures removes it
-    at a new place. ``hull_mm`` (n, 2) is the convex polygon in which the map is valid, counter-clockwise.
+    at a new place. ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise.
+    ``margin_mm`` beyond it the map is still known, as well as its spread says and worse by
+    ``beyond_px_per_mm``: one sigma of what the model itself is off, for each mm outside.
     """
 
     model: Model
@@ -55,6 +56,8 @@ class TensorMap:
     spread_px: FloatArray
     noise_px: float
     hull_mm: FloatArray
+    margin_mm: float = 0.0
+    beyond_px_per_mm: float = 0.0
 
     @property
     def name(self) -> str:
@@ -64,8 +67,12 @@ class TensorMap:
     @property
     def spread_sigma_px(self) -> float:
         """Rms over the hull, and over u and v, of what the nodes' noise leaves in the map."""
-        spread = self._basis(self.dense_mm()) @ self.spread_px
-        return float(np.sqrt(np.square(spread).sum(axis=2).mean()))
+        return float(np.sqrt(self.spread_variance_px2(self.dense_mm()).mean()))
+
+    def spread_variance_px2(self, points_mm: FloatArray) -> FloatArray:
+        """Variances (n, 2) of u and v that the nodes' noise leaves in the map at points (n, 2)."""
+        variances: FloatArray = np.square(self._basis(points_mm) @ self.spread_px).sum(axis=2).T
+        return variances
 
     @property
     def folds(self) -> bool:
@@ -133,7 +140,8 @@ class Fit:
 
     ``residuals_px`` are measured minus mapped; ``missed_px`` is by how much each node misses the map that is
     fitted without it; ``standard_px`` are the residuals scaled to the same variance at every node, near the
-    middle of the grid or at its corners, where the map bends after them. ``degree`` is that of a tensor
+    middle of the grid or at its corners, where the map bends after them. ``relative_sigma`` (n,) is what one
+    node scatters by relative to another, as it was given. ``degree`` is that of a tensor
     polynomial among what was fitted, along x and y. ``parameters`` is how many numbers were fitted, for u and
     v together, and ``bound`` how many of the 2 n coordinates they take up, which is less where something was
     known before (the trace of the leverage).
@@ -143,19 +151,23 @@ class Fit:
     residuals_px: FloatArray
     missed_px: FloatArray
     standard_px: FloatArray
+    relative_sigma: FloatArray
     degree: tuple[int, int] | None
     parameters: int
     bound: float
 
     @property
     def left_out_px(self) -> float:
-        """Rms over u and v of ``missed_px``: what to expect at a new place, print and speckle included."""
-        return float(np.sqrt(np.mean(np.square(self.missed_px))))
+        """Rms over u and v of ``missed_px``: what to expect at a new place, print and speckle included.
+
+        A node counts by its relative sigma.
+        """
+        return float(np.sqrt(np.mean(np.square(self.missed_px / self.relative_sigma[:, None]))))
 
     @property
     def gcv_px(self) -> float:
         """Root of the generalised cross-validation score: as ``left_out_px``, with one leverage for all."""
-        rms_px = float(np.sqrt(np.mean(np.square(self.residuals_px))))
+        rms_px = float(np.sqrt(np.mean(np.square(self.residuals_px / self.relative_sigma[:, None]))))
         return rms_px / (1 - self.bound / self.residuals_px.size)
 
 
@@ -164,31 +176,41 @@ def fit_tensor_map(
     nodes_px: FloatArray,
     hull_mm: FloatArray,
     degree: tuple[int, int] | None = None,
+    relative_sigma: FloatArray | None = None,
 ) -> Fit:
     """Least squares of Eq. 3.26 through nodes (n, 2) mm with measured positions (n, 2) px.
 
     The nodes lie on a rectangular grid, of which some may be missing; on a complete one the solution is
     Eq. 3.35 and 3.36. Without ``degree``, along x and y, it is that of the least generalised cross-validation
-    score. Raises ValueError when the nodes are no grid or too few for the degree.
+    score. ``relative_sigma`` (n,) says by how much one node scatters more than another.
+
+    Raises ValueError when the nodes are no grid or too few for the degree.
     """
     if degree is None:
-        return min(fit_tensor_maps(nodes_mm, nodes_px, hull_mm), key=lambda fit: fit.gcv_px)
-    return _fit_degree(nodes_mm, nodes_px, hull_mm, _axes(nodes_mm), degree)
+        fits = fit_tensor_maps(nodes_mm, nodes_px, hull_mm, relative_sigma)
+        return min(fits, key=lambda fit: fit.gcv_px)
+    return _fit_degree(nodes_mm, nodes_px, hull_mm, _axes(nodes_mm), degree, relative_sigma)
 
 
-def fit_tensor_maps(nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatArray) -> list[Fit]:
+def fit_tensor_maps(
+    nodes_mm: FloatArray,
+    nodes_px: FloatArray,
+    hull_mm: FloatArray,
+    relative_sigma: FloatArray | None = None,
+) -> list[Fit]:
     """The fits of all degrees that the nodes carry: along an axis up to two less than its nodes, 6 at most.
 
     Raises ValueError when the nodes are no grid or carry none.
     """
     axes = _axes(nodes_mm)
-    most_x, most_y = (min(axis.nodes - 2, _LARGEST_DEGREE) for axis in axes)
+    lines = (len(np.unique(axis.numbers(along))) for axis, along in zip(axes, nodes_mm.T, strict=True))
+    most_x, most_y = (min(count - 2, _LARGEST_DEGREE) for count in lines)
     fits, complaint = [], ValueError(f"{len(nodes_mm)} nodes are too few for a map")
     for degree in itertools.product(range(1, most_x + 1), range(1, most_y + 1)):
         if (degree[0] + 1) * (degree[1] + 1) > (1 - _FREE_SHARE) * len(nodes_mm):
             continue
         try:
-            fits.append(_fit_degree(nodes_mm, nodes_px, hull_mm, axes, degree))
+            fits.append(_fit_degree(nodes_mm, nodes_px, hull_mm, axes, degree, relative_sigma))
         except ValueError as error:
             complaint = error
     if not fits:
@@ -198,7 +220,7 @@ def fit_tensor_maps(nodes_mm: FloatArray, nodes_px: FloatArray, hull_mm: FloatAr
 
 def _axes(nodes_mm: FloatArray) -> tuple[Axis, Axis]:
     x_axis, y_axis = Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1])
-    if min(x_axis.nodes, y_axis.nodes) < _FEWEST_NODES:
+    if min(x_axis.nodes, y_axis.nodes) < MIN_LINES:
         raise ValueError(f"a grid of {x_axis.nodes} × {y_axis.nodes} nodes is too small for a map")
     return x_axis, y_axis
 
@@ -209,8 +231,11 @@ def _fit_degree(
     hull_mm: FloatArray,
     axes: tuple[Axis, Axis],
     degree: tuple[int, int],
+    relative_sigma: FloatArray | None,
 ) -> Fit:
-    design = tensor_basis(axes, degree, nodes_mm)
+    relative_sigma = np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma
+    each = relative_sigma[:, None]
+    design = tensor_basis(axes, degree, nodes_mm) / each
     freedom = len(nodes_mm) - design.shape[1]
     if freedom < _LEAST_FREEDOM:
         raise ValueError(
@@ -221,9 +246,9 @@ def _fit_degree(
     if np.linalg.cond(triangle) > 1e4:
         raise ValueError(f"the missing nodes leave degree {degree[0]} × {degree[1]} undetermined")
     back: FloatArray = np.linalg.inv(triangle)
-    along = unitary.T @ nodes_px
+    along = unitary.T @ (nodes_px / each)
     spectra = back @ along
-    residuals = nodes_px - unitary @ along
+    residuals = nodes_px / each - unitary @ along
     noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * freedom)))
     either = noise_px * back
     nothing = np.zeros_like(either)
@@ -239,9 +264,10 @@ def _fit_degree(
     left = np.maximum(1 - np.square(unitary).sum(axis=1), 1e-9)[:, None]
     return Fit(
         map=fitted,
-        residuals_px=residuals,
-        missed_px=residuals / left,
+        residuals_px=residuals * each,
+        missed_px=residuals * each / left,
         standard_px=residuals / np.sqrt(left),
+        relative_sigma=relative_sigma,
         degree=degree,
         parameters=2 * design.shape[1],
         bound=2.0 * design.shape[1],

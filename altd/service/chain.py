@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -18,6 +18,7 @@ from altd.gate import Gate, range_fault
 from altd.pairing import Pair, Pairer
 from altd.records import (
     Beam,
+    CameraIdentity,
     Exposure,
     Fault,
     Frame,
@@ -29,6 +30,7 @@ from altd.records import (
     Spot,
     TargetPoint,
 )
+from altd.service.view_check import ViewCheck
 from altd.spot_shape import shape_doubts_mm
 from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate
@@ -40,7 +42,8 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 class _Found:
     """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
 
-    Those are the frames that were exposed during a change, and those that were not new.
+    Those are frames that were exposed during a change, and the second and later ones of a row that are not
+    new: one that comes twice is lost, with two in a row the camera stands still.
     """
 
     spot: Spot | NoSpot
@@ -59,7 +62,8 @@ class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
-    ``watch`` is shown each frame that is measured, with what was found in it.
+    ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
+    camera stands behind a name, ``expected`` which should, beside the one that was calibrated.
     """
 
     def __init__(
@@ -71,6 +75,8 @@ class MeasuringChain:
         origins: Callable[[], Iterable[Origin]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
         watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+        identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
+        expected: Mapping[str, CameraIdentity] | None = None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -88,7 +94,15 @@ class MeasuringChain:
         self._origins = origins
         self._utc = utc
         self._watch = watch
+        self._identity = identity
+        self._view_checks: dict[str, ViewCheck] = {}
+        for view in views:
+            target = self._calibration[view.target]
+            also = (expected or {}).get(view.camera, CameraIdentity())
+            self._view_checks[view.camera] = ViewCheck(target, (target.camera, also))
         self._fresh = {camera: FreshnessCheck() for camera in self._views}
+        self._standing_still: set[str] = set()
+        """Cameras whose last frame was not new."""
         self._synchrony = SynchronyCheck(self._targets)
         self._gate = Gate()
         self._breaks = dict.fromkeys(self._views, 0)
@@ -117,6 +131,12 @@ class MeasuringChain:
         }
         return {"skew_ms": round(self._last_skew_ns * 1e-6, 2), **lags}
 
+    def views(self) -> dict[str, float | str]:
+        """Whether the cameras are those that were calibrated, for health."""
+        return {
+            name: figure for check in self._view_checks.values() for name, figure in check.figures().items()
+        }
+
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
@@ -124,14 +144,21 @@ class MeasuringChain:
         view = self._views[frame.camera]
         target = self._calibration[view.target]
         spot: Spot | NoSpot
+        stood_still = frame.camera in self._standing_still
         if repeated := self._fresh[frame.camera].repeated(frame):
+            self._standing_still.add(frame.camera)
             spot = NoSpot(Reason.FRAME_REPEATED, repeated)
-        elif frame.changing:
-            spot = _CHANGING
         else:
-            spot = locate(frame, target.localiser, target.flat, target.spot)
-        self._breaks[frame.camera] += frame.changing or bool(repeated)
-        self._watch(frame, spot)
+            self._standing_still.discard(frame.camera)
+            of_target = frame, target.localiser, target.flat, target.spot
+            spot = _CHANGING if frame.changing else locate(*of_target)
+        self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
+        if not repeated:
+            self._watch(frame, spot)
+            check = self._view_checks[frame.camera]
+            if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
+                spot = objection
+                self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
         self._last_spots[view.target] = spot
         found = _Found(spot, self._breaks[frame.camera])
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)

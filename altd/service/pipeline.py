@@ -70,7 +70,7 @@ class Pipeline:
                 self._put_up(measurement)
         if not frames:
             self._put_up(self._chain.silence(now_ns))
-        self._component.figures |= self._chain.step()
+        self._component.figures |= self._chain.step() | self._chain.views()
         self._component.counters["late_frames"] = self._chain.late_frames
         for camera, dropped in self._inbox.dropped.items():
             self._component.counters[f"dropped_{camera}"] = dropped

@@ -11,7 +11,7 @@ from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.pairing import Pair, Pairer
 from altd.ports import Camera
-from altd.recording import CameraHeader, Kind, RecordingHeader, RecordingWriter, UnitHeader
+from altd.recording import Kind, RecordingHeader, RecordingWriter, UnitHeader, camera_header
 from altd.records import Frame, Origin
 from altd.service.exposing import ExposureSetter
 from altd.service.grabbing import grab
@@ -86,7 +86,7 @@ class _Sink:
         self._utc = utc
         origins = sorted({camera.origin for camera in cameras} - {Origin.CAMERA})
         self._note = f"altd record, {', '.join(origins)}" if origins else "altd record"
-        self._cameras = len(cameras)
+        self._cameras = {camera.name: camera for camera in cameras}
         self._writer: RecordingWriter | None = None
         self._first_ns = 0
         self._first_sequence = 0
@@ -95,7 +95,7 @@ class _Sink:
 
     def write(self, pair: Pair[Frame]) -> None:
         if self._writer is None:
-            if len(pair.items) < self._cameras:
+            if len(pair.items) < len(self._cameras):
                 return
             self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
             self._writer = RecordingWriter(self._path, self._header(pair))
@@ -117,10 +117,7 @@ class _Sink:
             format="altd-recording/1",
             kind=self._kind,
             fps=self._fps,
-            cameras={
-                name: CameraHeader(width=f.pixels.shape[1], height=f.pixels.shape[0], bits=f.bits)
-                for name, f in pair.items.items()
-            },
+            cameras={name: camera_header(f, self._cameras[name].identity) for name, f in pair.items.items()},
             unit=self._unit,
             note=self._note,
             start=self._utc(self._first_ns),

@@ -12,6 +12,7 @@ from typing import Literal, Protocol, TypeVar
 
 from altd.config import Config
 from altd.errors import BadInputError
+from altd.mapping.grid import Block
 from altd.pairing import Pair
 from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
 from altd.recording import UnitHeader
@@ -21,7 +22,7 @@ from altd.service.exposures import Exposures
 from altd.service.health import Health
 from altd.service.scan_folder import DoneNode, ScanFolder
 from altd.service.scan_node import SpotPx, judge
-from altd.service.scan_plan import LARGEST_REFUSED_SHARE, Node, fingerprint, nodes_of
+from altd.service.scan_plan import Node, fingerprint, nodes_of
 
 Result = TypeVar("Result")
 
@@ -80,7 +81,12 @@ class Scanner:
         self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
         origins = ", ".join(sorted({camera.origin for camera in cameras} - {Origin.CAMERA}))
         self._note = f"altd scan, {origins}" if origins else "altd scan"
-        self._folder = ScanFolder(output, fingerprint(config) | {"origin": origins or "camera"}, clock.utc)
+        self._folder = ScanFolder(
+            output,
+            fingerprint(config) | {"origin": origins or "camera"},
+            clock.utc,
+            lambda: {camera.name: camera.identity for camera in cameras},
+        )
         self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
         self._doing = "getting ready"
 
@@ -165,11 +171,11 @@ class Scanner:
         state.refused[_key(node)] = complaint
         self._folder.commit()
         self._teller.say(f"node {node} refused: {complaint}")
-        most = int(LARGEST_REFUSED_SHARE * len(self._nodes))
         refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
-        if len(refused) > most:
+        left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
+        if not left.is_sufficient:
             raise ScanStoppedError(
-                f"{len(refused)} of {len(self._nodes)} nodes are refused, at most {most} may be; "
+                f"{len(refused)} of {len(self._nodes)} nodes are refused, the others are no sufficient grid; "
                 f"the last one, {node}: {complaint}"
             )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -23,14 +23,14 @@ from altd.files.writing import replace_file
 from altd.pairing import Pair
 from altd.recording import (
     FRAMES_FILE,
-    CameraHeader,
     RecordingHeader,
     RecordingWriter,
     UnitHeader,
+    camera_header,
     open_recording,
     refuse_used_folder,
 )
-from altd.records import Frame
+from altd.records import CameraIdentity, Frame
 from altd.service.scan_plan import Facts
 
 STATE_FILE = "scan.json"
@@ -69,10 +69,17 @@ class State(BaseModel):
 class ScanFolder:
     """Where a scan goes. Raises BadInputError when it can neither begin nor be resumed there."""
 
-    def __init__(self, output: Path, facts: Facts, utc: Callable[[int], datetime | None]) -> None:
+    def __init__(
+        self,
+        output: Path,
+        facts: Facts,
+        utc: Callable[[int], datetime | None],
+        identities: Callable[[], Mapping[str, CameraIdentity | None]] = dict,
+    ) -> None:
         self._output = output.resolve()
         self.path = self._output.with_name(f"{self._output.name}.unfinished")
         self._utc = utc
+        self._identities = identities
         self._writer: RecordingWriter | None = None
         self._first_ns: int | None = None
         self._first_s = 0.0
@@ -153,10 +160,7 @@ class ScanFolder:
             format="altd-recording/1",
             kind="scan",
             fps=FPS,
-            cameras={
-                name: CameraHeader(width=f.pixels.shape[1], height=f.pixels.shape[0], bits=f.bits)
-                for name, f in first.items.items()
-            },
+            cameras={name: camera_header(f, self._identities().get(name)) for name, f in first.items.items()},
             unit=unit,
             note=note,
             start=start,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from altd.calibration.scan_nodes import node_spot
 from altd.pairing import Pair
 from altd.records import Frame, NoSpot, Reason
-from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
 
 SpotPx = tuple[float, float]
 
@@ -18,13 +19,13 @@ LARGEST_SCATTER_PX = 1.0
 def judge(exposures: Sequence[Pair[Frame]]) -> Mapping[str, SpotPx] | str:
     """The mean spot of each camera, px, or what is wrong with the first bad one, in words.
 
-    Every exposure must have one good spot on every target (``vision.localise``), and they must agree.
+    Every exposure must have one good spot on every target (``calibration.scan_nodes``), and they must agree.
     """
     means: dict[str, SpotPx] = {}
     for camera in exposures[0].items:
         spots = []
         for pair in exposures:
-            spot = locate(pair.items[camera])
+            spot = node_spot(pair.items[camera], SpotSettings(), None)
             if isinstance(spot, NoSpot):
                 return f"{camera} {spot.reason}" + (f" ({spot.detail})" if spot.detail else "")
             spots.append((spot.u_px, spot.v_px))

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 from altd.config import Config, Scan
 
-LARGEST_REFUSED_SHARE = 0.2
-"""Of a scan's nodes; with more of them missing `altd calibrate` makes no map either."""
-
 
 @dataclass(frozen=True, slots=True)
 class Node:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from altd.records import Frame
 
-_MAX_AHEAD_NS = 10_000_000
-"""The middle of an exposure whose length the driver does not know exactly may seem to lie ahead a little."""
+_MAX_AHEAD_NS = 100_000_000
+"""Some drivers stamp when the frame is planned to end, and deliver it before (the kernel's vivid, by nearly a
+period); and the length of an exposure may not be known exactly."""
 MAX_AGE_S = 2.0
 """What lay longer in a buffer, while the computer or the process stood still, shows where the beam was."""
 

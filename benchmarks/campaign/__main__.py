@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from altd.errors import BadInputError
 from benchmarks.campaign import table
 from benchmarks.campaign.cache import folder
 from benchmarks.campaign.catalogue import WAYS, chosen
+from benchmarks.campaign.episode import WINDOW
 from benchmarks.campaign.good_run import lines as good_lines
 from benchmarks.campaign.good_run import run_good
+from benchmarks.campaign.page import write_page
 from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.units import NAMES
 
@@ -34,6 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--pairs", type=float, default=0.2, help="share spoilt in two ways at once (default 0.2)"
     )
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
     parser.add_argument("--worst", action="store_true", help="show the worst of each way")
     parser.add_argument("--list", action="store_true", help="show the ways and end")
     options = parser.parse_args(arguments)
@@ -61,8 +65,19 @@ def _campaign(options: argparse.Namespace) -> int:
     print("\n".join(table.text(tallies)))
     if options.worst:
         print("\n".join(("", *table.worst(tallies))))
+    if options.page is not None:
+        command = "python -m benchmarks.campaign " + " ".join(_given(options))
+        write_page(options.page, tallies, command, plan.seed, ", ".join(plan.units), took_s, WINDOW)
     print(f"{took_s:.0f} s, seed {plan.seed}, {options.processes} processes, units {', '.join(plan.units)}")
     return 1 if table.wrong_count(tallies) else 0
+
+
+def _given(options: argparse.Namespace) -> list[str]:
+    """What brings the same run about, as it was given."""
+    given = {
+        name: getattr(options, name) for name in ("seconds", "measurements", "ways", "units", "pairs", "seed")
+    }
+    return [f"--{name} {value}" for name, value in given.items() if value not in (None, "")]
 
 
 def _good(arguments: list[str]) -> int:

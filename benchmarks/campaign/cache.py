@@ -43,6 +43,7 @@ def calibrated(name: str) -> Calibration:
     file = folder() / f"{kept_name}-{_CODE}.json"
     if not file.exists():
         _say(f"calibrating {name}")
+        file.parent.mkdir(parents=True, exist_ok=True)
         recording = open_recording(scan)
         flats = {} if flat is None else flats_of(open_recording(flat), recording.header)
         save_calibration(calibrate_scan(recording, flats).calibration, file)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -21,6 +20,7 @@ from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose
 from hw_sim.measure import random_poses
+from hw_sim.motion import Vibration, vibrating
 from hw_sim.sensor import BLACK_LEVEL, FULL_WELL_E, Sensor
 from hw_sim.unit import Unit
 
@@ -29,6 +29,8 @@ START_NS = 1_000_000_000_000
 
 _DRIVING_MM_PER_S, _DRIVING_RAD_PER_S = 5.0, 0.01
 """A machine in a hurry: four times as fast as hw_sim's drive."""
+_SHAKES = Vibration(rms_mm=0.02, rms_mrad=0.05)
+"""Nothing that drives does so without: a steady way alone would hide that one camera is late."""
 
 
 class Clip(Protocol):
@@ -96,7 +98,7 @@ class SimulatedRig:
             speed[:2] = rng.uniform(-1, 1, 2) * _DRIVING_MM_PER_S
             speed[2:] = rng.uniform(-1, 1, 2) * _DRIVING_RAD_PER_S
         late_ns = int(rng.integers(1_000_000_000_000))
-        return SimulatedClip(self, pose, speed, late_ns, length)
+        return SimulatedClip(self, pose, speed, late_ns, length, rng)
 
     def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
         """The light of an exposure at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
@@ -129,16 +131,24 @@ class SimulatedRig:
 
 
 class SimulatedClip:
-    """An episode of a simulated unit: at rest, or along a straight way."""
+    """An episode of a simulated unit: at rest, or along a straight way, on which it shakes."""
 
     def __init__(
-        self, rig: SimulatedRig, pose: BeamPose, speed: FloatArray, late_ns: int, length: int
+        self,
+        rig: SimulatedRig,
+        pose: BeamPose,
+        speed: FloatArray,
+        late_ns: int,
+        length: int,
+        rng: np.random.Generator,
     ) -> None:
         self._rig = rig
         self._pose = pose
         self._speed = speed
         self._late_ns = late_ns
         self.length = length
+        shakes = bool(speed.any()) and rig.spec.vibration is None
+        self._shaking = vibrating(_SHAKES, rng) if shakes else None
         self.still = not speed.any() and rig.spec.vibration is None and rig.spec.lux_of is None
         self._kept: dict[str, Scene] = {}
         self._means: dict[str, tuple[Scene, Exposing]] = {}
@@ -148,7 +158,8 @@ class SimulatedClip:
         middle_s = (t_ns - self._late_ns - self.length * PERIOD_NS / 2) * 1e-9
         x, y, slope_x, slope_y = self._speed * middle_s
         pose = self._pose
-        return BeamPose(pose.x_mm + x, pose.y_mm + y, pose.slope_x + slope_x, pose.slope_y + slope_y)
+        moved = BeamPose(pose.x_mm + x, pose.y_mm + y, pose.slope_x + slope_x, pose.slope_y + slope_y)
+        return moved if self._shaking is None else self._shaking.moved(moved, t_ns)
 
     def scene(self, camera: str, k: int) -> Scene:
         """The light of a camera's exposure."""
@@ -293,6 +304,3 @@ def _spot_of(electrons: Image) -> tuple[SpotShape, np.ndarray]:
     near = np.zeros(electrons.shape, bool)
     near[rows, columns] = True
     return shape, near
-
-
-Progress = Callable[[str], None]

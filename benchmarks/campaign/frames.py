@@ -371,7 +371,11 @@ def every_second_repeated(draw: Draw) -> Spoil:
     )
 
 
-@WAYS.add(moving=True)
+@WAYS.add(
+    moving=True,
+    invisible="one camera late differs from a yaw of its own only in how the machine shakes, which takes "
+    "some 5 s to tell; until then speed × delay: up to 0.75 mm at 5 mm/s and three frames",
+)
 def one_camera_late(draw: Draw) -> Spoil:
     """One camera shows what was some frames ago, with the number and the time of now."""
     late, cameras = draw.whole(1, 3), draw.one()
@@ -380,7 +384,11 @@ def one_camera_late(draw: Draw) -> Spoil:
     )
 
 
-@WAYS.add(moving=True)
+@WAYS.add(
+    moving=True,
+    invisible="what comes late from both cameras and is stamped now is a steady delay: 50 to 150 ms, "
+    "up to 1 mm of a machine's way at 5 mm/s",
+)
 def both_cameras_late(draw: Draw) -> Spoil:
     """Both cameras show what was some frames ago, with the number and the time of now."""
     late = draw.whole(1, 3)

@@ -10,7 +10,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 
 import numpy as np
@@ -109,7 +109,7 @@ class Count:
 
     def as_json(self) -> str:
         """For the file of results."""
-        return json.dumps(asdict(self))
+        return json.dumps({part.name: getattr(self, part.name) for part in fields(self)})
 
     @classmethod
     def of_json(cls, text: str) -> Count:

@@ -21,6 +21,7 @@ HEAD = (
     "worst °",
     "sigmas",
     "notice",
+    "back s",
 )
 
 

@@ -15,6 +15,7 @@ from altd.service.chain import MeasuringChain, View
 from altd.service.health import Health
 from altd.service.inbox import Inbox
 from altd.service.pipeline import Pipeline
+from altd.service.stamps import StampCheck
 from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
 from benchmarks.campaign.held_clock import HeldClock
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Judged, Outcome, Verdict, arrays, judge
@@ -27,6 +28,7 @@ BEFORE, AFTER = 20, 60
 """Exposures before the onset, and after the disturbance is over."""
 
 START_NS = 1_000_000_000_000
+_FIRST_NUMBER = 100_000
 _TRANSFER_NS = 5 * MS
 _OLDEST_NS = 1_000 * MS + WINDOW * PERIOD_NS
 """What a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
@@ -41,12 +43,12 @@ def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:
     count = math.ceil((end_ns - START_NS) / PERIOD_NS) + AFTER
     x, y = rng.uniform(-15, 15, 2)
     speed = rng.uniform(-1, 1, 4) * (4.0, 4.0, 0.006, 0.006) * min(1.0, 100 / count)
-    clip = SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, count)
+    clip = SimulatedClip(rig, BeamPose(float(x), float(y)), speed, 0, count, rng)
     deliveries = [
         Delivery(
             camera,
             START_NS + k * PERIOD_NS,
-            k,
+            _FIRST_NUMBER + k,
             START_NS + k * PERIOD_NS,
             START_NS + k * PERIOD_NS + _TRANSFER_NS,
         )
@@ -96,6 +98,7 @@ async def _read(
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
     waiting = list(arrivals)
+    stamps = {camera: StampCheck() for camera in CAMERAS}  # as the cameras' threads have them
     for now_ns in range(START_NS, end_ns, PERIOD_NS // 2):
         if 0 < now_ns - onset_ns < way.held_ns:
             continue
@@ -104,7 +107,9 @@ async def _read(
             one = waiting.pop(0)
             await clock.pass_to(one.arrives_ns, at_one_blow=was_held)
             pixels = shots[one.camera, (one.true_ns - START_NS) // PERIOD_NS]
-            inbox.put(Frame(one.camera, one.sequence, one.t_ns, pixels, rig.bits), wait=False)
+            frame = Frame(one.camera, one.sequence, one.t_ns, pixels, rig.bits)
+            if not stamps[one.camera].refusal(frame, clock.monotonic_ns()):
+                inbox.put(frame, wait=False)
             await clock.settle()
         await clock.pass_to(now_ns, at_one_blow=was_held)
         await clock.settle()

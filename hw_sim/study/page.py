@@ -13,6 +13,7 @@ from hw_sim.study.table import table
 
 LINE = 120
 PEERS = "peers.md"
+CAMPAIGN = "campaign.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -23,7 +24,7 @@ laboratory, and shows its figures beside ours. `make studies` runs them all and 
 same pages.
 
 What they are worth: the parts are simulated, and a simulator holds only what its authors thought of.
-Lenses, print, speckle, noise and stage errors are in it; dust, refraction in the window and a beam over a
+Lenses, print, speckle, noise and stage errors are in it; refraction in the window and a beam over a
 hundred metres are not (`../decisions/simulator.md`). Where ours is worse than the thesis, the table says
 so.
 
@@ -83,6 +84,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
             lines.append(f"| [{title}]({name}.md) | {path.read_text().splitlines()[2]} |")
     if (folder / PEERS).is_file():
         lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
+    if (folder / CAMPAIGN).is_file():
+        lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

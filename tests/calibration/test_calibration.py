@@ -64,11 +64,11 @@ def test_the_maps_find_places_between_the_nodes(calibration: Calibration) -> Non
             assert (point.x_mm, point.y_mm) == pytest.approx((x, y), abs=0.02)
 
 
-def test_outside_the_scan_there_is_no_point(calibration: Calibration) -> None:
+def test_farther_outside_the_scan_than_half_a_pitch_there_is_no_point(calibration: Calibration) -> None:
     target = calibration.target("rear")
     assert target is not None
-    assert target.point(*place_px("rear", 64.0, 0.0)) is None
-    assert target.point(*place_px("rear", 0.0, -52.0)) is None
+    assert target.point(*place_px("rear", 76.0, 0.0)) is None
+    assert target.point(*place_px("rear", 0.0, -63.5)) is None
 
 
 def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) -> None:

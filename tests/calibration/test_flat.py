@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -67,6 +68,16 @@ def test_a_flat_is_what_the_pixels_show_of_even_light(
     assert flats[camera].source == "recording"
     assert flats[camera].response.mean() == pytest.approx(1.0)
     assert likeness(flats[camera], unit, camera) > 0.97
+
+
+def test_a_flat_of_another_camera_is_refused(folder: Path, tmp_path: Path) -> None:
+    """The flat was recorded by the rear camera's successor."""
+    flat, scan = open_recording(folder / "flat"), open_recording(folder / "scan").header
+    cameras = {name: size.model_copy(update={"serial": f"{name}-1"}) for name, size in scan.cameras.items()}
+    others = {**cameras, "rear": cameras["rear"].model_copy(update={"serial": "rear-2"})}
+    flat = replace(flat, header=flat.header.model_copy(update={"cameras": others}))
+    with pytest.raises(BadInputError, match=r"rear: the flat is of another camera .* 'rear-2'"):
+        flats_of(flat, scan.model_copy(update={"cameras": cameras}))
 
 
 def test_light_that_is_switched_off_during_the_recording_tells_the_dark_rows(

@@ -1,7 +1,8 @@
 """A unit with two vivid cameras, one of which fails in several ways: ``failing.py CONFIG FRAMES FPS``.
 
 vivid shows what is fed to its own output: its input and its output are HDMI of 1280 × 720 at 25 frames a
-second, of which the same 752 × 480 pixels are written and read.
+second, of which the same 752 × 480 pixels are written and read. An output that has nothing new shows its
+picture again, which no camera does: so it is fed twice as fast.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def main(config: str, frames: str, fps: float) -> None:
         plug_in(place, capture)
         loop(capture, output)
     with (
-        feeding(frames, fps, outputs),
+        feeding(frames, 2 * fps, outputs),
         running(config) as daemon,
         Controller() as controller,
         Watch() as watch,

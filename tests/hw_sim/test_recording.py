@@ -51,7 +51,7 @@ def test_a_scan_begins_with_led_pairs_and_goes_over_the_grid(scan: Path) -> None
     assert [row["leds"] for row in front[:4]] == ["off", "on", "off", "on"]
     assert {row["x_mm"] for row in front[:4]} == {""}
     nodes = [(float(row["x_mm"]), float(row["y_mm"])) for row in front[4:]]
-    assert nodes == [(x, y) for y in (-50, -25, 0, 25, 50) for x in (-62.5, -37.5, -12.5, 12.5, 37.5, 62.5)]
+    assert nodes == [(x, y) for y in (-56, -28, 0, 28, 56) for x in (-70, -42, -14, 14, 42, 70)]
     assert {row["leds"] for row in front[4:]} == {"off"}
 
 
@@ -83,7 +83,7 @@ def test_poses_keep_to_the_area_on_both_targets_and_to_the_specified_slopes() ->
     poses = random_poses(300, 280.0, np.random.default_rng(1))
     ends = np.array([pose.at(z) for pose in poses for z in (0.0, 280.0)])
     slopes = np.array([(pose.slope_x, pose.slope_y) for pose in poses])
-    assert np.all(np.abs(ends) <= [59.5, 47.0])
+    assert np.all(np.abs(ends) <= [70.0, 55.0])
     assert np.all(np.abs(slopes) <= [0.110, 0.250])
     assert np.all(np.abs(slopes).max(axis=0) > [0.1, 0.2])
 

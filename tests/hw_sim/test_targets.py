@@ -49,7 +49,7 @@ def test_a_dot_of_an_orthogonal_print_has_four_neighbours() -> None:
 
 
 def test_the_frame_leds_lie_outside_of_the_scanned_area() -> None:
-    scanned = np.meshgrid(np.linspace(-62.5, 62.5, 200), np.linspace(-50.0, 50.0, 200))
+    scanned = np.meshgrid(np.linspace(-70.0, 70.0, 200), np.linspace(-55.0, 55.0, 200))
     x, y = (axis.astype(np.float32) for axis in scanned)
     assert led_cover(x, y, 0.01).max() == 0.0
     at_x, at_y = np.array(LED_POSITIONS_MM, dtype=np.float32).T

@@ -70,6 +70,22 @@ def test_a_frozen_camera_is_invalid_within_two_frames_and_well_half_a_window_aft
     assert "of the picture is that of exposure" in while_frozen[-1].status[0].detail
 
 
+def test_a_frame_that_comes_twice_is_lost_and_no_more(calibration_of_unit_3: Calibration) -> None:
+    unit = at_rest()
+
+    def doubled() -> Iterator[Frame]:
+        for frame in shown(unit, 40):
+            twice = frame.camera == FRONT and frame.sequence == 20
+            yield replace(frame, pixels=unit.expose(FRONT, 19, 0).pixels) if twice else frame
+
+    results = dict(measured(chain(calibration_of_unit_3), doubled()))
+    assert all(m.valid for n, m in results.items() if n >= WINDOW)
+    assert [n for n, m in results.items() if codes(m) == ["exposures_lost"]] == list(range(20, 20 + WINDOW))
+    beam = results[20].beam
+    assert beam is not None
+    assert results[20].frames == WINDOW - 1
+
+
 def test_a_rear_camera_that_is_a_frame_late_is_out_of_step(calibration_of_unit_3: Calibration) -> None:
     """On a shaking machine, its pictures stamped with the times of the next ones."""
     unit = Unit(UnitConfig(seed=3, vibration=Vibration()))

@@ -25,6 +25,7 @@ class Camera:
     origin = Origin.CAMERA
     waits = True
     exposure_range = None
+    identity = None
 
     start_ns = 0
 

@@ -47,6 +47,7 @@ class ScriptedCamera:
     origin = Origin.CAMERA
     waits = False
     exposure_range = None
+    identity = None
 
     def __init__(self, *script: Exception | str | int) -> None:
         self.script = list(script)

@@ -45,6 +45,9 @@ class Chain:
     def step(self) -> dict[str, float]:
         return {"skew_ms": 0.25}
 
+    def views(self) -> dict[str, float | str]:
+        return {}
+
 
 class Bench:
     """A pipeline with its surroundings."""

@@ -9,7 +9,7 @@ from support.frames import Blob, frame, light
 from altd.config import ExposureControl, Measuring
 from altd.ports import CameraEndedError, ExposureRange
 from altd.recording import Kind, UnitHeader, open_recording
-from altd.records import Frame, Origin
+from altd.records import CameraIdentity, Frame, Origin
 from altd.service.clock import SystemClock
 from altd.service.exposing import MARKED_FRAMES, ExposureSetter
 from altd.service.health import Health
@@ -22,6 +22,7 @@ class Source:
     """Delivers a number of frames and then fails, or is at its end."""
 
     origin = Origin.CAMERA
+    identity: CameraIdentity | None = None
     waits = True
 
     def __init__(self, name: str, frames: int, end: Exception) -> None:
@@ -52,6 +53,14 @@ async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:
     assert await kept(tmp_path / "rec", CameraEndedError("the end")) == 5
     opened = open_recording(tmp_path / "rec")
     assert [row.sequence for row in opened.rows if row.camera == "rear"] == [0, 1, 2, 3, 4]
+
+
+async def test_a_recording_says_which_cameras_it_is_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Source, "identity", CameraIdentity("F-1", "mini", "aravis"))
+    await kept(tmp_path / "rec", CameraEndedError("the end"))
+    assert open_recording(tmp_path / "rec").header.cameras["rear"].identity == Source.identity
 
 
 @pytest.mark.parametrize("kind", ["measurement", "flat", "self-check"])

@@ -16,7 +16,7 @@ def shot(t_ns: int, sequence: int = 7) -> Frame:
     return Frame("front", sequence, t_ns, PIXELS)
 
 
-@pytest.mark.parametrize("age_ns", [-9 * MS, 0, 30 * MS, 1_900 * MS])
+@pytest.mark.parametrize("age_ns", [-99 * MS, 0, 30 * MS, 1_900 * MS])
 def test_a_frame_that_was_exposed_lately_is_taken(age_ns: int) -> None:
     assert StampCheck().refusal(shot(NOW - age_ns), NOW) == ""
 
@@ -25,7 +25,7 @@ def test_a_frame_that_was_exposed_lately_is_taken(age_ns: int) -> None:
     ("t_ns", "why"),
     [
         (NOW + 3600 * S, "exposure 7 is stamped 3600.000 s ahead of the clock"),
-        (NOW + 11 * MS, "exposure 7 is stamped 0.011 s ahead of the clock"),
+        (NOW + 101 * MS, "exposure 7 is stamped 0.101 s ahead of the clock"),
         (NOW - 10 * S, "exposure 7 is 10.000 s old"),
         (0, "exposure 7 is 500000.000 s old"),
     ],

@@ -82,9 +82,11 @@ def evidence(name: str, seed: int = 1) -> TargetEvidence:
         nodes_px=straight_px(name, places) + off_px,
         residuals_px=off_px,
         missed_px=1.2 * off_px,
+        relative_sigma=np.ones(len(places)),
         scatter_px=np.abs(rng.normal(0, 0.02, places.shape)),
         exposures=(2,) * len(places),
         left_out=(),
+        leds_dropped=(),
         candidates=(
             Candidate("tensor", (1, 1), 8, 1.9236, 2.0119, 0.0101),
             Candidate("tensor", (2, 2), 18, 0.3469, 0.4070, 0.0132),

@@ -71,12 +71,21 @@ def _left_out(source: Source) -> list[Block]:
         for target, seen in source.targets()
         for (x, y), reason in seen.left_out
     )
-    if not rows:
-        return [Heading("Nodes left out"), Words("None: every node of the scan was used.")]
-    return [
-        Heading("Nodes left out"),
-        Table(("target", "x, mm", "y, mm", "reason"), rows, (0.12, 0.1, 0.1, 0.68)),
+    blocks: list[Block] = [Heading("Nodes left out")]
+    if rows:
+        blocks.append(Table(("target", "x, mm", "y, mm", "reason"), rows, (0.12, 0.1, 0.1, 0.68)))
+    else:
+        blocks.append(Words("None: every node of the scan was used."))
+    less = [
+        f"{target.name} x {x:g} y {y:g} mm: 1/{sigma**2:.1f}"
+        for target, seen in source.targets()
+        for (x, y), sigma in zip(seen.nodes_mm.tolist(), seen.relative_sigma.tolist(), strict=True)
+        if sigma > 1.0
     ]
+    if less:
+        words = "Nodes whose spots are known worse, as where the picture cuts them, count less"
+        blocks.append(Words(f"{words}: {'; '.join(less)}."))
+    return blocks
 
 
 def _located(target: TargetCalibration) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from altd.calibration.report import picture_plots
-from altd.calibration.report.document import Block, Heading, Picture, Row, Table
+from altd.calibration.report.document import Block, Heading, Picture, Row, Table, Words
 from altd.calibration.report.source import Source
 from altd.calibration.report.target_plots import nice_length
 from altd.records import FloatArray
@@ -56,6 +56,9 @@ def pictures(source: Source) -> list[Block]:
     if leds:
         columns = ("", *(f"{target.name}, u and v in px" for target in targets))
         blocks.append(Table(columns, leds, (0.16, *[0.84 / len(targets)] * len(targets))))
+    dropped = [f"{target.name} {led}" for target, seen in source.targets() for led in seen.leds_dropped]
+    if dropped:
+        blocks.append(Words(f"Shines, but could not be located: {'; '.join(dropped)}."))
     return blocks
 
 

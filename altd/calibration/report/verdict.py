@@ -161,10 +161,8 @@ def _of_the_cross_check(targets: Sequence[TargetCalibration]) -> Check:
 
 def _of_the_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
     shares = [len(seen.left_out) / (len(seen.left_out) + len(seen.nodes_mm)) for seen in evidence]
-    strays = [
-        float(np.linalg.norm(seen.missed_px, axis=1).max() / np.sqrt(np.mean(np.square(seen.missed_px))))
-        for seen in evidence
-    ]
+    missed = [np.linalg.norm(seen.missed_px, axis=1) / seen.relative_sigma for seen in evidence]
+    strays = [float(off.max() / np.sqrt(np.mean(np.square(off)) / 2)) for off in missed]
     counts = [f"{len(seen.left_out)} of {len(seen.left_out) + len(seen.nodes_mm)}" for seen in evidence]
     share = max(shares)
     return [

@@ -31,7 +31,7 @@ from altd.ports import (
     CameraTimeoutError,
     ExposureRange,
 )
-from altd.records import Frame, Origin, PixelArray
+from altd.records import CameraIdentity, Frame, Origin, PixelArray
 
 log = logging.getLogger("altd")
 
@@ -59,6 +59,7 @@ class AravisCamera:
     def __init__(self, name: str, settings: Settings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
+        self.identity: CameraIdentity | None = None
         self._settings = settings
         self._period_ns = round(1e9 / settings.fps)
         self._opened: Opened | None = None
@@ -91,6 +92,7 @@ class AravisCamera:
             if not ours:
                 raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
             self.origin = _origin(greeting, device)
+            self.identity = CameraIdentity(greeting.serial or None, greeting.model or None, "aravis")
             self._opened = set_up(device, self._settings, self.name, own_address, greeting.address)
         except BaseException:
             let_go(device, None, threading.Lock(), stop=False, wait=ours)

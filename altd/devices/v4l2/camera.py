@@ -27,7 +27,7 @@ from altd.ports import (
     CameraTimeoutError,
     ExposureRange,
 )
-from altd.records import Frame, Origin
+from altd.records import CameraIdentity, Frame, Origin
 
 _TEST_DRIVERS = ("vivid", "v4l2 loopback")
 """Drivers of the kernel that make pictures up, or pass on those of another program."""
@@ -57,6 +57,7 @@ class V4l2Camera:
     def __init__(self, name: str, settings: Settings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
+        self.identity: CameraIdentity | None = None
         self.waits = False
         self._settings = settings
         self._counter = FrameCounter(0, _LARGEST_SEQUENCE)
@@ -79,6 +80,7 @@ class V4l2Camera:
                 node.close()
                 raise
         self.origin = Origin.SIMULATED if node.driver in _TEST_DRIVERS else Origin.CAMERA
+        self.identity = CameraIdentity(node.serial, node.card or None, "v4l2")
         self._counter.reopened()
 
     def next_frame(self, timeout_s: float) -> Frame:

@@ -19,12 +19,14 @@ _STABLE = Path("/dev/v4l/by-path")
 class FoundCamera:
     """One camera: its path for ``device``, what it calls itself, its grey formats with sizes, its controls.
 
-    ``path`` is the stable one where there is one. Without a grey format altd cannot use the camera.
+    ``path`` is the stable one where there is one; ``serial`` is that of a USB camera, None where it has none.
+    Without a grey format altd cannot use the camera.
     """
 
     path: Path
     card: str
     driver: str
+    serial: str | None
     formats: Mapping[str, tuple[Size, ...]]
     controls: tuple[Control, ...]
 
@@ -63,6 +65,6 @@ def _look_at(device: Path, path: Path) -> FoundCamera | None:
             for name, known in PIXEL_FORMATS.items()
             if known.fourcc in there
         }
-        return FoundCamera(path, node.card, node.driver, grey, tuple(controls_of(node).values()))
+        return FoundCamera(path, node.card, node.driver, node.serial, grey, tuple(controls_of(node).values()))
     finally:
         node.close()

@@ -11,6 +11,8 @@ from typing import Protocol, TypeVar
 
 from linuxpy.video.raw import IOC, Capability, v4l2_capability
 
+_CHARACTER_DEVICES = Path("/sys/dev/char")
+
 CallStruct = TypeVar("CallStruct")
 
 
@@ -36,6 +38,7 @@ class Node:
         self.driver = text(about.driver)
         self.card = text(about.card)
         self.bus = text(about.bus_info)
+        self.serial = _usb_serial(self.descriptor)
         capabilities = Capability(about.capabilities)
         if Capability.DEVICE_CAPS in capabilities:  # those of this node, not of all nodes of the camera
             capabilities = Capability(about.device_caps)
@@ -60,6 +63,21 @@ class Node:
     def close(self) -> None:
         """Let go; the kernel ends the stream and frees its buffers."""
         os.close(self.descriptor)
+
+
+def _usb_serial(descriptor: int) -> str | None:
+    """The serial number in a USB camera's descriptor, from sysfs; None where it has none.
+
+    ``device`` of the node is the camera's interface, the directory above it the USB device (sysfs-bus-usb).
+    Some makers give all their cameras the same.
+    """
+    number = os.fstat(descriptor).st_rdev
+    interface = _CHARACTER_DEVICES / f"{os.major(number)}:{os.minor(number)}" / "device"
+    try:
+        serial = (interface.resolve(strict=True).parent / "serial").read_text(errors="replace").strip()
+    except OSError:
+        return None
+    return serial or None
 
 
 def text(raw: bytes) -> str:

@@ -69,6 +69,8 @@ class ModbusTcpPublisher:
         self._responder = Responder(board, component)
         self._component = component
         self._clients: list[_Client] = []
+        self._turn = asyncio.Lock()
+        """One answer a turn of the loop, whoever asks: no crowd of clients holds the rest of the unit up."""
         self.port = settings.port
         """The port that is served; it differs from the setting when that is 0, once it listens."""
 
@@ -126,11 +128,13 @@ class ModbusTcpPublisher:
                 if protocol != 0 or not 2 <= length <= LONGEST:
                     self._component.count("garbled")  # where the next frame begins cannot be known
                     return
-                answer = await self._answer(unit, await reader.readexactly(length - 1))
+                request = await reader.readexactly(length - 1)
+                async with self._turn:
+                    answer = await self._answer(unit, request)
+                    await asyncio.sleep(0)
                 client.asked_s = clock()
                 writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                 await writer.drain()
-                await asyncio.sleep(0)  # a client with many requests at once does not hold up the rest
 
     async def _answer(self, unit: int, request: bytes) -> bytes:
         if unit == self._settings.unit_id or unit in _DIRECT:

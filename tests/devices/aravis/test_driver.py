@@ -16,7 +16,7 @@ from altd.ports import (
     CameraRefusedError,
     CameraTimeoutError,
 )
-from altd.records import Origin
+from altd.records import CameraIdentity, Origin
 
 pytestmark = pytest.mark.own_network
 
@@ -57,6 +57,7 @@ class TestFrames:
         assert not first.pixels.flags.writeable
         assert (first.camera, first.bits, second.sequence) == ("front", 8, 1)
         assert grabbed.camera.origin is Origin.SIMULATED
+        assert grabbed.camera.identity == CameraIdentity("T1", "Fake", "aravis")
 
     def test_of_16_bits_have_their_bytes_in_order(self, cameras: Cameras) -> None:
         cameras.start()

@@ -2,53 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import random
 import struct
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from publish.modbus.rtu_wire import COLLIDING, OTHER, READ_OF_20, frame
 from publish.modbus.wire import ONE, UNIT
 
 from altd.publish.modbus.bus import LONGEST, TORN_S, Bus, frames_of
-
-OTHER = 9
-
-
-def register_after(data: bytes, register: int = 0xFFFF) -> int:
-    """The CRC register of the specification, bit by bit (Serial 6.2.2)."""
-    for byte in data:
-        register ^= byte
-        for _ in range(8):
-            register = (register >> 1) ^ 0xA001 if register & 1 else register >> 1
-    return register
-
-
-def frame(pdu: bytes, unit: int = UNIT) -> bytes:
-    return bytes([unit]) + pdu + struct.pack("<H", register_after(bytes([unit]) + pdu))
-
-
-def answer_that_ends_as_a_request(count: int = 20) -> bytes:
-    """An answer of another unit with ``count`` registers whose last 8 bytes are a whole request to this one.
-
-    Two bytes before them are chosen so that the register is there what it is where a frame begins; then both
-    frames end with the same CRC.
-    """
-    head = bytes([OTHER, 4, 2 * count]) + bytes(range(2 * count - 8))
-    register = register_after(head)
-    chosen = next(
-        bytes(pair)
-        for pair in itertools.product(range(256), repeat=2)
-        if register_after(bytes(pair), register) == 0xFFFF
-    )
-    answer = frame((head + chosen + bytes([UNIT]) + ONE)[1:], OTHER)
-    assert answer[-8:] == frame(ONE)
-    return answer
-
-
-READ_OF_20 = frame(struct.pack(">BHH", 4, 0, 20), OTHER)
-COLLIDING = answer_that_ends_as_a_request()
 
 
 def heard(*chunks: bytes, gap_s: float = 0.01) -> list[bytes | None]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from publish.modbus.rtu_wire import COLLIDING, READ_OF_20, crc, frame
 from publish.modbus.wire import ONE, ONE_ANSWER, UNIT, Serving
 
 from altd.config import SerialPort
@@ -18,20 +19,6 @@ from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
 from altd.service.board import Board
 from altd.service.health import Component
-
-
-def crc(data: bytes) -> bytes:
-    """The CRC of the specification, bit by bit (Modbus over Serial Line V1.02, 6.2.2)."""
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte
-        for _ in range(8):
-            register = (register >> 1) ^ 0xA001 if register & 1 else register >> 1
-    return struct.pack("<H", register)
-
-
-def frame(pdu: bytes, unit: int = UNIT) -> bytes:
-    return bytes([unit]) + pdu + crc(bytes([unit]) + pdu)
 
 
 class Controller:
@@ -170,6 +157,28 @@ async def test_what_others_say_on_the_bus_is_none_of_our_business(
     controller.send(frame(bytes.fromhex(frame_hex), unit=unit))
     assert await controller.hears_nothing()
     assert component.counters == {}
+    assert await controller.is_answered()
+
+
+async def test_the_end_of_anothers_answer_is_no_request(controller: Controller, component: Component) -> None:
+    for torn_at in (len(COLLIDING), len(COLLIDING) - 8, 40, 62 % len(COLLIDING)):
+        controller.send(READ_OF_20)
+        await asyncio.sleep(0.01)
+        controller.send(COLLIDING[:torn_at])
+        await asyncio.sleep(0.01)
+        controller.send(COLLIDING[torn_at:])
+        assert await controller.hears_nothing()
+    assert component.counters == {}
+    assert await controller.is_answered()
+
+
+async def test_the_echo_of_our_answer_in_pieces_is_not_answered(controller: Controller) -> None:
+    controller.send(frame(ONE))
+    answer = await controller.hear(256, within_s=0.05)
+    controller.send(answer[:5])
+    await asyncio.sleep(0.01)
+    controller.send(answer[5:])
+    assert await controller.hears_nothing()
     assert await controller.is_answered()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import socket
 import struct
@@ -193,6 +194,24 @@ async def test_many_requests_at_once_let_the_rest_of_the_unit_go_on(
     assert turns >= 500
     for _ in range(500):
         await client.hear()
+
+
+async def test_a_crowd_with_many_requests_gets_one_answer_a_turn_of_the_loop(
+    tcp: ModbusTcpPublisher, component: Component
+) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        crowd = [await stack.enter_async_context(connected(tcp)) for _ in range(20)]
+        for client in crowd:
+            client.send(frame(ONE) * 20)
+        answered = [0]
+        async with asyncio.timeout(10):
+            while answered[-1] < 400:
+                await asyncio.sleep(0)
+                answered.append(component.counters.get("requests", 0))
+        for client in crowd:
+            for _ in range(20):
+                await client.hear()
+    assert max(after - before for before, after in itertools.pairwise(answered)) == 1
 
 
 async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTcpPublisher) -> None:

@@ -1,0 +1,86 @@
+"""The fingerprint of a unit's cameras, from the frames that its calibration is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from altd.recording import Recording, Row
+from altd.records import FloatArray, Spot
+from altd.vision.fingerprint import Fingerprint
+from altd.vision.flat import Flat
+from altd.vision.hot_pixels import HotPixelCount
+from altd.vision.localise import locate
+from altd.vision.settings import SpotSettings
+from altd.vision.texture import Sample, Texture, sample_of
+
+_MAX_SIGMA = 0.05
+"""Relative noise up to which a pixel's texture is known: that of a plain plate's grain."""
+_MIN_VERIFIED_SHARE = 0.9
+"""Of a scan's own nodes, by the texture of its flat; else the flat is not what the laser shows."""
+
+
+def fingerprint_of(
+    recording: Recording, rows: Sequence[Row], settings: SpotSettings, flat: Flat | None, plain: bool
+) -> tuple[Fingerprint, str]:
+    """The fingerprint of one camera from its ``rows`` of a scan, and a remark, empty when all is well.
+
+    Through the target's ``flat`` where there is one and the scan's own spots agree with it; else from the
+    spots of a ``plain`` target. A print without a model lends itself to neither.
+    """
+    hot = HotPixelCount()
+    samples: list[Sample] = []
+    first: dict[tuple[float, float], Row] = {}
+    height = width = 0
+    for row in rows:
+        frame = recording.frame(row)
+        height, width = frame.pixels.shape
+        hot.add(frame.pixels)
+        if row.leds_on:
+            continue
+        if row.position_mm is not None:
+            first.setdefault(row.position_mm, row)
+        if flat is None and plain and (sample := sample_of(frame, settings)) is not None:
+            samples.append(sample)
+    if flat is None:
+        if not samples:
+            return Fingerprint(hot.result(), None, None), ""
+        return Fingerprint(hot.result(), _texture(samples, (height, width)), "scan"), ""
+    made = Fingerprint(hot.result(), Texture.of_flat(flat), "flat")
+    verdicts = []
+    for row in first.values():
+        frame = recording.frame(row)
+        if isinstance(locate(frame, settings, flat), Spot):
+            verdicts.append(made.examine(frame, settings, has_spot=True))
+    good = sum(verdict.is_verified for verdict in verdicts)
+    if good >= _MIN_VERIFIED_SHARE * len(verdicts):
+        return made, ""
+    remark = (
+        f"the flat does not show the spots' ground ({good} of {len(verdicts)} nodes): it verifies no view"
+    )
+    return Fingerprint(hot.result(), None, None), remark
+
+
+def hot_pixels_of(recording: Recording, rows: Sequence[Row]) -> Fingerprint:
+    """The fingerprint of a camera that has seen no laser spot: its hot pixels."""
+    hot = HotPixelCount()
+    for row in rows:
+        hot.add(recording.frame(row).pixels)
+    return Fingerprint(hot.result(), None, None)
+
+
+def _texture(samples: Sequence[Sample], shape: tuple[int, int]) -> Texture:
+    """The samples' mean with the weights that their noise deserves, drawn to 0 where it is not known well."""
+    total: FloatArray = np.zeros(shape)
+    weight: FloatArray = np.zeros(shape)
+    for sample in samples:
+        rows, columns = sample.relative.shape
+        window = slice(sample.top, sample.top + rows), slice(sample.left, sample.left + columns)
+        total[window] += sample.relative / sample.variance
+        weight[window] += 1 / sample.variance
+    known = weight > _MAX_SIGMA**-2
+    variance = 1 / np.maximum(weight, 1e-12)
+    mean = total * variance
+    power = max(float(np.mean(np.square(mean[known]) - variance[known])), 0.0) if known.any() else 0.0
+    return Texture((mean * power / (power + variance)).astype(np.float32))

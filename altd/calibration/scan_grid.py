@@ -1,0 +1,81 @@
+"""Whether the nodes of a scan make a sufficient grid, what is missing of it, and how much each one counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.calibration.scan_nodes import Node, Seen
+from altd.mapping.grid import Axis, Block
+from altd.mapping.hull import convex_hull_mm
+from altd.mapping.lens import fit_lens_map
+from altd.mapping.tensor_map import fit_tensor_map
+from altd.records import FloatArray
+
+_UNEVEN_RATIO = 1.5
+"""Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ScanGrid:
+    """The grid of a scan: its axes, the block that can be used, and the rows and columns that cannot."""
+
+    axes: tuple[Axis, Axis]
+    block: Block
+    usable_mm: FloatArray
+
+    def missing_ends(self, margin_mm: float) -> list[str]:
+        """In words: each end of the grid at which no node can be used, and where what is measured ends."""
+        words = []
+        for axis, along, name in zip(self.axes, self.usable_mm.T, "xy", strict=True):
+            for end, last, outward in (
+                (axis.first_mm, float(along.min()), -1),
+                (axis.last_mm, float(along.max()), 1),
+            ):
+                if abs(end - last) > axis.step_mm / 2:
+                    line = "column" if name == "x" else "row"
+                    words.append(
+                        f"no node of the outer {line} at {name} {end:g} mm can be used: what can be "
+                        f"measured ends at {name} {last + outward * margin_mm:.1f} mm"
+                    )
+        return words
+
+
+def scan_grid(seen: Seen) -> ScanGrid:
+    """The grid of the nodes of one target; raises ValueError when they are none."""
+    nodes = list(seen.nodes.values())
+    positions_mm = np.array([node.position_mm for node in nodes])
+    axes = Axis.through(positions_mm[:, 0]), Axis.through(positions_mm[:, 1])
+    numbers = [axis.numbers(along).tolist() for axis, along in zip(axes, positions_mm.T, strict=True)]
+    cells = list(zip(*numbers, strict=True))
+    missing = [cell for cell, node in zip(cells, nodes, strict=True) if not node.usable]
+    usable = np.array([node.usable for node in nodes])
+    return ScanGrid(axes, Block.within(cells, missing), positions_mm[usable])
+
+
+def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> FloatArray:
+    """By how much each node (n,) scatters more than an ordinary one, by what its spots are known to.
+
+    An ordinary node scatters by what print and speckle do to its spot, which is seen about a first map; one
+    that the border of the picture cuts by more, which its own sigmas say. Raises ValueError when the nodes
+    are too few for a map.
+    """
+    sigmas_px = np.array([np.sqrt(np.mean(np.square(node.sigmas_px))) for node in nodes])
+    relative = np.ones(len(nodes))
+    uneven = sigmas_px > _UNEVEN_RATIO * np.median(sigmas_px)
+    if not uneven.any():
+        return relative
+    places_mm = np.array([node.position_mm for node in nodes])
+    places_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+    hull_mm = convex_hull_mm(places_mm)
+    for _ in range(_ROUNDS):
+        first = (
+            fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
+            fit_lens_map(places_mm, places_px, hull_mm, image_size, relative_sigma=relative),
+        )
+        ordinary_px = min(fit.map.noise_px for fit in first)
+        relative = np.where(uneven, np.maximum(sigmas_px / ordinary_px, 1.0), 1.0)
+    return relative

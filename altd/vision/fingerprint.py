@@ -1,0 +1,109 @@
+"""Whether a camera's view is the one that was calibrated, from what no spot changes in a frame.
+
+Hot pixels tell the sensor; print and grain under the spot tell where it looks (``texture``). Each says
+nothing where it cannot be sure: nothing known under the spot, a spot too dim or too small, no hot pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from altd.records import Frame
+from altd.vision.hot_pixels import HotPixels
+from altd.vision.settings import SpotSettings
+from altd.vision.texture import Match, Texture, match, sample_of
+
+TextureSource = Literal["flat", "scan"]
+
+MAX_SHIFT_PX = 0.5
+"""0.1 mm on the target, twice the accuracy that the thesis reached. Heat moves a picture by 0.1 to 0.3 px."""
+_MIN_SIGMAS = 8.0
+_PATTERNED_FROM = 0.2
+"""Contrast from which a target is printed: grain of a plate stays below 0.1, dots of any size are above."""
+_PRINT_SEEN_FROM = 0.35
+_MIN_EXPLAINED = 0.7
+"""Of the contrast under a spot on print: 0.98 and more of it is explained in the calibrated view, less than
+0.6 in 19 of 20 others."""
+_MIN_GAIN = 0.4
+_ABSENT_SIGMAS = 5.0
+_NO_SPOT = "no spot to see it by"
+
+
+@dataclass(frozen=True, slots=True)
+class ViewVerdict:
+    """What one frame tells. ``wrong`` is a sentence, empty unless this is not the view that was calibrated.
+
+    ``is_verified``: it is. ``doubt`` says why neither is certain. ``is_same_sensor``: the hot pixels are in
+    their places; ``is_other_sensor``: they are what is wrong. ``shift_px`` is by how much the picture moved,
+    None where that could not be measured.
+    """
+
+    wrong: str = ""
+    is_verified: bool = False
+    doubt: str = ""
+    is_same_sensor: bool = False
+    is_other_sensor: bool = False
+    shift_px: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fingerprint:
+    """What a calibration knows of one camera's fixed picture.
+
+    ``texture`` from a flat is known everywhere and does not depend on the laser, so its absence is as telling
+    as its shift. One from the ``scan`` holds only near the nodes, and speckle in it that belongs to the
+    laser: it shows a shift, and its absence shows nothing. None: nothing is known of the target's surface.
+    """
+
+    hot: HotPixels
+    texture: Texture | None
+    source: TextureSource | None
+
+    def examine(self, frame: Frame, settings: SpotSettings, has_spot: bool) -> ViewVerdict:
+        """The verdict of one frame; ``has_spot``: a good spot was found in it."""
+        sensor = self.hot.compare(frame.pixels)
+        if sensor.is_other:
+            wrong = (
+                f"{sensor.present} of {sensor.expected} hot pixels are in their places, {sensor.foreign} in "
+                f"others{_beside(sensor.offset_px)}"
+            )
+            return ViewVerdict(wrong, is_other_sensor=True)
+        view = self._examine_spot(frame, settings) if has_spot else ViewVerdict(doubt=_NO_SPOT)
+        return replace(view, is_same_sensor=sensor.is_same)
+
+    def _examine_spot(self, frame: Frame, settings: SpotSettings) -> ViewVerdict:
+        if self.texture is None:
+            return ViewVerdict(doubt="the calibration knows nothing of the target's surface")
+        sample = sample_of(frame, settings)
+        if sample is None:
+            return ViewVerdict(doubt=_NO_SPOT)
+        patterned = self.texture.contrast > _PATTERNED_FROM
+        if not patterned and sample.contrast > _PRINT_SEEN_FROM:
+            return ViewVerdict(wrong=f"print is seen (contrast {sample.contrast:.2f}) on a target without")
+        found = match(sample, self.texture)
+        if found is None:
+            return ViewVerdict(doubt="nothing is known of the target under the spot")
+        if self.source == "flat" and (why := _absent(found, patterned)):
+            return ViewVerdict(wrong=why)
+        if found.significance < _MIN_SIGMAS:
+            return ViewVerdict(doubt=f"too little is seen of the target ({found.significance:.1f} sigma)")
+        if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGMAS * found.sigma_px):
+            wrong = (
+                f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from where it was calibrated"
+            )
+            return ViewVerdict(wrong=wrong, shift_px=found.shift_px)
+        return ViewVerdict(is_verified=True, shift_px=found.shift_px)
+
+
+def _absent(found: Match, patterned: bool) -> str:
+    """Why what is seen is not the target as it was calibrated, in words; empty when it may be."""
+    if found.expected * (_MIN_GAIN - found.gain) > _ABSENT_SIGMAS:
+        return f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"
+    if patterned and found.explained < _MIN_EXPLAINED:
+        return f"another print is seen ({found.explained:.0%} of it is that of the calibration)"
+    return ""
+
+
+def _beside(offset_px: tuple[int, int] | None) -> str:
+    return "" if offset_px is None else f", u {offset_px[0]:+d} v {offset_px[1]:+d} px beside"

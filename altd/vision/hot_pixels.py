@@ -1,0 +1,147 @@
+"""The hot pixels of a sensor: single pixels that shine in every frame, and so tell one sensor from another.
+
+What a lens images is wider than a pixel, so light does not look like this. A mirrored picture, one of another
+part of the sensor and one of another sensor have them elsewhere; what stands before the lens changes nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import PixelArray
+
+Places = npt.NDArray[np.int64]
+"""Pixels (n, 2) as u, v."""
+
+MAX_PIXELS = 500
+"""A sensor with more is kept with that many."""
+
+_RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+_RATIO = 5
+"""A hot pixel rises over the dimmest of its eight neighbours so many times as far as the brightest: in an
+image as sharp as 0.5 px a glint does not. In even light the neighbours lie 2.8 sigma apart, so noise would
+need 7 sigma."""
+_ROUNDING_COUNTS = 3
+_ALWAYS_SHARE = 0.9
+_MIN_SOMETIMES_FRAMES = 2
+
+_MIN_PRESENT = 3
+"""That many in place by chance, of 20 at as many places in another sensor: once in 10^9."""
+_MIN_EXPECTED = 4
+_PRESENT_SHARE = 0.5
+_ABSENT_SHARE = 0.15
+_MAX_OFFSET_PX = 12
+
+
+def hot_pixels(pixels: PixelArray) -> Places:
+    """The hot pixels of a frame, row by row; those at its border are not looked for."""
+    brightest = cv2.dilate(pixels, _RING).astype(np.int32)
+    dimmest = cv2.erode(pixels, _RING).astype(np.int32)
+    spread = brightest - dimmest
+    usual = int(np.median(spread[::9, ::9]))
+    hot = pixels.astype(np.int32) - dimmest > _RATIO * np.maximum(spread, usual) + _ROUNDING_COUNTS
+    v, u = np.nonzero(hot[1:-1, 1:-1])
+    return np.stack([u + 1, v + 1], axis=1).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMatch:
+    """How a frame's hot pixels fit those of a calibration.
+
+    ``expected`` of the calibration's could be seen, ``present`` of them are there, ``foreign`` are where the
+    calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does.
+    """
+
+    expected: int
+    present: int
+    foreign: int
+    offset_px: tuple[int, int] | None
+
+    @property
+    def is_same(self) -> bool:
+        """Whether this is the sensor, read as it was."""
+        return self.present >= max(_MIN_PRESENT, _PRESENT_SHARE * self.expected)
+
+    @property
+    def is_other(self) -> bool:
+        """Whether this is another sensor, or another part or way of reading it.
+
+        Hot pixels fade in the cold, so that they are missing is not enough: others must be there instead.
+        """
+        absent = self.expected >= _MIN_EXPECTED and self.present <= _ABSENT_SHARE * self.expected
+        return absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HotPixels:
+    """A sensor's hot pixels: ``always`` (n, 2) in every frame, ``sometimes`` (m, 2) in some."""
+
+    always: Places
+    sometimes: Places
+
+    def compare(self, pixels: PixelArray) -> SensorMatch:
+        """Hold a frame against them."""
+        seen = hot_pixels(pixels)
+        known, now = _as_set(self.always), _as_set(seen)
+        present = len(known & now)
+        foreign = len(now - known - _as_set(self.sometimes))
+        expected = len(known) - self._hidden(pixels, known - now)
+        return SensorMatch(expected, present, foreign, self._offset_px(seen, present))
+
+    def _hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
+        """How many of the missing ones light drowns: their neighbours are brighter than most of the frame."""
+        ordinary = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
+        rows, columns = pixels.shape
+        return sum(
+            not (1 <= u < columns - 1 and 1 <= v < rows - 1)
+            or float(np.median(pixels[v - 1 : v + 2, u - 1 : u + 2])) > ordinary
+            for u, v in missing
+        )
+
+    def _offset_px(self, seen: Places, present: int) -> tuple[int, int] | None:
+        """Where most of the hot pixels lie the same way beside their places, if not in them."""
+        if not len(seen) or not len(self.always):
+            return None
+        offsets = (seen[:, None, :] - self.always[None, :, :]).reshape(-1, 2)
+        near = offsets[np.abs(offsets).max(axis=1) <= _MAX_OFFSET_PX]
+        if not len(near):
+            return None
+        steps, counts = np.unique(near, axis=0, return_counts=True)
+        best = int(counts.argmax())
+        if counts[best] < max(_MIN_PRESENT, _PRESENT_SHARE * len(self.always)) or counts[best] <= present:
+            return None
+        return int(steps[best, 0]), int(steps[best, 1])
+
+
+class HotPixelCount:
+    """Counts in how many frames of one camera each pixel is hot."""
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._hot: dict[tuple[int, int], int] = {}
+
+    def add(self, pixels: PixelArray) -> None:
+        """Count one frame."""
+        self._frames += 1
+        for place in _as_set(hot_pixels(pixels)):
+            self._hot[place] = self._hot.get(place, 0) + 1
+
+    def result(self) -> HotPixels:
+        """What was counted so far; single flashes are left out."""
+        often = sorted(self._hot.items(), key=lambda item: -item[1])[:MAX_PIXELS]
+        always = [place for place, count in often if count >= _ALWAYS_SHARE * self._frames]
+        sometimes = [place for place, count in often[len(always) :] if count >= _MIN_SOMETIMES_FRAMES]
+        return HotPixels(places_of(always), places_of(sometimes))
+
+
+def places_of(places: list[tuple[int, int]]) -> Places:
+    """Pixels (n, 2) from pairs."""
+    return np.array(sorted(places), dtype=np.int64).reshape(-1, 2)
+
+
+def _as_set(places: Places) -> set[tuple[int, int]]:
+    return {(int(u), int(v)) for u, v in places}

@@ -1,0 +1,215 @@
+"""What is fixed in a picture under a spot, print and grain, and by how much it moved since the calibration.
+
+A camera that stands as it was calibrated sees the same dots and the same grain at the same pixels, wherever
+the spot lies. Their relative brightness under the spot is correlated with what the calibration knows of it;
+the peak's place is the shift of the picture, and what the peak leaves unexplained, correlated likewise, is
+its noise. So the significance of a peak is told by the frame itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import cv2
+import numpy as np
+
+from altd.records import Frame, NoSpot
+from altd.vision.background import Image
+from altd.vision.flat import Flat
+from altd.vision.localise import SATURATED_FROM, noise_of
+from altd.vision.patch import patch_around
+from altd.vision.search import search
+from altd.vision.settings import SpotSettings
+
+MAX_SHIFT_PX = 12
+"""Lags that are searched, either way in u and v."""
+
+_SMOOTHING_PX = 4.0
+"""Sigma of the Gaussian that tells texture from the shape of a spot: about one dot pitch."""
+_MIN_SHARE_OF_PEAK = 0.05
+_MODEL_SIGMA = 0.1
+"""Relative error that even a bright pixel keeps: speckle that moved, dust, the model of a print."""
+_MAX_RELATIVE = 1.5
+_MIN_RESPONSE = 1e-3
+_MIN_OVERLAP = 0.25
+"""Lags at which less of the texture's energy than this share of the best covered one lies under the spot do
+not count."""
+_MIN_ENERGY = 1e-3
+_RIVAL_SIGMAS = 7.0
+"""Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
+_CORRELATED_PIXELS = 4.0
+"""Of neighbours whose noise the smoothing and clipping tie together, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """The relative brightness of the pixels under one spot.
+
+    ``relative`` (h, w) is light over smoothed light − 1, ``variance`` (h, w) what photons and read-out
+    make of it, infinite where a pixel does not count; ``left`` and ``top`` place it in the frame.
+    """
+
+    left: int
+    top: int
+    relative: Image
+    variance: Image
+
+    @cached_property
+    def weight(self) -> Image:
+        """What a pixel counts in a comparison, (h, w)."""
+        return np.asarray(1 / (self.variance + np.float32(_MODEL_SIGMA**2)), dtype=np.float32)
+
+    @property
+    def contrast(self) -> float:
+        """The relative scatter that noise does not explain; 0 where noise might explain all of it."""
+        energy, noise = self.energy
+        return math.sqrt(energy / float(self.weight.sum())) if energy > noise else 0.0
+
+    @property
+    def energy(self) -> tuple[float, float]:
+        """The weighted squares of the relative brightness without those of noise, and their uncertainty."""
+        noise = (self.weight * np.where(np.isfinite(self.variance), self.variance, 0)).ravel()
+        energy = float(np.sum(self.weight * np.square(self.relative))) - float(noise.sum())
+        return energy, math.sqrt(2 * _CORRELATED_PIXELS * float(noise @ noise))
+
+
+def sample_of(frame: Frame, settings: SpotSettings) -> Sample | None:
+    """The sample under the brightest spot of a frame; None where there is no spot."""
+    found = search(frame.pixels)
+    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
+    if patch is None or isinstance(patch, NoSpot):
+        return None
+    noise = noise_of(frame, found, settings)
+    smooth = _smoothed(patch.excess)
+    counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & (patch.pixels < SATURATED_FROM * frame.full_scale)
+    light = np.where(counts, smooth, np.float32(1))
+    relative = np.where(counts, np.clip(patch.excess / light - 1, -1, _MAX_RELATIVE), 0)
+    variance = (noise.read_counts**2 + light / noise.electrons_per_count) / np.square(light)
+    variance = np.where(counts, variance, np.inf)
+    return Sample(patch.left, patch.top, relative.astype(np.float32), variance.astype(np.float32))
+
+
+def _smoothed(image: Image) -> Image:
+    """Low-passed with curvature kept: 2G − G², whose second moment is zero."""
+    once = cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX)
+    return np.asarray(2 * once - cv2.GaussianBlur(once, (0, 0), _SMOOTHING_PX), dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """The expected relative brightness − 1 of each pixel, ``relative`` (rows, columns); 0 where unknown."""
+
+    relative: Image
+
+    @classmethod
+    def of_flat(cls, flat: Flat) -> Self:
+        """What spots show of a target whose response is known."""
+        smooth = np.maximum(_smoothed(flat.response), np.float32(_MIN_RESPONSE))
+        relative = np.where(flat.levels > 0, np.clip(flat.response / smooth - 1, -1, _MAX_RELATIVE), 0)
+        return cls(relative.astype(np.float32))
+
+    @cached_property
+    def _padded(self) -> Image:
+        return np.pad(self.relative, MAX_SHIFT_PX)
+
+    @cached_property
+    def contrast(self) -> float:
+        """Root mean square of what is known."""
+        known = self.relative[self.relative != 0]
+        return float(np.sqrt(np.mean(np.square(known)))) if known.size else 0.0
+
+    def around(self, sample: Sample) -> Image:
+        """The relative brightness under a sample and MAX_SHIFT_PX around it."""
+        rows, columns = sample.relative.shape
+        return self._padded[
+            sample.top : sample.top + rows + 2 * MAX_SHIFT_PX,
+            sample.left : sample.left + columns + 2 * MAX_SHIFT_PX,
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """How a sample fits a texture.
+
+    ``u_px``, ``v_px`` is by how much the picture moved, ``sigma_px`` the noise of either; ``significance``
+    the peak over its noise, ``expected`` what that would be if the sample were the texture; ``gain`` how
+    much of the texture's amplitude the sample shows; ``explained`` the share of the sample's contrast, noise
+    taken off, that the texture explains, 1 where noise hides the contrast.
+    """
+
+    u_px: float
+    v_px: float
+    sigma_px: float
+    significance: float
+    expected: float
+    gain: float
+    explained: float
+
+    @property
+    def shift_px(self) -> float:
+        """The distance that the picture moved."""
+        return math.hypot(self.u_px, self.v_px)
+
+
+def match(sample: Sample, texture: Texture) -> Match | None:
+    """Correlate a sample with a texture; None where nothing, or too little, is known under the spot.
+
+    Costs about 0.3 ms for a spot of 60 px.
+    """
+    expected, weight = texture.around(sample), sample.weight
+    energy = np.maximum(_correlated(np.square(expected), weight), 0)
+    usable = energy > max(_MIN_OVERLAP * float(energy.max()), _MIN_ENERGY)
+    if not usable[MAX_SHIFT_PX, MAX_SHIFT_PX]:
+        return None
+    root = np.sqrt(np.where(usable, energy, 1))
+    score = np.where(usable, _correlated(expected, weight * sample.relative) / root, 0)
+    best = _at(score.argmax(), score)
+    rows, columns = sample.relative.shape
+    there = expected[best[0] : best[0] + rows, best[1] : best[1] + columns]
+    rest = sample.relative - score[best] / root[best] * there
+    noise = float(np.sqrt(np.mean(np.square(_correlated(expected, weight * rest)[usable] / root[usable]))))
+    noise = max(noise, 1e-9)
+    peak_at = _nearest_peak(score, float(score[best]) - _RIVAL_SIGMAS * noise)
+    peak = float(score[peak_at])
+    off_u, bend_u = _vertex(score[peak_at[0]], peak_at[1])
+    off_v, bend_v = _vertex(score[:, peak_at[1]], peak_at[0])
+    seen, uncertain = sample.energy
+    return Match(
+        u_px=MAX_SHIFT_PX - peak_at[1] - off_u,
+        v_px=MAX_SHIFT_PX - peak_at[0] - off_v,
+        sigma_px=noise / math.sqrt(max(peak * min(bend_u, bend_v), 1e-12)),
+        significance=peak / noise,
+        expected=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]) / noise,
+        gain=peak / float(root[peak_at]),
+        explained=min(peak**2 / seen, 1.0) if seen > 10 * uncertain else 1.0,
+    )
+
+
+def _correlated(expected: Image, with_this: Image) -> Image:
+    """Σ over the pixels of a sample at each lag, (2 MAX_SHIFT_PX + 1,) squared."""
+    return np.asarray(cv2.matchTemplate(expected, with_this, cv2.TM_CCORR), dtype=np.float32)
+
+
+def _at(index: np.intp, image: Image) -> tuple[int, int]:
+    row, column = divmod(int(index), image.shape[1])
+    return row, column
+
+
+def _nearest_peak(score: Image, at_least: float) -> tuple[int, int]:
+    """The local maximum nearest to the middle among those that are high enough."""
+    peaks = (score >= cv2.dilate(score, np.ones((3, 3), np.uint8))) & (score >= at_least)
+    rows, columns = np.nonzero(peaks)
+    nearest = int(np.hypot(rows - MAX_SHIFT_PX, columns - MAX_SHIFT_PX).argmin())
+    return int(rows[nearest]), int(columns[nearest])
+
+
+def _vertex(values: Image, at: int) -> tuple[float, float]:
+    """Where the parabola through three values has its vertex, from the middle one, and how bent it is."""
+    if not 0 < at < len(values) - 1:
+        return 0.0, 0.0
+    before, here, after = (float(value) for value in values[at - 1 : at + 2])
+    bend = 2 * here - before - after
+    return (0.0, 0.0) if bend <= 0 else ((after - before) / (2 * bend), bend)

@@ -1,0 +1,182 @@
+"""``python -m benchmarks.area`` (``make bench-area``): beams anywhere on the 140 × 110 mm of both targets.
+
+Simulated units are scanned, calibrated and measured; each measurement is held against where the beam was. The
+scan goes over the specified area, or over 125 × 100 mm as that of Fig. 3.24 did: what lies outside of its
+nodes is then measured by the margin of the maps. ``tight`` are cameras whose pictures end 4 mm beside the
+area, so that spots at its edge are cut.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from altd.calibration.flat import flats_of
+from altd.calibration.model import Calibration
+from altd.calibration.scan import calibrate_scan
+from altd.config import Installation, Measuring
+from altd.recording import open_recording
+from altd.records import Measurement
+from altd.service.chain import MeasuringChain, View
+from hw_sim.assembly import SEEN_HALF_MM
+from hw_sim.beam import BeamPose
+from hw_sim.flat import record_flat
+from hw_sim.measure import HALF_AREA_MM, random_poses
+from hw_sim.scan import PITCH_MM, STAGE_STREAM, record_scan
+from hw_sim.stage import Stage
+from hw_sim.unit import CAMERAS, Unit, UnitConfig
+
+TIGHT_HALF_MM = (74.0, 59.0)
+NARROW_PITCH_MM = 25.0
+OUTER_MM = 10.0
+WINDOW = 4
+FLAT_EXPOSURES = 10
+POSES_STREAM = 11
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """How units are made and scanned."""
+
+    name: str
+    flat: bool = False
+    pitch_mm: float = PITCH_MM
+    seen_half_mm: tuple[float, float] = SEEN_HALF_MM
+
+
+CASES = (
+    Case("plain"),
+    Case("flat", flat=True),
+    Case("narrow", pitch_mm=NARROW_PITCH_MM),
+    Case("tight", seen_half_mm=TIGHT_HALF_MM),
+    Case("tight, flat", flat=True, seen_half_mm=TIGHT_HALF_MM),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A beam against its truth: what is off by its sigma (x, y, yaw, pitch), NaN where it is not measured."""
+
+    is_outer: bool
+    normalised: npt.NDArray[np.float64]
+    off_mm: float
+    reasons: tuple[str, ...]
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether there is a measurement."""
+        return not self.reasons
+
+
+def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
+    """The beams of one unit, after its calibration."""
+    unit = Unit(UnitConfig(seed=seed, seen_half_mm=case.seen_half_mm))
+    chain = MeasuringChain(
+        [View(name, name) for name in CAMERAS],
+        _calibrated(case, unit, folder),
+        Measuring(window=WINDOW, every=WINDOW),
+        Installation(),
+        utc=lambda _t_ns: None,
+    )
+    poses = random_poses(beams, unit.config.target_distance_mm, np.random.default_rng([seed, POSES_STREAM]))
+    held = []
+    for number, pose in enumerate(poses):
+        unit.place(pose)
+        for sequence in range(number * WINDOW, (number + 1) * WINDOW):
+            for camera in CAMERAS:
+                frame = unit.expose(camera, sequence, sequence * unit.config.period_ns)
+                held += [_held(of, pose, unit.config.target_distance_mm) for of in chain.push(frame)]
+    return held
+
+
+def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
+    def quiet(_done: int, _planned: int) -> None:
+        return None
+
+    flats = {}
+    if case.flat:
+        record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
+    stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
+    record_scan(folder / "scan", unit, stage, 2, quiet, case.pitch_mm)
+    scan = open_recording(folder / "scan")
+    if case.flat:
+        flats = flats_of(open_recording(folder / "flat"), scan.header, quiet)
+    unit.leds_on = False
+    unit.even_mw_per_mm2 = 0.0
+    return calibrate_scan(scan, flats).calibration
+
+
+def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:
+    spots = np.abs([pose.at(0.0), pose.at(distance_mm)])
+    is_outer = bool(np.any(spots > np.array(HALF_AREA_MM) - OUTER_MM))
+    beam = measurement.beam
+    if beam is None:
+        return Held(is_outer, np.full(4, np.nan), math.nan, tuple(map(str, measurement.status)))
+    off = np.array(
+        [
+            beam.x_mm - pose.x_mm,
+            beam.y_mm - pose.y_mm,
+            beam.yaw_deg - pose.yaw_deg,
+            beam.pitch_deg - pose.pitch_deg,
+        ]
+    )
+    sigma = np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
+    return Held(is_outer, off / sigma, float(np.abs(off[:2]).max()), ())
+
+
+def line(name: str, beams: Sequence[Held]) -> str:
+    """Figures of some beams."""
+    valid = [beam for beam in beams if beam.is_valid]
+    if not valid:
+        return f"{name:<24}{len(beams):>6}     0 %"
+    normalised = np.array([beam.normalised for beam in valid])
+    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
+    each = "  ".join(f"{value:.2f}" for value in rms)
+    return (
+        f"{name:<24}{len(beams):>6}  {len(valid) / len(beams):>6.1%}   {each}   "
+        f"{np.sqrt(np.mean(np.square(normalised))):.2f}   {np.abs(normalised).max():.1f}   "
+        f"{max(beam.off_mm for beam in valid):.3f}"
+    )
+
+
+def reasons(beams: Iterable[Held]) -> str:
+    """What the invalid ones say, with how many do."""
+    counted = Counter(reason for beam in beams for reason in beam.reasons)
+    return ", ".join(f"{reason} {count}" for reason, count in counted.most_common()) or "none"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.area", description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6], help="which units")
+    parser.add_argument("--beams", type=int, default=100, help="beams a unit (default 100)")
+    names = [case.name for case in CASES]
+    parser.add_argument("--cases", nargs="+", default=names, choices=names, help="which cases")
+    options = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    print(f"{'':<24} beams   valid   rms(error/sigma): x, y, yaw, pitch, all; worst; worst mm")
+    for case in CASES:
+        if case.name not in options.cases:
+            continue
+        held: list[Held] = []
+        for seed in options.seeds:
+            with tempfile.TemporaryDirectory() as folder:
+                held += measured(case, seed, options.beams, Path(folder))
+        print(line(case.name, held))
+        print(line("  outer 10 mm", [beam for beam in held if beam.is_outer]))
+        print(f"  not measured: {reasons(held)}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

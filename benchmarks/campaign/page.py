@@ -1,0 +1,58 @@
+"""The page of a campaign: ``docs/studies/campaign.md``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from altd.errors import BadInputError
+from benchmarks.campaign import table
+from benchmarks.campaign.catalogue import WAYS
+from benchmarks.campaign.judge import Tally
+
+_HEAD = """\
+# Campaign: spoilt measurements, judged by truth
+
+{headline}
+
+Written by `{command}` ({took_s:.0f} s; seed {seed}; units {units}). Each episode draws a unit, a beam, a way
+to spoil it and its parameters from the seed; clean exposures come first in four of five, then spoilt ones,
+all through the daemon's own measuring chain (window {window}), which measures at every exposure. *Wrong* is
+one that is called valid with an error above 5 sigma and above 0.05 mm or 0.01°; where no laser is left, any
+number is wrong. *Invalid* are refused ones. *Notice*: frames from the onset to the first invalid measurement,
+median / largest; a mean of several exposures is wrong only once enough of them are. *Back*: seconds from the
+end of a disturbance to the next valid measurement. Ways of times run through pipeline and board on a clock
+that is driven, and a reader of the board is judged every 25 ms: its numbers must be those of some moment
+within the last second and a window.
+
+What it is worth: all but unit-a is simulated, and ways are those that their authors thought of.
+
+"""
+
+
+def write_page(
+    path: Path, tallies: Mapping[str, Tally], command: str, seed: int, units: str, took_s: float, window: int
+) -> None:
+    """Write the page; raises BadInputError when the disk refuses."""
+    wrong = table.wrong_count(tallies)
+    total = sum(tally.measurements + tally.clean for tally in tallies.values())
+    headline = f"Of {total:,} measurements in {len(tallies)} ways {wrong:,} wrong ones were called valid."
+    text = _HEAD.format(
+        headline=headline, command=command, took_s=took_s, seed=seed, units=units, window=window
+    )
+    head, *rows = table.rows(tallies)
+    lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    hidden = [f"- {line[2:]}" for line in table.invisible(tallies)]
+    if hidden:
+        lines += ["", "What physics forbids to see (marked *), with its size:", "", *hidden]
+    lines += ["", *(f"{line}.  " for line in table.totals(tallies)), "", "## The ways", ""]
+    lines += [f"- `{name}` ({way.kind}): {_first_line(way.make)}" for name, way in WAYS.items()]
+    try:
+        path.write_text(text + "\n".join(lines) + "\n")
+    except OSError as error:
+        raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
+
+
+def _first_line(make: object) -> str:
+    return (make.__doc__ or "Nothing is spoilt.").strip().splitlines()[0]

@@ -1,0 +1,76 @@
+"""``make campaign`` runs, says what it promises, and its exit status is that of its table."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from benchmarks.campaign.cache import RECORDINGS
+from benchmarks.campaign.good import Count
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "benchmarks.campaign", *arguments],
+        cwd=ROOT,
+        env={**os.environ, "ALTD_CAMPAIGN_CACHE": str(cache)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.skipif(not RECORDINGS.exists(), reason="../shared/data/unit-a is not here")
+def test_a_run_on_the_recorded_unit_is_the_same_twice_and_writes_its_page(tmp_path: Path) -> None:
+    """A calibration of unit-a and forty of its measurements: some ten seconds."""
+    arguments = [
+        "--units",
+        "unit-a",
+        "--ways",
+        "clean,deflected_laser",
+        "--measurements",
+        "8",
+        "--processes",
+        "1",
+    ]
+    first = run(tmp_path, *arguments, "--page", str(tmp_path / "page.md"))
+    again = run(tmp_path, *arguments)
+    assert first.returncode == 0, first.stderr
+    assert first.stdout.splitlines()[:-1] == again.stdout.splitlines()[:-1]
+    clean = next(line.split() for line in first.stdout.splitlines() if line.startswith("clean "))
+    assert clean[1] == "good"
+    assert clean[3] == clean[5]
+    assert int(clean[3]) > 0
+    page = (tmp_path / "page.md").read_text()
+    assert "0 wrong ones were called valid" in page
+    assert "- deflected_laser: the laser itself is turned away" in page
+
+
+def test_what_is_not_known_ends_it_with_one_line(tmp_path: Path) -> None:
+    for arguments in (("--ways", "gremlins"), ("--units", "unit-z")):
+        done = run(tmp_path, *arguments)
+        assert done.returncode == 2
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_hours_of_good_measuring_add_up_and_survive_their_file() -> None:
+    hour = Count(
+        10, 8, 1, 400, Counter(unsteady=2), Counter(), Counter(front_distorted=3), [8.0, 2.0, 0.0, 32.0], 4.0
+    )
+    day = Count()
+    for _ in range(24):
+        day.merge(Count.of_json(hour.as_json()))
+    assert (day.measurements, day.valid, day.wrong, day.frames) == (240, 192, 24, 9600)
+    assert day.invalid == {"unsteady": 48}
+    assert day.frames_refused == {"front_distorted": 72}
+    assert day.rms == pytest.approx([1.0, 0.5, 0.0, 2.0])
+    assert day.largest_sigmas == 4.0
+    assert all(math.isnan(value) for value in Count().rms)

@@ -1,0 +1,143 @@
+"""Accepting where descriptors have run out, and where many come at once."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import logging
+import os
+import resource
+import socket
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+from support.clock import FakeClock
+
+from altd.service.health import Component
+from altd.tcp_port import accepting
+from altd.tcp_port.accepting import accept, is_among_last, listen
+
+
+@pytest.fixture
+def component() -> Component:
+    return Component("http", FakeClock())
+
+
+@pytest.fixture
+def admitted() -> Iterator[list[socket.socket]]:
+    connections: list[socket.socket] = []
+    yield connections
+    for connection in connections:
+        connection.close()
+
+
+@contextlib.asynccontextmanager
+async def accepting_into(
+    admitted: list[socket.socket], component: Component
+) -> AsyncIterator[tuple[str, int]]:
+    async def admit(connection: socket.socket) -> None:
+        admitted.append(connection)
+
+    with listen("127.0.0.1", 0) as listener:
+        task = asyncio.create_task(accept(listener, component, admit))
+        try:
+            yield listener.getsockname()
+        finally:
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+
+@contextlib.contextmanager
+def no_descriptor_left() -> Iterator[None]:
+    """As if the process had used up what it may have."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest_free = os.dup(0)
+    os.close(lowest_free)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+async def until(admitted: list[socket.socket], count: int) -> None:
+    async with asyncio.timeout(5):
+        while len(admitted) < count:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+
+
+async def test_without_descriptors_it_waits_says_so_and_goes_on(
+    admitted: list[socket.socket],
+    component: Component,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(accepting, "RETRY_INTERVAL_S", 0.05)
+    async with accepting_into(admitted, component) as address:
+        clients = [socket.socket() for _ in range(20)]
+        await asyncio.sleep(0.01)
+        with no_descriptor_left():
+            for client in clients:
+                client.connect(address)
+            await asyncio.sleep(0.12)
+            assert admitted == []
+        await until(admitted, 20)
+        for client in clients:
+            client.close()
+    assert 1 <= component.counters["accepts_failed"] <= 4
+    assert {(record.levelno, record.getMessage()) for record in caplog.records} == {
+        (logging.WARNING, "http: cannot accept connections: Too many open files")
+    }
+
+
+async def test_the_loop_has_a_turn_between_two_connections(
+    admitted: list[socket.socket], component: Component
+) -> None:
+    async with accepting_into(admitted, component) as address:
+        clients = [socket.create_connection(address) for _ in range(50)]
+        counts = [0]
+        async with asyncio.timeout(5):
+            while counts[-1] < 50:
+                await asyncio.sleep(0)
+                counts.append(len(admitted))
+        for client in clients:
+            client.close()
+    assert max(after - before for before, after in itertools.pairwise(counts)) == 1
+
+
+async def test_a_connection_that_is_refused_by_an_error_ends_nothing(component: Component) -> None:
+    seen = []
+
+    async def admit(connection: socket.socket) -> None:
+        seen.append(connection)
+        raise ConnectionResetError
+
+    with listen("127.0.0.1", 0) as listener:
+        task = asyncio.create_task(accept(listener, component, admit))
+        for _ in range(3):
+            with socket.create_connection(listener.getsockname()):
+                await asyncio.sleep(0.02)
+        assert not task.done()
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+    assert len(seen) == 3
+    assert all(connection.fileno() == -1 for connection in seen)
+
+
+def test_the_last_descriptors_are_told_by_their_number() -> None:
+    with socket.socket() as connection:
+        limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        assert not is_among_last(connection, 1)
+        assert is_among_last(connection, limit - connection.fileno())
+        assert not is_among_last(connection, limit - connection.fileno() - 1)
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "127.0.0.1"])
+def test_an_address_that_cannot_be_had_is_named(host: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=f"{host}:{port}: (cannot assign|address already in use)"):
+            listen(host, port)
