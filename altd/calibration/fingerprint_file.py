@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from altd.files.picture import decode_png
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.hot_pixels import MAX_PIXELS, HotPixels, places_of
@@ -80,9 +81,7 @@ def from_table(
 def _texture(place: str, text: str, width: int, height: int) -> Texture:
     try:
         png = base64.b64decode(text, validate=True)
-        levels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_UNCHANGED)
-    except (ValueError, cv2.error) as error:
-        raise ValueError(f"{place}: is no picture") from error
-    if levels is None or levels.dtype != np.uint8 or levels.shape != (height, width):
-        raise ValueError(f"{place}: is no grey picture of {width} × {height}")
+        levels = decode_png(png, width, height, bits=8)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from error
     return Texture((levels.astype(np.float32) - _ZERO_LEVEL) / np.float32(_LEVELS_PER_UNIT))

@@ -116,6 +116,12 @@ def _huge_flat(document: Document) -> None:
     document["targets"][0]["flat"] = {"source": "recording", "png": base64.b64encode(HUGE).decode()}
 
 
+def _huge_texture(document: Document) -> None:
+    png_of_huge = base64.b64encode(HUGE).decode()
+    table = {"hot_px": [[1, 2]], "sometimes_hot_px": [], "texture": "scan", "png": png_of_huge}
+    document["targets"][0]["fingerprint"] = table
+
+
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
@@ -137,6 +143,7 @@ def _huge_flat(document: Document) -> None:
         (_folded, "targets.front.map: puts two places of its hull on one pixel"),
         (_spot_of_no_order, "targets.0.spot.shape.mean.3: Input should be greater than 0"),
         (_nested, "recording.note: Input should be a valid string"),
+        (_huge_texture, "targets.front.fingerprint.png: is 40000 × 40000, expected 752 × 480"),
         (_huge_flat, "targets.front.flat.png: is 40000 × 40000, expected 752 × 480"),
     ],
 )

@@ -15,8 +15,11 @@ from support import evidence
 
 from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
+from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
+from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.reference import ShapeReference, SpotReference
+from altd.vision.texture import Texture
 
 NAME = "calibration"
 
@@ -29,6 +32,12 @@ def _valid() -> dict[str, Any]:
         flat=Flat(np.full((480, 752), 200, np.uint8), "recording"),
         spot=SpotReference(0.02, 1.5, 0.03, 0.02, ShapeReference((1.8, 0.0, 0.1, 2.0), (0.1,) * 4)),
     )
+    fingerprint = Fingerprint(
+        HotPixels(places_of([(3, 4), (700, 400)]), places_of([(20, 30)])),
+        Texture(np.zeros((480, 752), np.float32)),
+        "scan",
+    )
+    rear = evidence.replace(rear, fingerprint=fingerprint)
     save_calibration(evidence.calibration(evidence.target("front"), rear), path)
     document: dict[str, Any] = json.loads(path.read_bytes())
     del document["checksum"]

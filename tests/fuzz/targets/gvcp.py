@@ -11,9 +11,11 @@ from altd.devices.aravis import gvcp
 
 NAME = "gvcp"
 
+REQUEST_ID = 7
+
 
 def _acknowledge(payload: bytes, acknowledged: int) -> bytes:
-    return struct.pack(">HHHH", 0, acknowledged, len(payload), 1) + payload
+    return struct.pack(">HHHH", 0, acknowledged, len(payload), REQUEST_ID) + payload
 
 
 def _introduction() -> bytes:
@@ -29,10 +31,10 @@ EXAMPLES = spoilt_bytes(st.sampled_from((_introduction(), _acknowledge(b"\0\0\0\
 
 def check(example: bytes) -> None:
     """An answer is used as a whole or not at all, and what is shown of it can be printed on one line."""
-    ack = gvcp._answer(example, gvcp._DISCOVERY)
+    ack = gvcp._answer(example, gvcp._DISCOVERY, REQUEST_ID)
     greeting = None if ack is None else gvcp._greeting(ack)
     if greeting is not None:
         assert greeting.id.isprintable()
         assert gvcp.is_address(greeting.address)
-    register = gvcp._answer(example, gvcp._READ_REGISTER)
+    register = gvcp._answer(example, gvcp._READ_REGISTER, REQUEST_ID)
     assert register is None or len(register) <= len(example)
