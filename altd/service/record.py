@@ -88,6 +88,8 @@ class _Sink:
         self._writer: RecordingWriter | None = None
         self._first_ns = 0
         self._first_sequence = 0
+        self._last: tuple[int, float] = (-1, -1.0)
+        """Number and time of the last exposure that was kept."""
         self.exposures = 0
         self.length_s = 0.0
 
@@ -98,8 +100,15 @@ class _Sink:
             self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
             self._writer = RecordingWriter(self._path, self._header(pair))
         t_s = (pair.t_ns - self._first_ns) * 1e-9
+        last_sequence, last_s = self._last
+        if t_s <= last_s:
+            return  # a recording stands in the order of time
+        if pair.sequence - self._first_sequence <= last_sequence:  # counted anew
+            self._first_sequence = pair.sequence - last_sequence - 1
+        sequence = pair.sequence - self._first_sequence
+        self._last = sequence, t_s
         for frame in pair.items.values():
-            self._writer.write(frame, pair.sequence - self._first_sequence, t_s)
+            self._writer.write(frame, sequence, t_s)
         self.exposures += 1
         self.length_s = t_s + 1 / self._fps
 
