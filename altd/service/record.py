@@ -90,6 +90,8 @@ class _Sink:
         self._writer: RecordingWriter | None = None
         self._first_ns = 0
         self._first_sequence = 0
+        self._last: tuple[int, float] = (-1, -1.0)
+        """Number and time of the last exposure that was kept."""
         self.exposures = 0
         self.length_s = 0.0
 
@@ -100,9 +102,16 @@ class _Sink:
             self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
             self._writer = RecordingWriter(self._path, self._header(pair))
         t_s = (pair.t_ns - self._first_ns) * 1e-9
+        last_sequence, last_s = self._last
+        if t_s <= last_s:
+            return  # a recording stands in the order of time
+        if pair.sequence - self._first_sequence <= last_sequence:  # counted anew
+            self._first_sequence = pair.sequence - last_sequence - 1
+        sequence = pair.sequence - self._first_sequence
+        self._last = sequence, t_s
         try:
             for frame in pair.items.values():
-                self._writer.write(frame, pair.sequence - self._first_sequence, t_s)
+                self._writer.write(frame, sequence, t_s)
         except OSError as error:
             raise BadInputError(self._path, error.strerror or str(error)) from error
         self.exposures += 1

@@ -89,7 +89,7 @@ def _buffer(index: int) -> v4l2_buffer:
 
 
 def main(frames: Path, fps: float, devices: list[Path]) -> None:
-    exposures = np.load(frames, mmap_mode="r")
+    exposures = np.load(frames)
     outputs = [Output(device, *exposures.shape[2:]) for device in devices]
     number, began_s = 0, time.monotonic()
     while True:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -98,3 +99,22 @@ async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> 
     with pytest.raises(ZeroDivisionError):
         await kept(tmp_path / "rec", ZeroDivisionError())
     assert len(open_recording(tmp_path / "rec").rows) > 0  # what was written until then is whole
+
+
+class LyingSource(Source):
+    """One frame's number is 900 ahead, and one comes with the time of long ago."""
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        frame = super().next_frame(timeout_s)
+        if self.left == 12:
+            return replace(frame, sequence=frame.sequence + 900)
+        return replace(frame, t_ns=0) if self.left == 6 else frame
+
+
+async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Path) -> None:
+    sources = [LyingSource(name, 20, CameraEndedError("the end")) for name in ("front", "rear")]
+    clock = SystemClock()
+    unit = UnitHeader(serial="A", target_distance_mm=280.0)
+    exposures = await record(sources, tmp_path / "rec", unit, Measuring(), Health(clock), clock.utc, 60.0)
+    recording = open_recording(tmp_path / "rec")
+    assert len({row.sequence for row in recording.rows}) == exposures > 10
