@@ -23,8 +23,8 @@ _PATTERNED_FROM = 0.2
 """Contrast from which a target is printed: grain of a plate stays below 0.1, dots of any size are above."""
 _PRINT_SEEN_FROM = 0.35
 _MIN_EXPLAINED = 0.7
-"""Of the contrast under a spot on print: 0.85 to 1 of it is explained in the calibrated view, less than 0.6 in
-19 of 20 others."""
+"""Of the contrast under a spot on print: 0.85 to 1 of it is explained in the calibrated view, less than
+0.6 in 19 of 20 others."""
 _MIN_PRINT_GAIN = 0.8
 """Dust on the window adds contrast of its own, but leaves the print its gain: with 3 to 10 % of the window
 covered 0.5 to 0.8 is explained at a gain of 0.92 to 0.97. Another print in about the same place has both
