@@ -41,7 +41,10 @@ _MIN_OVERLAP = 0.25
 not count."""
 _MIN_ENERGY = 1e-3
 _RIVAL_SIGMAS = 7.0
+_INTERPOLATION_LOSS = 0.02
 """Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
+_RIVAL_SHARE = 0.7
+"""What a peak between two lags may lose at the better one, for dots four pixels apart."""
 _CORRELATED_PIXELS = 4.0
 """Of neighbours whose noise the smoothing and clipping tie together, at most."""
 
@@ -197,9 +200,12 @@ def match(sample: Sample, texture: Texture) -> Match | None:
     height, amplitude, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
     noise = float(np.sqrt(np.mean(np.square(_correlated(expected, weight * rest)[usable] / root[usable]))))
     noise = max(noise, 1e-9)
-    nearest = _Peak.at(score, _nearest_peak(score, float(score[best.lag]) - _RIVAL_SIGMAS * noise))
-    if nearest.lag != best.lag:
-        height, amplitude, _ = _projected(sample, nearest.displaced(expected, sample.relative.shape))
+    nearest = _Peak.at(score, _nearest_peak(score, _RIVAL_SHARE * float(score[best.lag])))
+    rival = _projected(sample, nearest.displaced(expected, sample.relative.shape))
+    if rival[0] >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
+        height, amplitude, _ = rival
+    else:
+        nearest = best
     seen, uncertain = sample.energy
     return Match(
         u_px=MAX_SHIFT_PX - nearest.lag[1] - nearest.off_u,
