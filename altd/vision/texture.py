@@ -15,8 +15,9 @@ from typing import Self
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
-from altd.records import Frame, NoSpot
+from altd.records import Frame, NoSpot, PixelArray
 from altd.vision.background import Image
 from altd.vision.flat import Flat
 from altd.vision.localise import SATURATED_FROM, noise_of
@@ -33,13 +34,17 @@ _MIN_SHARE_OF_PEAK = 0.05
 _MODEL_SIGMA = 0.1
 """Relative error that even a bright pixel keeps: speckle that moved, dust, the model of a print."""
 _MAX_RELATIVE = 1.5
+_MAX_CLIPPED_SHARE = 0.1
 _MIN_RESPONSE = 1e-3
 _MIN_OVERLAP = 0.25
 """Lags at which less of the texture's energy than this share of the best covered one lies under the spot do
 not count."""
 _MIN_ENERGY = 1e-3
 _RIVAL_SIGMAS = 7.0
+_INTERPOLATION_LOSS = 0.02
 """Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
+_RIVAL_SHARE = 0.7
+"""What a peak between two lags may lose at the better one, for dots four pixels apart."""
 _CORRELATED_PIXELS = 4.0
 """Of neighbours whose noise the smoothing and clipping tie together, at most."""
 
@@ -49,13 +54,15 @@ class Sample:
     """The relative brightness of the pixels under one spot.
 
     ``relative`` (h, w) is light over smoothed light − 1, ``variance`` (h, w) what photons and read-out
-    make of it, infinite where a pixel does not count; ``left`` and ``top`` place it in the frame.
+    and the smoothing make of it, infinite where a pixel does not count; ``left`` and ``top`` place it in the
+    frame. ``is_clipped``: more than a tenth of the spot's core lies at or near clipped pixels.
     """
 
     left: int
     top: int
     relative: Image
     variance: Image
+    is_clipped: bool = False
 
     @cached_property
     def weight(self) -> Image:
@@ -83,19 +90,40 @@ def sample_of(frame: Frame, settings: SpotSettings) -> Sample | None:
     if patch is None or isinstance(patch, NoSpot):
         return None
     noise = noise_of(frame, found, settings)
-    smooth = _smoothed(patch.excess)
-    counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & (patch.pixels < SATURATED_FROM * frame.full_scale)
+    smooth, correction = _smoothed(patch.excess)
+    clipped = _near_clipped(patch.pixels, frame.full_scale)
+    counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
     light = np.where(counts, smooth, np.float32(1))
     relative = np.where(counts, np.clip(patch.excess / light - 1, -1, _MAX_RELATIVE), 0)
     variance = (noise.read_counts**2 + light / noise.electrons_per_count) / np.square(light)
+    variance += np.square(np.square(correction / light))
     variance = np.where(counts, variance, np.inf)
-    return Sample(patch.left, patch.top, relative.astype(np.float32), variance.astype(np.float32))
+    return Sample(
+        patch.left,
+        patch.top,
+        relative.astype(np.float32),
+        variance.astype(np.float32),
+        bool(np.mean(clipped[smooth > 0.5 * patch.peak]) > _MAX_CLIPPED_SHARE),
+    )
 
 
-def _smoothed(image: Image) -> Image:
-    """Low-passed with curvature kept: 2G − G², whose second moment is zero."""
+def _smoothed(image: Image) -> tuple[Image, Image]:
+    """Low-passed with curvature kept, 2G − G², whose second moment is zero; and the correction to G.
+
+    Where a correction of relative size b was needed, on a steep flank, an error of about b² is left.
+    """
     once = cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX)
-    return np.asarray(2 * once - cv2.GaussianBlur(once, (0, 0), _SMOOTHING_PX), dtype=np.float32)
+    correction = once - cv2.GaussianBlur(once, (0, 0), _SMOOTHING_PX)
+    return np.asarray(once + correction, dtype=np.float32), np.asarray(correction, dtype=np.float32)
+
+
+def _near_clipped(pixels: PixelArray, full_scale: int) -> npt.NDArray[np.bool_]:
+    """The pixels whose smoothed surroundings lack what was clipped; a single one is a hot pixel."""
+    clipped = (pixels >= SATURATED_FROM * full_scale).astype(np.uint8)
+    several = cv2.boxFilter(clipped, cv2.CV_32F, (3, 3), normalize=False) > 1
+    reach = 2 * round(2 * _SMOOTHING_PX) + 1
+    near = cv2.dilate((several & (clipped > 0)).astype(np.uint8), np.ones((reach, reach), np.uint8))
+    return np.asarray((near > 0) | (clipped > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +135,7 @@ class Texture:
     @classmethod
     def of_flat(cls, flat: Flat) -> Self:
         """What spots show of a target whose response is known."""
-        smooth = np.maximum(_smoothed(flat.response), np.float32(_MIN_RESPONSE))
+        smooth = np.maximum(_smoothed(flat.response)[0], np.float32(_MIN_RESPONSE))
         relative = np.where(flat.levels > 0, np.clip(flat.response / smooth - 1, -1, _MAX_RELATIVE), 0)
         return cls(relative.astype(np.float32))
 
@@ -135,15 +163,17 @@ class Match:
     """How a sample fits a texture.
 
     ``u_px``, ``v_px`` is by how much the picture moved, ``sigma_px`` the noise of either; ``significance``
-    the peak over its noise, ``expected`` what that would be if the sample were the texture; ``gain`` how
-    much of the texture's amplitude the sample shows; ``explained`` the share of the sample's contrast, noise
-    taken off, that the texture explains, 1 where noise hides the contrast.
+    the peak over its noise, ``expected`` what that would be if the sample were the texture, and ``strength``
+    if beside that nothing but known noise disturbed it. ``gain`` is how much of the texture's amplitude the
+    sample shows, ``explained`` the share of the sample's contrast, noise taken off, that the texture
+    explains; 1 where noise or clipping hides the contrast.
     """
 
     u_px: float
     v_px: float
     sigma_px: float
     significance: float
+    strength: float
     expected: float
     gain: float
     explained: float
@@ -166,36 +196,62 @@ def match(sample: Sample, texture: Texture) -> Match | None:
         return None
     root = np.sqrt(np.where(usable, energy, 1))
     score = np.where(usable, _correlated(expected, weight * sample.relative) / root, 0)
-    best = _at(score.argmax(), score)
-    rows, columns = sample.relative.shape
-    there = expected[best[0] : best[0] + rows, best[1] : best[1] + columns]
-    rest = sample.relative - score[best] / root[best] * there
+    best = _Peak.at(score, (int(score.argmax()) // score.shape[1], int(score.argmax()) % score.shape[1]))
+    height, amplitude, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
     noise = float(np.sqrt(np.mean(np.square(_correlated(expected, weight * rest)[usable] / root[usable]))))
     noise = max(noise, 1e-9)
-    peak_at = _nearest_peak(score, float(score[best]) - _RIVAL_SIGMAS * noise)
-    peak = float(score[peak_at])
-    off_u, bend_u = _vertex(score[peak_at[0]], peak_at[1])
-    off_v, bend_v = _vertex(score[:, peak_at[1]], peak_at[0])
+    nearest = _Peak.at(score, _nearest_peak(score, _RIVAL_SHARE * float(score[best.lag])))
+    rival = _projected(sample, nearest.displaced(expected, sample.relative.shape))
+    if rival[0] >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
+        height, amplitude, _ = rival
+    else:
+        nearest = best
     seen, uncertain = sample.energy
     return Match(
-        u_px=MAX_SHIFT_PX - peak_at[1] - off_u,
-        v_px=MAX_SHIFT_PX - peak_at[0] - off_v,
-        sigma_px=noise / math.sqrt(max(peak * min(bend_u, bend_v), 1e-12)),
-        significance=peak / noise,
+        u_px=MAX_SHIFT_PX - nearest.lag[1] - nearest.off_u,
+        v_px=MAX_SHIFT_PX - nearest.lag[0] - nearest.off_v,
+        sigma_px=noise / math.sqrt(max(height * nearest.bend, 1e-12)),
+        significance=height / noise,
+        strength=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]),
         expected=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]) / noise,
-        gain=peak / float(root[peak_at]),
-        explained=min(peak**2 / seen, 1.0) if seen > 10 * uncertain else 1.0,
+        gain=amplitude,
+        explained=min(height**2 / seen, 1.0) if seen > 10 * uncertain and not sample.is_clipped else 1.0,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Peak:
+    """A peak of the score: its lag (row, column), how far beside it the vertex lies, how bent it is."""
+
+    lag: tuple[int, int]
+    off_u: float
+    off_v: float
+    bend: float
+
+    @classmethod
+    def at(cls, score: Image, lag: tuple[int, int]) -> Self:
+        """The peak at a lag, with the parabola's vertex along either axis."""
+        off_u, bend_u = _vertex(score[lag[0]], lag[1])
+        off_v, bend_v = _vertex(score[:, lag[1]], lag[0])
+        return cls(lag, off_u, off_v, min(bend_u, bend_v))
+
+    def displaced(self, expected: Image, shape: tuple[int, ...]) -> Image:
+        """What is expected under the sample at this peak, (h, w)."""
+        to_there = np.array([[1.0, 0.0, self.lag[1] + self.off_u], [0.0, 1.0, self.lag[0] + self.off_v]])
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        return np.asarray(cv2.warpAffine(expected, to_there, (shape[1], shape[0]), flags=flags), np.float32)
+
+
+def _projected(sample: Sample, there: Image) -> tuple[float, float, Image]:
+    """Score and gain of what is expected at a peak, and what it leaves of the sample."""
+    energy = max(float(np.sum(sample.weight * np.square(there))), _MIN_ENERGY)
+    gain = float(np.sum(sample.weight * sample.relative * there)) / energy
+    return gain * math.sqrt(energy), gain, sample.relative - np.float32(gain) * there
 
 
 def _correlated(expected: Image, with_this: Image) -> Image:
     """Σ over the pixels of a sample at each lag, (2 MAX_SHIFT_PX + 1,) squared."""
     return np.asarray(cv2.matchTemplate(expected, with_this, cv2.TM_CCORR), dtype=np.float32)
-
-
-def _at(index: np.intp, image: Image) -> tuple[int, int]:
-    row, column = divmod(int(index), image.shape[1])
-    return row, column
 
 
 def _nearest_peak(score: Image, at_least: float) -> tuple[int, int]:

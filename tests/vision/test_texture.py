@@ -19,12 +19,14 @@ def grain(seed: int, contrast: float = 0.08) -> np.ndarray:
     return contrast * blurred / blurred.std()
 
 
-def shown(surface: np.ndarray, by_px: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> Frame:
+def shown(
+    surface: np.ndarray, by_px: tuple[float, float] = (0.0, 0.0), seed: int = 0, spot: Blob = SPOT
+) -> Frame:
     """A spot that stands still on a surface whose picture moved."""
     moved = cv2.warpAffine(
         surface, np.array([[1, 0, by_px[0]], [0, 1, by_px[1]]]), (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC
     )
-    return frame(light(SPOT) * (1 + moved), np.random.default_rng([1, seed]), noise=1.0)
+    return frame(light(spot) * (1 + moved), np.random.default_rng([1, seed]), noise=1.0)
 
 
 def sampled(seen: Frame) -> Sample:
@@ -72,9 +74,17 @@ def test_another_surface_is_never_taken_for_the_known_one() -> None:
 
 
 def test_the_share_of_the_contrast_that_is_explained_is_one_or_none() -> None:
+    surface, spot = grain(4, contrast=0.3), Blob(360.0, 250.0, 60.0, peak=90.0)
+    assert matched(shown(surface, spot=spot), surface).explained > 0.9
+    assert matched(shown(grain(5, contrast=0.3), spot=spot), surface).explained < 0.1
+
+
+def test_a_clipped_spot_tells_nothing_of_what_is_explained() -> None:
+    """Where the bright grains are cut off the rest looks like another surface."""
     surface = grain(4, contrast=0.3)
-    assert matched(shown(surface), surface).explained > 0.9
-    assert matched(shown(grain(5, contrast=0.3)), surface).explained < 0.1
+    seen = shown(surface, spot=Blob(360.0, 250.0, 60.0, peak=240.0))
+    assert sampled(seen).is_clipped
+    assert matched(seen, surface).explained == 1.0
 
 
 def test_where_nothing_is_known_there_is_no_answer() -> None:
