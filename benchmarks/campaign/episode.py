@@ -11,7 +11,7 @@ from altd.config import Installation, Measuring
 from altd.records import FloatArray, Frame, Measurement, Reason
 from altd.service.chain import MeasuringChain, View
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
-from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge
+from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge, truth_of
 from benchmarks.campaign.numbers import Misnumbered, accepted
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
@@ -105,16 +105,7 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
 
 
 def _truth_of(measurement: Measurement, truth: Sequence[FloatArray], k: int) -> FloatArray:
-    """The mean of where the beam was in the window's exposures, those lost aside.
-
-    Steady motion over the window is known for the very time that the measurement gives.
-    """
+    """Where the beam was in the window that ends with exposure ``k``."""
     window = range(max(k - WINDOW + 1, 0), k + 1)
-    places = np.array([truth[n] for n in window])
     times_ns = np.array([t_ns_of(n) for n in window], dtype=np.float64)
-    mean: FloatArray = places.mean(axis=0)
-    since = times_ns - times_ns.mean()
-    if len(window) > 1 and measurement.frames < len(window):
-        speed = since @ places / (since @ since)
-        mean = mean + speed * (measurement.t_ns - times_ns.mean())
-    return mean
+    return truth_of(measurement, np.array([truth[n] for n in window]), times_ns)

@@ -19,7 +19,7 @@ from altd.config import Installation, Measuring
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.service.chain import MeasuringChain, View
 from benchmarks.campaign.cache import calibrated
-from benchmarks.campaign.judge import Verdict, arrays, judge
+from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
 from benchmarks.campaign.scene import Noise, exposing, snapshot
 from benchmarks.campaign.units import SIMULATED
 from benchmarks.campaign.way import CAMERAS
@@ -214,14 +214,16 @@ def _measure_burst(
             for measurement in chain.push(good.frame(camera, t_ns // PERIOD_NS, t_ns, rng)):
                 if k < WINDOW - 1:  # a window that is still filling is no measurement of the unit's life
                     continue
-                judged = judge(measurement, np.mean(truth[-WINDOW:], axis=0))
+                times_ns = t_ns + PERIOD_NS * np.arange(1.0 - WINDOW, 1.0)
+                true = truth_of(measurement, np.array(truth[-WINDOW:]), times_ns)
+                judged = judge(measurement, true)
                 count.measurements += 1
                 count.warned.update(judged.warnings)
                 count.invalid.update([", ".join(judged.reasons)] if judged.reasons else [])
                 count.wrong += judged.verdict is Verdict.WRONG
                 if measurement.beam is not None:
                     values, sigma = arrays(measurement.beam)
-                    ratio = (values - np.mean(truth[-WINDOW:], axis=0)) / sigma
+                    ratio = (values - true) / sigma
                     count.valid += 1
                     count.squares = [a + float(b) ** 2 for a, b in zip(count.squares, ratio, strict=True)]
                     count.largest_sigmas = max(count.largest_sigmas, float(np.abs(ratio).max()))

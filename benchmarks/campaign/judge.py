@@ -58,6 +58,18 @@ def judge(measurement: Measurement, truth: FloatArray | None) -> Judged:
     )
 
 
+def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray) -> FloatArray:
+    """Where the beam was on the mean of a window's exposures, (exposures, 4) at ``times_ns``.
+
+    Where exposures were lost it is carried along the steady way to the time that the measurement gives.
+    """
+    mean: FloatArray = places.mean(axis=0)
+    if len(places) < 2 or measurement.frames >= len(places):
+        return mean
+    since = times_ns - times_ns.mean()
+    return np.asarray(mean + since @ places / (since @ since) * (measurement.t_ns - times_ns.mean()))
+
+
 def arrays(beam: Beam) -> tuple[FloatArray, FloatArray]:
     """The values x mm, y mm, yaw °, pitch ° and their sigmas."""
     values = np.array([beam.x_mm, beam.y_mm, beam.yaw_deg, beam.pitch_deg])

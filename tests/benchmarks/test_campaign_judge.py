@@ -9,7 +9,7 @@ import pytest
 
 from altd.records import Beam, Fault, Measurement, Reason
 from benchmarks.campaign import table
-from benchmarks.campaign.judge import Judged, Outcome, Tally, Verdict, judge
+from benchmarks.campaign.judge import Judged, Outcome, Tally, Verdict, judge, truth_of
 
 TRUTH = np.array([10.0, -5.0, 1.0, -2.0])
 SIGMA = (0.004, 0.004, 0.001, 0.001)
@@ -126,3 +126,12 @@ def test_the_table_says_what_was_counted() -> None:
     ]
     assert "good ones refused: distorted 1" in lines
     assert "wrong ones called valid: 1" in lines
+
+
+def test_truth_follows_the_time_of_a_measurement_whose_window_lost_exposures() -> None:
+    times_ns = np.arange(4) * 50e6
+    places = np.outer(np.arange(4), [1.0, 2.0, 0.0, -1.0])
+    whole = Measurement(7, 75_000_000, None, 4, None, {})
+    late = Measurement(7, 125_000_000, None, 2, None, {})
+    assert truth_of(whole, places, times_ns) == pytest.approx([1.5, 3.0, 0.0, -1.5])
+    assert truth_of(late, places, times_ns) == pytest.approx([2.5, 5.0, 0.0, -2.5])
