@@ -53,8 +53,12 @@ def prepare_streams() -> None:
 
 def complain(line: str) -> None:
     """A line on standard error, unless it takes none for a second."""
+    try:
+        descriptor = sys.stderr.fileno()
+    except (OSError, ValueError):  # what stands for it has none, or it is closed
+        descriptor = None
     with contextlib.suppress(OSError, ValueError):
-        if _takes_output(sys.stderr.fileno()):
+        if descriptor is None or _takes_output(descriptor):
             print(line, file=sys.stderr, flush=True)  # noqa: T201
 
 

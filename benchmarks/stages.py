@@ -34,7 +34,8 @@ _SPOT_PARTS = {
     "_judge": "judging",
     "noise_of": "noise",
     "is_printed": "print or not",
-    "_profile_centre": "profile",
+    "_profile": "profile",
+    "misfit_of": "misfit",
     "moment": "moment",
 }
 """Functions as the modules that call them know them, and what the table calls them."""
@@ -167,7 +168,15 @@ def _vision_stages(material: Material) -> list[_Stage]:
             for pair in material.pairs:
                 found = search_room.search(pair[index].pixels)
                 works.append(
-                    _call(spot_in, pair[index], found.regions[0], found, target.localiser, target.flat)
+                    _call(
+                        spot_in,
+                        pair[index],
+                        found.regions[0],
+                        found,
+                        target.localiser,
+                        target.flat,
+                        target.spot,
+                    )
                 )
             stages.append(_Stage(f"fine {name}{what}", 1, works, localise_room, _SPOT_PARTS))
     return stages
@@ -237,7 +246,7 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
 
 def _spot(material: Material, frame: Frame) -> Spot:
     target = material.calibration.target(frame.camera)
-    spot = locate(frame, target.localiser, target.flat) if target else locate(frame)
+    spot = locate(frame, target.localiser, target.flat, target.spot) if target else locate(frame)
     if not isinstance(spot, Spot):
         raise TypeError(f"the material has a frame without a spot: {spot}")
     return spot

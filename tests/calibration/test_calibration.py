@@ -180,8 +180,9 @@ def test_a_flat_of_another_target_is_doubted(scan: Path) -> None:
     strange = Flat.of(np.random.default_rng(1).uniform(0.7, 1, (480, 752)), "recording")
     result = calibrate_scan(open_recording(scan), {"front": strange})
     assert result.remarks[:2] == ("front: localised through its recorded flat", "rear: plain, no print")
-    (doubt,) = result.doubts
-    assert re.match(r"front: the flat is not what the spots show \(likeness -?0\.0\d of 1\): ", doubt)
+    of_flat, of_view = result.doubts
+    assert re.match(r"front: the flat is not what the spots show \(likeness -?0\.0\d of 1\): ", of_flat)
+    assert of_view.startswith("front: the flat does not show the spots' ground")
 
 
 @pytest.fixture
