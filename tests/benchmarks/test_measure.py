@@ -57,8 +57,9 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     ]
     parts = [(stage["part_of"], stage["name"]) for stage in figures["stages"] if stage["part_of"]]
     assert parts[:3] == [("coarse search", part) for part in ("coarse picture", "background", "regions")]
+    of_a_spot = ["patch", "judging", "noise", "profile", "misfit"]
     for fine in ("fine front", "fine rear"):
-        assert [part for of, part in parts if of == fine] == ["patch", "judging", "noise", "profile"]
+        assert [part for of, part in parts if of == fine] == of_a_spot
     assert all(0 < stage["median_us"] <= stage["p99_us"] for stage in stages.values())
     assert stages["memory pass: copy"]["passes"] == 1
     assert stages["coarse search"]["median_us"] > stages["background"]["median_us"]
