@@ -27,12 +27,13 @@ SATURATED_FROM = 0.995
 
 _EXPLAINED_SIGMAS = 1.5
 """A chi-square that lies no higher above its mean adds nothing to a spot's sigma."""
-_BIAS_PER_EXCESS = 2.0
-"""What unexplained light may do to a centre, in sigmas of the fit per root of the chi-square it makes. A
-reflection of 10 to 20 % one sigma of the spot aside displaces it five times as far as that."""
+_BIAS_PER_EXCESS = 1.2
+"""What unexplained light may do to a centre, one sigma, in sigmas of the fit per root of the chi-square it
+makes. Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those
+that come near to five stretch the spot too, which the comparison of the targets adds."""
 _DISTORTED_FROM_SIGMAS = 5.5
 """One good spot in fifty million lies farther out."""
-_DISTORTED_FROM_DIAMETERS = 0.025
+_DISTORTED_FROM_DIAMETERS = 0.015
 """What may displace a spot by less only adds to its sigma: dust on the window does."""
 
 _E2 = math.exp(-2.0)
