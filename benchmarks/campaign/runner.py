@@ -148,11 +148,18 @@ def _spoilt(
             spoil, name, moving = both(spoil, second), PAIRS, moving or other.moving
     foreign = None
     if way.name == ANOTHER_UNIT:
-        alike = [
-            spec.name for spec in SIMULATED.values() if spec.config.bits == rig.bits and spec.name != rig.name
-        ]
+        if not (alike := _units_alike(rig)):
+            rig = _rig("plain")
+            alike = _units_alike(rig)
         foreign = _rig(alike[int(rng.integers(len(alike)))])
     return name, note, run_episode(rig, spoil, rng, moving, foreign)
+
+
+def _units_alike(rig: Rig) -> list[str]:
+    """Other simulated units whose pictures have as many bits."""
+    return [
+        spec.name for spec in SIMULATED.values() if spec.config.bits == rig.bits and spec.name != rig.name
+    ]
 
 
 def _other(plan: Plan, way: Way, rng: np.random.Generator) -> Way:
