@@ -116,7 +116,7 @@ def test_a_stage_needs_no_more_than_its_port(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, GOOD + STAGE))
     assert config.stage is not None
     assert (config.stage.start, config.stage.baud) == ("home", 115200)
-    assert (config.scan.columns, config.scan.rows, config.scan.pitch_mm) == (6, 5, 25.0)
+    assert (config.scan.columns, config.scan.rows, config.scan.pitch_mm) == (6, 5, 28.0)
 
 
 @pytest.mark.parametrize(

@@ -111,9 +111,9 @@ def test_recording_needs_no_standard_stream(played_unit: PlayedUnit, tmp_path: P
     [
         ("replay {beams} --calibration {cal}", 0, ""),
         ("replay beams --calibration {cal}", 2, "altd replay: beams/recording.json: No such file"),
-        ("calibrate {scan} -o cal.json", 2, "altd calibrate: cal.json: the working directory does not exist"),
+        ("calibrate {scan} -o cal.json", 2, "altd calibrate: cal.json: No such file or directory"),
         ("check-config altd.toml", 2, "altd check-config: altd.toml: No such file"),
-        ("locate spot.png", 2, "altd locate: spot.png: no such file"),
+        ("locate spot.png", 2, "altd locate: spot.png: No such file or directory"),
         ("record --config {config} -o kept --seconds 0.2", 2, "altd record: kept: No such file"),
         ("devices", 0, ""),
         ("run --config altd.toml", 2, "altd run: altd.toml: No such file"),

@@ -66,6 +66,10 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
+REFUSED = {f"{target}_{reason}" for target in ("front", "rear") for reason in ("wrong_camera", "distorted")}
+"""Light on another print than the flat's is not that of one spot either."""
+
+
 @pytest.fixture(scope="module", params=[1, 2])
 def seed(request: pytest.FixtureRequest) -> int:
     return int(request.param)
@@ -94,6 +98,16 @@ def exposed(seed: int) -> list[Pictures]:
         front, rear = (unit.expose(camera, number, 0).pixels for camera in ("front", "rear"))
         both.append((front, rear))
     return both
+
+
+def again(seed: int, count: int, pose: int = 0) -> list[Pictures]:
+    """The right cameras' pictures of one beam, each with a noise of its own."""
+    unit = Unit(UnitConfig(seed=seed))
+    unit.place(POSES[pose])
+    return [
+        (unit.expose("front", number, 0).pixels, unit.expose("rear", number, 0).pixels)
+        for number in range(100, 100 + count)
+    ]
 
 
 def chain(calibration: Calibration, window: int = 1, **more: Any) -> MeasuringChain:
@@ -148,46 +162,49 @@ def test_the_print_tells_it_without_any_hot_pixel(
 ) -> None:
     for pair in pictures:
         (measurement,) = measured(chain(without_hot_pixels(calibration)), [SPOILT[name](*pair)])
-        assert status(measurement) & {"front_wrong_camera", "rear_wrong_camera"}
+        assert status(measurement) & REFUSED
 
 
-def test_the_grain_of_a_plain_plate_tells_a_shift_where_the_scan_saw_it(
+def test_the_grain_of_a_plain_plate_shows_a_shift_in_health_and_refuses_nothing(
     calibration: Calibration, seed: int
 ) -> None:
+    """The edge of another laser's spot, which moves with it, can look like a shifted grain."""
     unit = Unit(UnitConfig(seed=seed))
     unit.place(BeamPose(12.0, 3.0))
     front, rear = (unit.expose(camera, 0, 0).pixels for camera in ("front", "rear"))
-    (measurement,) = measured(chain(without_hot_pixels(calibration)), [(front, moved(rear, 1, 0))])
-    assert status(measurement) == {"rear_wrong_camera"}
-    assert "u +1.0" in measurement.status[0].detail or "u +0.9" in measurement.status[0].detail
+    measuring = chain(without_hot_pixels(calibration))
+    (measurement,) = measured(measuring, [(front, moved(rear, 1, 0))])
+    assert measurement.valid
+    assert "could not be verified: the picture lies u +" in str(measuring.views()["view_rear"])
 
 
 def test_another_unit_under_this_serial_is_not_measured(calibration: Calibration, seed: int) -> None:
     for pair in exposed(seed + 100):
         for known in (calibration, without_hot_pixels(calibration)):
             (measurement,) = measured(chain(known), [pair])
-            assert "front_wrong_camera" in status(measurement)
+            assert status(measurement) & REFUSED
 
 
 def test_cameras_that_are_exchanged_and_put_back_are_noticed_at_once(
-    calibration: Calibration, pictures: list[Pictures]
+    calibration: Calibration, seed: int
 ) -> None:
-    right, exchanged = [pictures[0]] * 8, [SPOILT["exchanged"](*pictures[0])] * 8
-    lines = measured(chain(calibration, window=4), [*right, *exchanged, *right])
+    pictures = again(seed, 24)
+    exchanged = [SPOILT["exchanged"](*pair) for pair in pictures[8:16]]
+    lines = measured(chain(calibration, window=4), [*pictures[:8], *exchanged, *pictures[16:]])
     valid = [line.valid for line in lines]
     assert valid[1:8] == [True] * 7
     assert not any(valid[8:16])
     assert valid[17:] == [True] * 7
 
 
-def test_a_spot_that_stays_where_it_was_is_examined_again_every_one_and_a_half_seconds(
-    calibration: Calibration, pictures: list[Pictures]
+def test_a_camera_that_is_knocked_while_it_measures_is_noticed_by_the_jump_of_its_spot(
+    calibration: Calibration, seed: int
 ) -> None:
-    """A picture that moved by so little that the spot hardly did."""
-    aside = [SPOILT["front 1 px aside"](*pictures[0])] * 40
-    lines = measured(chain(without_hot_pixels(calibration), window=4), [*[pictures[0]] * 8, *aside])
+    pictures = again(seed, 20)
+    aside = [SPOILT["front 1 px aside"](*pair) for pair in pictures[8:]]
+    lines = measured(chain(without_hot_pixels(calibration), window=4), [*pictures[:8], *aside])
     invalid = [number for number, line in enumerate(lines) if "front_wrong_camera" in status(line)]
-    assert invalid == list(range(30, 48))
+    assert invalid == list(range(8, 20))
 
 
 class TestIdentities:
@@ -204,18 +221,19 @@ class TestIdentities:
         ],
     )
     def test_another_camera_is_invalid_until_the_right_one_is_back(
-        self, calibration: Calibration, pictures: list[Pictures], plugged: CameraIdentity, word: str
+        self, calibration: Calibration, seed: int, plugged: CameraIdentity, word: str
     ) -> None:
+        pictures = again(seed, 6)
         right = CameraIdentity("F-1", "mini", "aravis")
         there = {"front": right, "rear": None}
         measuring = chain(self.calibrated(calibration), identity=there.__getitem__)
-        assert all(m.valid for m in measured(measuring, [pictures[0]] * 2))
+        assert all(m.valid for m in measured(measuring, pictures[:2]))
         there["front"] = plugged
-        lines = measured(measuring, [pictures[0]] * 2, first=2)
+        lines = measured(measuring, pictures[2:4], first=2)
         assert [status(line) for line in lines] == [{"front_wrong_camera"}] * 2
         assert word in lines[0].status[0].detail
         there["front"] = right
-        assert all(m.valid for m in measured(measuring, [pictures[0]] * 2, first=4))
+        assert all(m.valid for m in measured(measuring, pictures[4:], first=4))
 
     @pytest.mark.parametrize(
         "plugged", [None, CameraIdentity(), CameraIdentity("F-1"), CameraIdentity("other", "x", "v4l2")]

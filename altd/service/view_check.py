@@ -9,12 +9,15 @@ from altd.calibration.model import TargetCalibration
 from altd.records import CameraIdentity, Frame, NoSpot, Reason, Spot
 from altd.vision.fingerprint import ViewVerdict
 
-_INTERVAL_NS = 1_500_000_000
+_INTERVAL_NS = 190_000_000
+"""Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
 _GAP_NS = 400_000_000
 """After a pause so long, or a step back in time, another camera may deliver: all is looked at anew."""
 _FIRST_FRAMES = 3
 _MOVED_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN = 4
+_JUMP_PX = 0.7
+"""From one frame to the next: a picture that is moved moves its spot."""
 _ESTABLISHED_AFTER = 3
 
 
@@ -22,8 +25,8 @@ class ViewCheck:
     """One camera's check, frame by frame. Its memory is what the last frames told.
 
     A frame is examined, for about a millisecond, when the camera begins to deliver or does so again, when the
-    spot lies on new ground, and every 1.5 s. What is wrong is wrong at once; after three such verdicts only a
-    frame that verifies the view ends it, before that any frame that finds nothing wrong.
+    spot has jumped or lies on new ground, and every 0.2 s. What is wrong is wrong at once; after three such
+    verdicts only a frame that verifies the view ends it, before that any frame that finds nothing wrong.
     """
 
     def __init__(self, target: TargetCalibration, expected: Sequence[CameraIdentity]) -> None:
@@ -43,6 +46,7 @@ class ViewCheck:
         self._examined_ns = 0
         self._frames_since = 0
         self._place: Spot | None = None
+        self._last: Spot | None = None
 
     def objection(self, frame: Frame, spot: Spot | NoSpot, camera: CameraIdentity | None) -> NoSpot | None:
         """Why a frame's spot is not to be measured; None when nothing speaks against the camera.
@@ -60,6 +64,7 @@ class ViewCheck:
         self._frames_since += 1
         if self._target.fingerprint is not None and self._is_due(frame, spot):
             self._examine(frame, spot)
+        self._last = spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
 
     def figures(self) -> dict[str, float | str]:
@@ -89,7 +94,9 @@ class ViewCheck:
             return True
         if not isinstance(spot, Spot):
             return False
-        if self._place is None:
+        if self._place is None or self._last is None:
+            return True
+        if math.hypot(spot.u_px - self._last.u_px, spot.v_px - self._last.v_px) > _JUMP_PX:
             return True
         moved_px = math.hypot(spot.u_px - self._place.u_px, spot.v_px - self._place.v_px)
         return self._frames_since >= _MIN_FRAMES_BETWEEN and moved_px > _MOVED_DIAMETERS * spot.diameter_px

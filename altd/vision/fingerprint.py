@@ -57,8 +57,9 @@ class Fingerprint:
     """What a calibration knows of one camera's fixed picture.
 
     ``texture`` from a flat is known everywhere and does not depend on the laser, so its absence is as telling
-    as its shift. One from the ``scan`` holds only near the nodes, and speckle in it that belongs to the
-    laser: it shows a shift, and its absence shows nothing. None: nothing is known of the target's surface.
+    as its shift. One from the ``scan`` holds only near the nodes, and in it what belongs to the laser and to
+    the edges of its spots, which moves with a spot: it verifies a view and refutes none. None: nothing is
+    known of the target's surface.
     """
 
     hot: HotPixels
@@ -94,10 +95,12 @@ class Fingerprint:
         if found.significance < _MIN_SIGMAS:
             return ViewVerdict(doubt=f"too little is seen of the target ({found.significance:.1f} sigma)")
         if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGMAS * found.sigma_px):
-            wrong = (
+            shift = (
                 f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from where it was calibrated"
             )
-            return ViewVerdict(wrong=wrong, shift_px=found.shift_px)
+            if self.source == "flat":
+                return ViewVerdict(wrong=shift, shift_px=found.shift_px)
+            return ViewVerdict(doubt=f"{shift}, or the spot has another edge than in the scan")
         return ViewVerdict(is_verified=True, shift_px=found.shift_px)
 
 
