@@ -20,6 +20,7 @@ WINDOW = 6
 _WARMING_UP = (str(Reason.WARMING_UP),)
 
 SPOILT = 9
+_SAME_TIME_NS = 5_000_000
 """Exposures from the onset on: the window is full of them for the last of these."""
 
 
@@ -50,8 +51,7 @@ def run_episode(
     measured = _measured(chain_of(rig.calibration), shots)
     truth = [clip.truth(k) for k in range(clip.length)]
     judged = [
-        (k, judge(one, None if spoil.no_beam and k >= onset else _truth_of(one, truth, k)))
-        for k, one in measured
+        (k, judge(one, _truth_of(one, truth, k, onset if spoil.no_beam else None))) for k, one in measured
     ]
     judged = [(k, one) for k, one in judged if one.reasons != _WARMING_UP]
     return Outcome(
@@ -104,8 +104,17 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
     return measured
 
 
-def _truth_of(measurement: Measurement, truth: Sequence[FloatArray], k: int) -> FloatArray:
-    """Where the beam was in the window that ends with exposure ``k``."""
-    window = range(max(k - WINDOW + 1, 0), k + 1)
+def _truth_of(
+    measurement: Measurement, truth: Sequence[FloatArray], k: int, ended: int | None = None
+) -> FloatArray | None:
+    """Where the beam was in the window that ends with exposure ``k``.
+
+    Where the beam ``ended`` with an exposure of that number, what is averaged must be of those before it:
+    None when the measurement's time says that it is not.
+    """
+    window = range(max(k - WINDOW + 1, 0), k + 1 if ended is None else min(k + 1, ended))
     times_ns = np.array([t_ns_of(n) for n in window], dtype=np.float64)
+    has_ended = ended is not None and k >= ended
+    if has_ended and (not len(window) or abs(measurement.t_ns - times_ns.mean()) > _SAME_TIME_NS):
+        return None
     return truth_of(measurement, np.array([truth[n] for n in window]), times_ns)
