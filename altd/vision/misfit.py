@@ -83,6 +83,8 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
     grain_variance = grain**2 * residuals.grain_variance
     weights = 1 / (residuals.noise_variance + grain_variance)
     patterns = _patterns(residuals)
+    if not len(patterns):
+        return None
     weighted = residuals.derivatives * weights
     equations = weighted @ residuals.derivatives.T
     equations.flat[:: len(equations) + 1] += residuals.prior
@@ -139,4 +141,4 @@ def _patterns(residuals: Residuals) -> FloatArray:
                 rows.append(light)
             else:
                 rows += [light * power.real, light * power.imag]
-    return np.array(rows)
+    return np.array(rows).reshape(len(rows), residuals.light.size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.records import NoSpot, Reason, Spot
 from altd.vision.localise import fitted_profile, locate
-from altd.vision.misfit import excess_sigmas, misfit_of
+from altd.vision.misfit import Residuals, excess_sigmas, misfit_of
 from altd.vision.reference import SpotReference
 from altd.vision.settings import SpotSettings
 
@@ -116,6 +117,18 @@ def test_what_displaces_a_spot_less_adds_to_its_sigma(spoil: Callable[[Blob, Pic
         error_px = np.hypot(outcome.u_px - spot.u_px, outcome.v_px - spot.v_px)
         sigma_px = np.sqrt(outcome.sigma_px**2 + outcome.excess_px**2 + USUAL.noise_px**2)
         assert error_px < 7 * sigma_px
+
+
+def test_a_spot_of_too_few_blocks_tells_nothing() -> None:
+    profile = fitted_profile(frame(light(Blob(300, 200, 60)), np.random.default_rng(1)), SpotSettings(), None)
+    assert profile is not None
+    for kept in (0, 1, 5):
+        few = {
+            name: values[..., :kept] if values.shape[-1:] == profile.residuals.light.shape else values
+            for name in Residuals.__slots__
+            if isinstance(values := getattr(profile.residuals, name), np.ndarray)
+        }
+        assert misfit_of(replace(profile.residuals, **few), GRAIN) is None
 
 
 def test_dust_on_the_window_is_not_distorted() -> None:
