@@ -238,7 +238,7 @@ def test_a_flooded_picture_is_exposed_less_and_all_is_well_when_the_flood_ends(
     loop.unit.inject(Fault.WHITE)
     loop.run(120)
     lowest = [loop.setters[name].wish.exposure_ms for name in CAMERAS]
-    assert lowest == pytest.approx([0.02, 0.02], rel=0.02)  # a last step of a hundredth is not made
+    assert lowest == pytest.approx([0.02, 0.02], rel=0.02)
     loop.unit.clear()
     back = loop.run(45)
     loop.run(60)

@@ -216,7 +216,7 @@ def test_a_camera_pulled_out_makes_the_measurement_invalid_with_the_reason(faile
 
 
 def test_a_camera_that_is_back_delivers_again_without_a_restart(failed: Any) -> None:
-    """What vivid is not fed in time it shows again, for a while after its return too: that is refused."""
+    """In some runs all frames after the return say ``frame_repeated``: most likely vivid, not traced."""
     pulled = failed["pulled_out"]
     back = [
         at_s

@@ -32,7 +32,7 @@ _BIAS_PER_EXCESS = 1.2
 makes. Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those
 that come near to five stretch the spot too, which the comparison of the targets adds."""
 _DISTORTED_FROM_SIGMAS = 5.5
-"""One good spot in fifty million lies farther out."""
+"""Of spots whose residuals are those of noise and grain alone, one in fifty million lies farther out."""
 _DISTORTED_FROM_DIAMETERS = 0.015
 """What may displace a spot by less only adds to its sigma: dust on the window does."""
 
