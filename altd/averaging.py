@@ -26,7 +26,11 @@ _PRIOR_EXPOSURES = 2.0
 
 
 class ExposureWindow:
-    """The last exposures, and their mean after every so many: 1 is the sliding mean."""
+    """The last exposures, and their mean after every so many: 1 is the sliding mean.
+
+    Exposures that were lost in all cameras at once show only in the numbers, and fill places of the window
+    too: a mean never reaches farther back because of them.
+    """
 
     def __init__(self, targets: tuple[str, ...], window: int, every: int) -> None:
         self._targets = targets
@@ -37,6 +41,8 @@ class ExposureWindow:
 
     def add(self, exposure: Exposure) -> MeanSpots | tuple[Fault, ...] | None:
         """Take an exposure; returns the mean, or why there is none, or None when it is not time yet."""
+        while self._exposures and exposure.sequence - self._exposures[0].sequence >= self._window:
+            self._exposures.popleft()
         self._exposures.append(exposure)
         self._since_mean += 1
         if self._since_mean < self._every:

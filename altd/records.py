@@ -166,8 +166,9 @@ class SpotShape:
 class Spot:
     """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts.
 
-    ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain adds
-    to that of a good spot; averaging does not reduce it. ``shape`` is None where no profile was fitted.
+    ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain, and a
+    picture that moved, add to that of a good spot; averaging does not reduce it. ``shape`` is None where no
+    profile was fitted.
     """
 
     u_px: float
@@ -216,7 +217,7 @@ class MeanSpots:
     ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
     is that of the means, u and v of one target after the other: vibration moves all spots together.
     ``shapes`` holds the mean shape of each target's spots, None where one was not fitted, ``excess_px`` what
-    light that is not explained adds to the sigma of each; the covariance holds it. ``t_ns`` is the mean time
+    averaging does not reduce of the sigma of each; the covariance holds it. ``t_ns`` is the mean time
     of the ``frames`` exposures that were averaged; ``lost`` were not usable.
     """
 

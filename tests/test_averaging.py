@@ -165,3 +165,15 @@ def test_steady_motion_between_two_cameras_that_lag_is_taken_off(lag_ms: int) ->
     ]
     mean = mean_of(exposures)
     assert mean.px == pytest.approx(np.array([at(mean.t_ns)] * 2), abs=1e-9)
+
+
+def test_exposures_that_all_cameras_lost_fill_places_of_the_window() -> None:
+    """Four of five are lost: what is averaged would reach back by five windows."""
+    window = ExposureWindow(TARGETS, 8, 1)
+    full = [window.add(exposure(n)) for n in range(8)]
+    assert isinstance(full[-1], MeanSpots)
+    thinned = [window.add(exposure(n)) for n in range(12, 60, 5)]
+    assert all(not isinstance(mean, MeanSpots) for mean in thinned[1:])
+    again = [window.add(exposure(n)) for n in range(60, 68)]
+    assert isinstance(again[-1], MeanSpots)
+    assert again[-1].t_ns == round(63.5 * PERIOD_NS)

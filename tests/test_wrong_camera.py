@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import cv2
 import numpy as np
 import pytest
 
@@ -205,6 +206,24 @@ def test_a_camera_that_is_knocked_while_it_measures_is_noticed_by_the_jump_of_it
     lines = measured(chain(without_hot_pixels(calibration), window=4), [*pictures[:8], *aside])
     invalid = [number for number, line in enumerate(lines) if "front_wrong_camera" in status(line)]
     assert invalid == list(range(8, 20))
+
+
+@pytest.mark.parametrize("far_px", [0.1, 0.2, 0.4])
+def test_a_picture_that_moved_by_less_than_is_refused_is_uncertain_by_so_much(
+    calibration: Calibration, pictures: list[Pictures], far_px: float
+) -> None:
+    """Heat, or a knock: the front picture lies aside by a part of a pixel."""
+    for front, rear in pictures:
+        there = np.array([[1.0, 0.0, far_px], [0.0, 1.0, 0.0]])
+        aside = cv2.warpAffine(front, there, front.shape[::-1], flags=cv2.INTER_LANCZOS4)
+        (good,) = measured(chain(without_hot_pixels(calibration)), [(front, rear)])
+        (moved_aside,) = measured(chain(without_hot_pixels(calibration)), [(aside, rear)])
+        assert good.beam is not None
+        assert moved_aside.beam is not None
+        error_mm = abs(moved_aside.beam.x_mm - good.beam.x_mm)
+        assert error_mm > 0.15 * far_px
+        assert error_mm < 2.5 * moved_aside.beam.sigma_x_mm
+        assert moved_aside.beam.sigma_x_mm < good.beam.sigma_x_mm + 2 * error_mm
 
 
 class TestIdentities:

@@ -160,6 +160,8 @@ class MeasuringChain:
             if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
                 spot = objection
                 self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
+            elif check.displaced_px and isinstance(spot, Spot):
+                spot = replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))
         self._last_spots[view.target] = spot
         found = _Found(spot, self._breaks[frame.camera])
         pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
@@ -307,7 +309,7 @@ def _unexplained(
     worst = int(unexplained_mm.argmax())
     if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
         return None
-    detail = f"light that one spot does not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
+    detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
     return Fault(Reason.DISTORTED, mean.targets[worst], detail)
 
 

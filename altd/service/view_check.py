@@ -16,8 +16,8 @@ _GAP_NS = 400_000_000
 _FIRST_FRAMES = 3
 _MOVED_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN = 4
-_JUMP_PX = 0.7
-"""From one frame to the next: a picture that is moved moves its spot."""
+_JUMP_PX = 0.5
+"""From where steady motion would have brought it: a picture that is moved moves its spot."""
 _ESTABLISHED_AFTER = 3
 
 
@@ -40,6 +40,8 @@ class ViewCheck:
         self._wrong_verdicts = 0
         self._doubt = "nothing was seen yet"
         self._shift_px: float | None = None
+        self.displaced_px = 0.0
+        """What the picture's shift adds to the uncertainty of the spots that are not refused."""
         self._verified_ns: int | None = None
         self._sensor_is_same = False
         self._examined = 0
@@ -47,6 +49,7 @@ class ViewCheck:
         self._frames_since = 0
         self._place: Spot | None = None
         self._last: Spot | None = None
+        self._before_last: Spot | None = None
 
     def objection(self, frame: Frame, spot: Spot | NoSpot, camera: CameraIdentity | None) -> NoSpot | None:
         """Why a frame's spot is not to be measured; None when nothing speaks against the camera.
@@ -64,7 +67,7 @@ class ViewCheck:
         self._frames_since += 1
         if self._target.fingerprint is not None and self._is_due(frame, spot):
             self._examine(frame, spot)
-        self._last = spot if isinstance(spot, Spot) else None
+        self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
 
     def figures(self) -> dict[str, float | str]:
@@ -96,10 +99,15 @@ class ViewCheck:
             return False
         if self._place is None or self._last is None:
             return True
-        if math.hypot(spot.u_px - self._last.u_px, spot.v_px - self._last.v_px) > _JUMP_PX:
+        if self._jumped_px(spot, self._last) > _JUMP_PX:
             return True
         moved_px = math.hypot(spot.u_px - self._place.u_px, spot.v_px - self._place.v_px)
         return self._frames_since >= _MIN_FRAMES_BETWEEN and moved_px > _MOVED_DIAMETERS * spot.diameter_px
+
+    def _jumped_px(self, spot: Spot, last: Spot) -> float:
+        """How far a spot lies from where the motion between the last two would have brought it."""
+        before = self._before_last or last
+        return math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
 
     def _examine(self, frame: Frame, spot: Spot | NoSpot) -> None:
         fingerprint = self._target.fingerprint
@@ -112,6 +120,8 @@ class ViewCheck:
         self._sensor_is_same = verdict.is_same_sensor
         if verdict.shift_px is not None:
             self._shift_px = verdict.shift_px
+        if verdict.displaced_px is not None:
+            self.displaced_px = verdict.displaced_px
         if verdict.wrong:
             self._wrong = verdict
             self._wrong_verdicts += 1

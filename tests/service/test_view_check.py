@@ -99,13 +99,27 @@ def test_the_first_frames_are_examined_until_one_is_verified_but_not_for_ever(be
     assert bench.examined == [1, 2, 3, 7, 11]
 
 
-def test_a_spot_that_jumped_is_looked_at_once_and_one_that_trembles_is_not(bench: Bench) -> None:
+def test_a_spot_that_jumped_is_looked_at_and_one_that_trembles_or_moves_steadily_is_not(bench: Bench) -> None:
     bench.push(2)
     bench.push(3, spot=replace(SPOT, u_px=301.0))
-    assert bench.examined == [1, 3]
+    assert bench.examined == [1, 3, 4]
+    for step in range(3):
+        bench.push(1, spot=replace(SPOT, u_px=301.0 + 0.2 * (step % 2)))
+    assert bench.examined == [1, 3, 4, 8]
     for step in range(4):
-        bench.push(1, spot=replace(SPOT, u_px=301.0 + 0.4 * (step % 2)))
-    assert bench.examined == [1, 3, 7]
+        bench.push(1, spot=replace(SPOT, u_px=301.2 + 0.4 * step))
+    assert bench.examined == [1, 3, 4, 8, 12]
+
+
+def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:
+    bench.push(5)
+    assert bench.check.displaced_px == 0.0
+    bench.push(4, replace(GOOD, shift_px=0.3, displaced_px=0.29))
+    assert bench.check.displaced_px == 0.29
+    bench.push(4, DOUBT)
+    assert bench.check.displaced_px == 0.29  # nobody has seen it back
+    bench.push(4, replace(GOOD, displaced_px=0.0))
+    assert bench.check.displaced_px == 0.0
 
 
 def test_a_pause_begins_anew(bench: Bench) -> None:
