@@ -19,7 +19,7 @@ _MAX_SIZE_RATIO = 1.25
 """Of two targets' spots, beside the ratio that the calibration saw: a beam widens less on its way."""
 _STRETCH_SIGMA = 0.001
 """Of a stretch, beside what the calibration's nodes scatter: targets that are not quite parallel."""
-_BIAS_PER_STRETCH = 1.5
+_BIAS_PER_STRETCH = 2.5
 """Radii by which light may displace a spot, one sigma, per stretch that it makes."""
 _BIAS_PER_MM2 = 7.5e-5
 """A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
@@ -75,8 +75,8 @@ def agreement(
     """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
 
     Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
-    it by ε d/2 of its 1/e² radius: sigma is 1.5 radii times the stretch, so that the error is below five
-    sigmas from d = 0.3 on. On nearer light neither can be seen.
+    it by ε d/2 of its 1/e² radius: sigma is 2.5 radii times the stretch, so that the error is below five
+    sigmas from d = 0.2 on, of equal ones 0.35. On nearer light neither can be seen.
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))

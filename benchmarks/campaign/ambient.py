@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene
 from benchmarks.campaign.spots import edge
+from benchmarks.campaign.unseen import never_hidden
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 from hw_sim.sensor import FULL_WELL_E
 
@@ -28,6 +29,9 @@ def _lamp(scene: Scene, u_px: float, v_px: float, width_mm: float, shape: str) -
     return hump
 
 
+_LIKE_A_LASER = "two lamps without an edge, 5 to 17 mm wide, in two places that one beam could meet, are its spots"
+
+
 def _lamp_alone(draw: Draw, shape: str) -> Spoil:
     """Lamps on both targets, anywhere on them, and no laser."""
     widths = {camera: draw.log(3.0, 30.0) for camera in CAMERAS}
@@ -42,7 +46,13 @@ def _lamp_alone(draw: Draw, shape: str) -> Spoil:
         return scene.without_laser().lit(np.float32(level * scene.spot.peak) * lamp)
 
     words = " and ".join(f"{width:.0f}" for width in widths.values())
-    return Spoil(f"{words} mm, {level:.0%} as bright", light=light, no_beam=True)
+    like_a_laser = shape == "hump" and all(5 < width_mm < 17 for width_mm in widths.values())
+    return Spoil(
+        f"{words} mm, {level:.0%} as bright",
+        light=light,
+        no_beam=True,
+        unseen=(lambda subject: _LIKE_A_LASER) if like_a_laser else never_hidden,
+    )
 
 
 @WAYS.add()

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from altd.records import PixelArray
+from benchmarks.campaign.unseen import on_a_plate
 from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil, grey
 
 WAYS = Registry("cameras")
@@ -121,7 +122,8 @@ def turned(draw: Draw) -> Spoil:
     """The camera is turned about its axis."""
     degrees = draw.sign() * draw.log(0.1, 1.0)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
-    return Spoil(f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=draw.targets())
+    cameras = draw.targets()
+    return Spoil(f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=cameras, unseen=on_a_plate(cameras))
 
 
 @WAYS.add()
@@ -129,7 +131,8 @@ def scaled(draw: Draw) -> Spoil:
     """The picture is a little larger or smaller: another lens, another distance."""
     scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
-    return Spoil(f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=draw.targets())
+    cameras = draw.targets()
+    return Spoil(f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=cameras, unseen=on_a_plate(cameras))
 
 
 @WAYS.add()
@@ -148,4 +151,5 @@ def tilted(draw: Draw) -> Spoil:
         warped = cv2.warpPerspective(pixels, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
         return grey(warped, pixels)
 
-    return Spoil(f"by {lean:.3f}", pixels=change, cameras=draw.one())
+    cameras = draw.one()
+    return Spoil(f"by {lean:.3f}", pixels=change, cameras=cameras, unseen=on_a_plate(cameras))

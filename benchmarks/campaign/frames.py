@@ -39,17 +39,23 @@ def _often(draw: Draw) -> tuple[float, str]:
 
 @WAYS.add(moving=True)
 def torn(draw: Draw) -> Spoil:
-    """The upper part is of the frame before."""
-    row, (share, words) = draw.uniform(0.1, 0.9), _often(draw)
+    """The upper part is of the frame before; the tear goes through the spot.
+
+    A tear below the spot leaves it whole and late by a frame: that is ``one_camera_late``.
+    """
+    beside_px, (share, words) = draw.uniform(-15.0, 15.0), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
         if before is None:
             return pixels
-        cut = int(row * len(pixels))
+        brightest = int(cv2.GaussianBlur(pixels, (0, 0), 4.0).max(axis=1).argmax())
+        cut = max(0, brightest + round(beside_px))
         return _written(pixels, lambda copy: np.copyto(copy[:cut], before[:cut]))
 
     return Spoil(
-        f"at {row:.0%}{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets()
+        f"{beside_px:+.0f} px beside{words}",
+        pixels=_sometimes(share, draw.seed(), change),
+        cameras=draw.targets(),
     )
 
 

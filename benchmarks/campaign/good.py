@@ -34,7 +34,7 @@ HOUR_S = 3600.0
 PERIOD_NS = 50_000_000
 
 _DRIVING_S = 420.0
-"""Across the target and back at up to 1 mm/s: what a machine drives along the tunnel, which moves no spot so fast."""
+"""Across the target and back, at up to 1 mm/s: so fast a machine drives along the tunnel, not across it."""
 
 
 @dataclass(frozen=True, slots=True)

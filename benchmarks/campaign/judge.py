@@ -94,7 +94,8 @@ class Tally:
     """The sums of one way.
 
     ``noticed`` are frames from the onset until the first invalid measurement, of the episodes that had one;
-    ``worst`` the wrong ones' notes with their errors, largest in sigmas first.
+    ``worst`` the wrong ones' notes with their errors, largest in sigmas first. ``invisible``: why nobody
+    could tell a wrong one, empty where that can be seen.
     """
 
     episodes: int = 0
@@ -110,15 +111,17 @@ class Tally:
     clean_refused: Counter[str] = field(default_factory=Counter)
     clean_wrong: int = 0
     worst: list[tuple[float, float, float, str]] = field(default_factory=list)
+    invisible: str = ""
 
     @property
     def measurements(self) -> int:
         """All that were made while something was spoilt."""
         return sum(self.verdicts.values())
 
-    def add(self, outcome: Outcome, note: str) -> None:
+    def add(self, outcome: Outcome, note: str, invisible: str = "") -> None:
         """One episode."""
         spoilt = outcome.spoilt
+        self.invisible = invisible
         self.episodes += 1
         if outcome.recovered_s is not None:
             self.recovered_s.append(outcome.recovered_s)
@@ -150,6 +153,7 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add what another process has counted."""
+        self.invisible = other.invisible
         self.episodes += other.episodes
         self.verdicts += other.verdicts
         self.reasons += other.reasons

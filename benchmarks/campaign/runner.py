@@ -19,9 +19,11 @@ from benchmarks.campaign.clips import Rig, rig_of
 from benchmarks.campaign.episode import run_episode, run_misnumbered
 from benchmarks.campaign.judge import Outcome, Tally
 from benchmarks.campaign.numbers import Misnumbered
+from benchmarks.campaign.table import UNSEEN
 from benchmarks.campaign.timed import run_timed
 from benchmarks.campaign.times import Mistimed
 from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.unseen import Subject
 from benchmarks.campaign.way import Draw, Spoil, Way, both
 
 PAIRS = "pairs"
@@ -65,7 +67,10 @@ def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> t
         out_of_time = effort.seconds is not None and passed_s >= effort.seconds
         if out_of_time or (effort.measurements is not None and made >= effort.measurements):
             break
-    order = {name: number for number, name in enumerate((*WAYS, PAIRS))}
+    order = {
+        name: number
+        for number, name in enumerate(name + suffix for name in (*WAYS, PAIRS) for suffix in ("", UNSEEN))
+    }
     return dict(sorted(tallies.items(), key=lambda item: order[item[0]])), time.monotonic() - began_s
 
 
@@ -107,13 +112,13 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
     """Run the episodes of these numbers."""
     tallies: dict[str, Tally] = {}
     for number in numbers:
-        name, note, outcome = episode(plan, number)
-        tallies.setdefault(name, Tally()).add(outcome, note)
+        name, note, outcome, invisible = episode(plan, number)
+        tallies.setdefault(name, Tally()).add(outcome, note, invisible)
     return tallies
 
 
-def episode(plan: Plan, number: int) -> tuple[str, str, Outcome]:
-    """Run one episode; the name of its way, what was drawn, and what came of it.
+def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
+    """Run one episode; the name of its way, what was drawn, what came of it, and why nobody could see it.
 
     Ways come in turn, so that each gets its share however short the run; the unit is drawn.
     """
@@ -125,19 +130,19 @@ def episode(plan: Plan, number: int) -> tuple[str, str, Outcome]:
     unit = units[int(rng.integers(len(units)))]
     rig = _rig(unit)
     if isinstance(spoil, Spoil):
-        name, note, outcome = _spoilt(plan, way, spoil, rig, rng)
-    elif isinstance(spoil, Mistimed):
+        return _spoilt(plan, way, spoil, rig, rng, number)
+    if isinstance(spoil, Mistimed):
         name, note, outcome = way.name, f"{spoil.note} (by {spoil.pair_by})", run_timed(rig, spoil, rng)
     elif isinstance(spoil, Misnumbered):
         name, note, outcome = way.name, spoil.note, run_misnumbered(rig, spoil, rng)
     else:
         raise TypeError(f"{way.name} makes {type(spoil).__name__}")
-    return name, f"#{number} {unit}: {note}", outcome
+    return name, f"#{number} {unit}: {note}", outcome, way.invisible
 
 
 def _spoilt(
-    plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator
-) -> tuple[str, str, Outcome]:
+    plan: Plan, way: Way, spoil: Spoil, rig: Rig, rng: np.random.Generator, number: int
+) -> tuple[str, str, Outcome, str]:
     """An episode of frames, in some cases spoilt by a second way too."""
     name, note, moving = way.name, spoil.note, way.moving or rng.random() < _MOVING_SHARE
     if rng.random() < plan.pairs and way.kind != "good" and not way.invisible:
@@ -152,7 +157,10 @@ def _spoilt(
             rig = _rig("plain")
             alike = _units_alike(rig)
         foreign = _rig(alike[int(rng.integers(len(alike)))])
-    return name, note, run_episode(rig, spoil, rng, moving, foreign)
+    hidden = spoil.unseen(Subject.of(SIMULATED.get(rig.name)))
+    outcome = run_episode(rig, spoil, rng, moving, foreign)
+    invisible = way.invisible or hidden
+    return name + UNSEEN * bool(hidden), f"#{number} {rig.name}: {note}", outcome, invisible
 
 
 def _units_alike(rig: Rig) -> list[str]:

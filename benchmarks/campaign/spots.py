@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene, SpotShape, blurred
+from benchmarks.campaign.unseen import near_on_both, near_on_one
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("spots")
@@ -35,6 +36,7 @@ def reflection(draw: Draw) -> Spoil:
         f"{share:.0%} {words}",
         light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
         cameras=draw.one(),
+        unseen=near_on_one(share, math.hypot(right, down)),
     )
 
 
@@ -43,7 +45,9 @@ def reflection_on_both(draw: Draw) -> Spoil:
     """The same second spot on both targets, as of a ghost that runs beside the beam."""
     share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
     return Spoil(
-        f"{share:.0%} {words}", light=lambda scene, since: _second_spot(scene, right, down, 1.0, share)
+        f"{share:.0%} {words}",
+        light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
+        unseen=near_on_both(math.hypot(right, down)),
     )
 
 
@@ -98,7 +102,9 @@ def reflection_fixed(draw: Draw) -> Spoil:
         ghost = ghosts.setdefault(scene.camera, scene.spot.moved(right * mm, down * mm).scaled(1.0, share))
         return scene.beam_plus(ghost)
 
-    return Spoil(f"{share:.0%} {words}, at rest", light=light, cameras=draw.targets(), varies=True)
+    cameras, far_mm = draw.targets(), math.hypot(right, down)
+    unseen = near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
+    return Spoil(f"{share:.0%} {words}, at rest", light=light, cameras=cameras, varies=True, unseen=unseen)
 
 
 @WAYS.add()

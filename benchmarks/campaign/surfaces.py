@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene, blurred
 from benchmarks.campaign.spots import edge
+from benchmarks.campaign.unseen import merged_on_a_plate
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("surfaces")
@@ -253,7 +254,13 @@ def wet_window(draw: Draw) -> Spoil:
         ghost = cv2.warpAffine(scene.electrons, matrix, (columns, rows), borderMode=cv2.BORDER_REPLICATE)
         return scene.all_times(1.0 - share).veiled(np.float32(share) * np.asarray(ghost, np.float32))
 
-    return Spoil(f"{share:.0%} {far_px:.0f} px aside", light=light, cameras=draw.targets())
+    cameras = draw.targets()
+    return Spoil(
+        f"{share:.0%} {far_px:.0f} px aside",
+        light=light,
+        cameras=cameras,
+        unseen=merged_on_a_plate(cameras, far_px),
+    )
 
 
 @WAYS.add()

@@ -9,6 +9,9 @@ from collections.abc import Iterator, Mapping
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Tally, Verdict
 
+UNSEEN = " (hidden)"
+"""After the name of a way: its episodes in which nobody could see it, on that unit, as it was drawn."""
+
 HEAD = (
     "way",
     "kind",
@@ -27,7 +30,7 @@ HEAD = (
 
 def cells(name: str, tally: Tally) -> tuple[str, ...]:
     """One row."""
-    way = WAYS.get(name)
+    way = WAYS.get(name.removesuffix(UNSEEN))
     kind = way.kind if way is not None else "two at once"
     seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
     back = (
@@ -36,7 +39,7 @@ def cells(name: str, tally: Tally) -> tuple[str, ...]:
         else ""
     )
     verdicts = tally.verdicts
-    wrong = str(verdicts[Verdict.WRONG]) + (" *" if way is not None and way.invisible else "")
+    wrong = str(verdicts[Verdict.WRONG]) + (" *" if tally.invisible else "")
     worst = ("–", "–", "–")
     if verdicts[Verdict.WRONG]:
         worst = (f"{tally.worst_mm:.3g}", f"{tally.worst_deg:.3g}", f"{tally.worst_sigmas:.3g}")
@@ -76,19 +79,13 @@ def totals(tallies: Mapping[str, Tally]) -> Iterator[str]:
 def wrong_count(tallies: Mapping[str, Tally]) -> int:
     """Wrong ones called valid, those of physically invisible ways aside."""
     return sum(
-        tally.verdicts[Verdict.WRONG] + tally.clean_wrong
-        for name, tally in tallies.items()
-        if name not in WAYS or not WAYS[name].invisible
+        tally.verdicts[Verdict.WRONG] + tally.clean_wrong for tally in tallies.values() if not tally.invisible
     )
 
 
 def invisible_count(tallies: Mapping[str, Tally]) -> int:
     """Wrong ones called valid that nobody could tell."""
-    return sum(
-        tally.verdicts[Verdict.WRONG]
-        for name, tally in tallies.items()
-        if name in WAYS and WAYS[name].invisible
-    )
+    return sum(tally.verdicts[Verdict.WRONG] for tally in tallies.values() if tally.invisible)
 
 
 def worst(tallies: Mapping[str, Tally]) -> Iterator[str]:
@@ -100,9 +97,9 @@ def worst(tallies: Mapping[str, Tally]) -> Iterator[str]:
 
 def invisible(tallies: Mapping[str, Tally]) -> Iterator[str]:
     """What physics forbids to see."""
-    for name in tallies:
-        if name in WAYS and WAYS[name].invisible:
-            yield f"* {name}: {WAYS[name].invisible}"
+    for name, tally in tallies.items():
+        if tally.invisible:
+            yield f"* {name}: {tally.invisible}"
 
 
 def text(tallies: Mapping[str, Tally]) -> Iterator[str]:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from altd.records import PixelArray
 from benchmarks.campaign.scene import Scene
+from benchmarks.campaign.unseen import Unseen, never_hidden
 
 CAMERAS = ("front", "rear")
 
@@ -51,7 +52,8 @@ class Spoil:
     """One way with its parameters drawn; what it does not touch is None.
 
     ``cameras`` are those that light and pixels are spoilt of. ``varies``: its light is another one at each
-    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong.
+    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong. ``unseen`` says on
+    which units nobody could see it.
     """
 
     note: str
@@ -61,6 +63,7 @@ class Spoil:
     cameras: frozenset[str] = frozenset(CAMERAS)
     varies: bool = False
     no_beam: bool = False
+    unseen: Unseen = never_hidden
 
 
 class Draw:
@@ -154,6 +157,7 @@ def both(first: Spoil, second: Spoil) -> Spoil:
         pixels=None,
         varies=first.varies or second.varies,
         no_beam=first.no_beam or second.no_beam,
+        unseen=lambda subject: first.unseen(subject) or second.unseen(subject),
     )
 
 

@@ -98,8 +98,9 @@ def test_wrong_ones_decide_the_exit_status_unless_physics_hides_them() -> None:
     tally = Tally()
     tally.add(Outcome((), (wrong(8.0), wrong(9.0))), "a")
     assert table.wrong_count({"reflection": tally}) == 2
-    assert table.wrong_count({"deflected_laser": tally}) == 0
-    assert table.invisible_count({"deflected_laser": tally}) == 2
+    tally.add(Outcome((), (wrong(7.0),)), "b", "it is a shift")
+    assert table.wrong_count({"reflection (hidden)": tally}) == 0
+    assert table.invisible_count({"reflection (hidden)": tally}) == 3
     spoilt_before = Tally()
     spoilt_before.add(Outcome((wrong(8.0),), (REFUSED,)), "b")
     assert table.wrong_count({"reflection": spoilt_before}) == 1

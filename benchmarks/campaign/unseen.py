@@ -1,0 +1,100 @@
+"""What nobody could see on a unit: the limits that physics sets, as far as they depend on the unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.campaign.units import UnitSpec
+
+_RECORDED_RADIUS_MM = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What decides: the 1/e² radius of the unit's spots, and whether its targets' flats were recorded."""
+
+    radius_mm: float
+    has_flat: bool
+
+    @classmethod
+    def of(cls, spec: UnitSpec | None) -> Subject:
+        """A simulated unit, or the recorded one, which has no flat."""
+        if spec is None:
+            return cls(_RECORDED_RADIUS_MM, False)
+        wide_mm, high_mm = spec.config.laser.diameters_mm
+        return cls(math.sqrt(wide_mm * high_mm) / 2, spec.flat)
+
+    @property
+    def stretch_known_to(self) -> float:
+        """Three sigmas of the difference between two targets' spots in stretch.
+
+        Print and grain make a spot's stretch scatter by 0.2 % without a flat and by 0.06 % with one; targets
+        that are not quite parallel add 0.1 %.
+        """
+        of_nodes = 0.0006 if self.has_flat else 0.002
+        return 3 * math.sqrt(2 * of_nodes**2 + 0.001**2)
+
+
+Unseen = Callable[[Subject], str]
+"""Why nobody could see it on a unit; empty where it can be seen."""
+
+
+def never_hidden(subject: Subject) -> str:
+    """It can be seen on every unit."""
+    return ""
+
+
+def near_on_one(share: float, far_mm: float) -> Unseen:
+    """A second spot on one target, merged with the first: a shift, but for the stretch p (1 − p) d²/4."""
+
+    def unseen(subject: Subject) -> str:
+        p, d = share / (1 + share), 2 * far_mm / subject.radius_mm
+        if d > 1.2 or p * (1 - p) * d * d / 4 > subject.stretch_known_to:
+            return ""
+        return (
+            "second light within 0.6 of the spot's 1/e² radius that stretches it by less than 0.9 % (0.4 % "
+            "with a flat) is a shift: share × distance, up to 0.5 mm"
+        )
+
+    return unseen
+
+
+def near_on_both(far_mm: float) -> Unseen:
+    """A second spot beside both: one laser of another shape, as long as the two merge."""
+
+    def unseen(subject: Subject) -> str:
+        if 2 * far_mm / subject.radius_mm > 1.0:
+            return ""
+        return (
+            "second light beside both spots within half their 1/e² radius is a laser of another shape: share "
+            "× distance, up to 1.5 mm for two equal spots 3 mm apart"
+        )
+
+    return unseen
+
+
+def on_a_plate(cameras: frozenset[str]) -> Unseen:
+    """The view of a plain plate alone has moved."""
+
+    def unseen(subject: Subject) -> str:
+        if subject.has_flat or "front" in cameras:
+            return ""
+        return (
+            "a plain plate without a recorded flat shows nothing by which its camera's place could be told: "
+            "up to 1° or 1 %, 0.5 mm on the plate, 0.1°; the frame LEDs will show it (`altd selfcheck`)"
+        )
+
+    return unseen
+
+
+def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Unseen:
+    """A plain plate is seen doubled by less than half a spot's radius."""
+
+    def unseen(subject: Subject) -> str:
+        if subject.has_flat or "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
+            return ""
+        return "on a plain plate a picture doubled by less than half a spot is a shift: share × distance"
+
+    return unseen
