@@ -34,6 +34,14 @@ class CameraTimeoutError(CameraError):
     """No frame came in time; the camera stays open."""
 
 
+class CameraMistimedError(CameraError):
+    """A frame came, and nobody knows when it was exposed; the camera stays open."""
+
+    def __init__(self, sequence: int, sentence: str) -> None:
+        super().__init__(sentence)
+        self.sequence = sequence
+
+
 class CameraEndedError(CameraError):
     """The source is at its end and will not deliver again (a recording that was played)."""
 

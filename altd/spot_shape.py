@@ -25,6 +25,8 @@ _BIAS_PER_MM2 = 7.5e-5
 """A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
 by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
 _EXPLAINED_SIGMAS = 3.0
+_USUAL_SIGMAS = 2.0
+"""What is not explained is more than this: a spot that is stretched by more than 3 is one of a kind."""
 _DISTORTED_FROM_SIGMAS = 6.0
 _DISTORTED_FROM_STRETCH = 0.015
 """What may displace a spot by less adds to its sigma."""
@@ -82,7 +84,8 @@ def agreement(
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
     stretch = float(np.hypot(difference[1], difference[2]))
     stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
-    unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
+    is_explained = stretch < _EXPLAINED_SIGMAS * stretch_sigma
+    unexplained = 0.0 if is_explained else math.sqrt(stretch**2 - (_USUAL_SIGMAS * stretch_sigma) ** 2)
     sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):

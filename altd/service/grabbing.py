@@ -16,6 +16,7 @@ from altd.ports import (
     CameraEndedError,
     CameraError,
     CameraLostError,
+    CameraMistimedError,
     CameraNotFoundError,
     CameraRefusedError,
     CameraTimeoutError,
@@ -247,6 +248,10 @@ class _Grabber:
                 frame = self._camera.next_frame(GRAB_TIMEOUT_S)
             except CameraTimeoutError:
                 self._call(self._report.timeout, time.monotonic())
+                continue
+            except CameraMistimedError as error:
+                last = error.sequence
+                self._call(self._report.mistimed, time.monotonic(), str(error))
                 continue
             if self._setter is not None:
                 frame = self._setter.marked(frame)

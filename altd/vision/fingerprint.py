@@ -23,6 +23,8 @@ _MIN_SIGMAS = 8.0
 _NOISE_SIGMAS = 3.0
 _MODEL_PX = 0.02
 """On good views of the campaign's units shifts of 0.02 px at most are found on print, of 0.06 on plates."""
+_MODEL_DOUBLED_PX = 0.2
+"""Likewise: 0.13 px at most, 0.2 with spots of 6 mm and with clipped ones."""
 _PATTERNED_FROM = 0.2
 """Contrast from which a target is printed: grain of a plate stays below 0.1, dots of any size are above."""
 _PRINT_SEEN_FROM = 0.35
@@ -106,14 +108,18 @@ class Fingerprint:
             if self.source == "flat":
                 return ViewVerdict(wrong=shift, shift_px=found.shift_px)
             return ViewVerdict(doubt=f"{shift}, or the spot has another edge than in the scan")
-        displaced_px = _displaced_px(found) if self.source == "flat" else None
+        displaced_px = _displaced_px(found, patterned) if self.source == "flat" else None
         return ViewVerdict(is_verified=True, shift_px=found.shift_px, displaced_px=displaced_px)
 
 
-def _displaced_px(found: Match) -> float:
-    """The shift without what its noise and the model of a print explain."""
-    noise_px = math.hypot(_NOISE_SIGMAS * found.sigma_px, _MODEL_PX)
-    return math.sqrt(max(found.shift_px**2 - noise_px**2, 0.0))
+def _displaced_px(found: Match, patterned: bool) -> float:
+    """The shift, and what a second picture does, without what noise and the model of a print explain.
+
+    Grain of a plate is too faint to show a second picture.
+    """
+    noise_px2 = (_NOISE_SIGMAS * found.sigma_px) ** 2 + _MODEL_PX**2
+    of_second_px2 = max(found.doubled_px**2 - _MODEL_DOUBLED_PX**2, 0.0) if patterned else 0.0
+    return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + of_second_px2)
 
 
 def _absent(found: Match, patterned: bool) -> str:

@@ -6,6 +6,7 @@ part of the sensor and one of another sensor have them elsewhere; what stands be
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import cv2
@@ -35,6 +36,9 @@ _MIN_EXPECTED = 4
 _PRESENT_SHARE = 0.5
 _ABSENT_SHARE = 0.15
 _MAX_OFFSET_PX = 12
+_MAX_LOST_PX = 400
+_MIN_ASIDE = 3
+"""By chance, of ten missing and ten foreign ones: once in 10^7."""
 
 
 def hot_pixels(pixels: PixelArray) -> Places:
@@ -54,13 +58,15 @@ class SensorMatch:
     """How a frame's hot pixels fit those of a calibration.
 
     ``expected`` of the calibration's could be seen, ``present`` of them are there, ``foreign`` are where the
-    calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does.
+    calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does;
+    ``aside`` of them lie the same number of pixels further on, and not in their places.
     """
 
     expected: int
     present: int
     foreign: int
     offset_px: tuple[int, int] | None
+    aside: int = 0
 
     @property
     def is_same(self) -> bool:
@@ -74,7 +80,13 @@ class SensorMatch:
         Hot pixels fade in the cold, so that they are missing is not enough: others must be there instead.
         """
         absent = self.expected >= _MIN_EXPECTED and self.present <= _ABSENT_SHARE * self.expected
-        return absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)
+        return (absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)) or self.is_shifted_partly
+
+    @property
+    def is_shifted_partly(self) -> bool:
+        """Whether a part of the picture lies aside, as where bytes were lost on the way."""
+        most = self.present + self.aside >= _PRESENT_SHARE * self.expected
+        return most and self.aside >= max(_MIN_ASIDE, _ABSENT_SHARE * self.expected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +103,8 @@ class HotPixels:
         present = len(known & now)
         foreign = len(now - known - _as_set(self.sometimes))
         expected = len(known) - self._hidden(pixels, known - now)
-        return SensorMatch(expected, present, foreign, self._offset_px(seen, present))
+        aside = _aside(known - now, now - known, pixels.shape[1])
+        return SensorMatch(expected, present, foreign, self._offset_px(seen, present), aside)
 
     def _hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
         """How many of the missing ones light drowns: their neighbours are brighter than most of the frame."""
@@ -142,6 +155,14 @@ class HotPixelCount:
 def places_of(places: list[tuple[int, int]]) -> Places:
     """Pixels (n, 2) from pairs."""
     return np.array(sorted(places), dtype=np.int64).reshape(-1, 2)
+
+
+def _aside(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
+    """How many of the missing ones lie the same number of pixels further on, or back, as rows follow."""
+    offsets = Counter(
+        (there[1] - here[1]) * width_px + there[0] - here[0] for here in missing for there in foreign
+    )
+    return max((count for offset, count in offsets.items() if abs(offset) <= _MAX_LOST_PX), default=0)
 
 
 def _as_set(places: Places) -> set[tuple[int, int]]:

@@ -40,6 +40,9 @@ _MIN_OVERLAP = 0.25
 """Lags at which less of the texture's energy than this share of the best covered one lies under the spot do
 not count."""
 _MIN_ENERGY = 1e-3
+_RESOLVED_PX, _MERGED_PX = 0.7, 8.0
+"""A second picture nearer is a shift of the first; one farther aside distorts the spot."""
+_MIN_AMPLITUDE = 0.1
 _RIVAL_SIGMAS = 7.0
 _INTERPOLATION_LOSS = 0.02
 """Peaks that are lower by no more than this are as good: a print repeats itself, and the nearest is taken."""
@@ -166,7 +169,8 @@ class Match:
     the peak over its noise, ``expected`` what that would be if the sample were the texture, and ``strength``
     if beside that nothing but known noise disturbed it. ``gain`` is how much of the texture's amplitude the
     sample shows, ``explained`` the share of the sample's contrast, noise taken off, that the texture
-    explains; 1 where noise or clipping hides the contrast.
+    explains; 1 where noise or clipping hides the contrast. ``doubled_px`` is how far a second picture of the
+    texture, seen through water or a second pane, may draw the spot aside: its share times its distance.
     """
 
     u_px: float
@@ -177,6 +181,7 @@ class Match:
     expected: float
     gain: float
     explained: float
+    doubled_px: float = 0.0
 
     @property
     def shift_px(self) -> float:
@@ -198,8 +203,8 @@ def match(sample: Sample, texture: Texture) -> Match | None:
     score = np.where(usable, _correlated(expected, weight * sample.relative) / root, 0)
     best = _Peak.at(score, (int(score.argmax()) // score.shape[1], int(score.argmax()) % score.shape[1]))
     height, amplitude, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
-    noise = float(np.sqrt(np.mean(np.square(_correlated(expected, weight * rest)[usable] / root[usable]))))
-    noise = max(noise, 1e-9)
+    left = np.where(usable, _correlated(expected, weight * rest) / root, np.float32(0))
+    noise = max(float(np.sqrt(np.mean(np.square(left[usable])))), 1e-9)
     nearest = _Peak.at(score, _nearest_peak(score, _RIVAL_SHARE * float(score[best.lag])))
     rival = _projected(sample, nearest.displaced(expected, sample.relative.shape))
     if rival[0] >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
@@ -216,7 +221,16 @@ def match(sample: Sample, texture: Texture) -> Match | None:
         expected=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]) / noise,
         gain=amplitude,
         explained=min(height**2 / seen, 1.0) if seen > 10 * uncertain and not sample.is_clipped else 1.0,
+        doubled_px=_doubled_px(np.asarray(left / root, np.float32), amplitude, nearest),
     )
+
+
+def _doubled_px(amplitudes: Image, of_first: float, first: _Peak) -> float:
+    """Share times distance of the second picture that would do most, from what the first one leaves."""
+    rows, columns = np.indices(amplitudes.shape)
+    beside_px = np.hypot(rows - first.lag[0] - first.off_v, columns - first.lag[1] - first.off_u)
+    merges = (beside_px > _RESOLVED_PX) & (beside_px < _MERGED_PX)
+    return float(np.max(np.where(merges, amplitudes * beside_px, 0))) / max(of_first, _MIN_AMPLITUDE)
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,9 @@ def _lamp(scene: Scene, u_px: float, v_px: float, width_mm: float, shape: str) -
     return hump
 
 
-_LIKE_A_LASER = "two lamps without an edge, 5 to 17 mm wide, in two places that one beam could meet, are its spots"
+_LIKE_A_LASER = (
+    "two lamps without an edge, 4 to 18 mm wide, in two places that one beam could meet, are its spots"
+)
 
 
 def _lamp_alone(draw: Draw, shape: str) -> Spoil:
@@ -46,7 +48,7 @@ def _lamp_alone(draw: Draw, shape: str) -> Spoil:
         return scene.without_laser().lit(np.float32(level * scene.spot.peak) * lamp)
 
     words = " and ".join(f"{width:.0f}" for width in widths.values())
-    like_a_laser = shape == "hump" and all(5 < width_mm < 17 for width_mm in widths.values())
+    like_a_laser = shape == "hump" and all(4 < width_mm < 18 for width_mm in widths.values())
     return Spoil(
         f"{words} mm, {level:.0%} as bright",
         light=light,

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene, blurred
 from benchmarks.campaign.spots import edge
-from benchmarks.campaign.unseen import merged_on_a_plate
+from benchmarks.campaign.unseen import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("surfaces")
@@ -287,7 +287,12 @@ def _bent(draw: Draw, camera: str) -> Spoil:
         seen = cv2.remap(scene.electrons, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return scene.all_times(0.0).veiled(np.asarray(seen, np.float32))
 
-    return Spoil(f"by {shift_px:.1f} px within {size_px:.0f} px", light=light, cameras=frozenset((camera,)))
+    return Spoil(
+        f"by {shift_px:.1f} px within {size_px:.0f} px",
+        light=light,
+        cameras=frozenset((camera,)),
+        unseen=by_a_step_of_the_print(shift_px) if camera == "front" else on_a_plate(frozenset((camera,))),
+    )
 
 
 @WAYS.add()
@@ -296,7 +301,7 @@ def bent_view_of_window(draw: Draw) -> Spoil:
     return _bent(draw, "front")
 
 
-@WAYS.add(invisible="on a plain plate nothing but its grain lies beside the spot: 0.5 to 6 px, 0.1 to 1.4 mm")
+@WAYS.add()
 def bent_view_of_plate(draw: Draw) -> Spoil:
     """The view of the rear target is bent."""
     return _bent(draw, "rear")

@@ -29,6 +29,8 @@ class Mistimed:
 
     ``change`` turns the deliveries of a run, whose disturbance begins at ``onset_ns``, into what arrives. It
     is over at ``end_ns`` after the onset, None: never. ``held_ns``: the process stands still for so long.
+    ``own_clock``: the stamps are of a clock in the camera, as a GigE camera's, and the driver maps them;
+    otherwise they are the host's, as of a V4L2 camera.
     """
 
     note: str
@@ -36,6 +38,7 @@ class Mistimed:
     pair_by: Literal["sequence", "time"]
     end_ns: int | None = None
     held_ns: int = 0
+    own_clock: bool = False
 
 
 WAYS: list[Way] = []
@@ -50,8 +53,29 @@ _STEADY_DELAY = (
 
 
 def _enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
+    """A way of times or numbers; in half of its episodes the cameras have clocks of their own."""
+
+    def of_either(draw: Draw) -> Mistimed:
+        return replace(make(draw), own_clock=draw.rng.random() < 0.5)
+
+    return _entered(make, of_either)
+
+
+def _of_a_clock(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
+    """A way that a clock in the camera goes wrong: a V4L2 camera is stamped by the kernel of the host."""
+    return _entered(make, lambda draw: replace(make(draw), own_clock=True))
+
+
+def _of_the_host(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
+    return _entered(make, make)
+
+
+def _entered(
+    make: Callable[[Draw], Mistimed], of_camera: Callable[[Draw], Mistimed]
+) -> Callable[[Draw], Mistimed]:
     invisible = _STEADY_DELAY if make.__name__ == "delayed_and_stamped_on_arrival" else ""
-    WAYS.append(Way(make.__name__, "times", make, invisible=invisible))
+    of_camera.__doc__ = make.__doc__
+    WAYS.append(Way(make.__name__, "times", of_camera, invisible=invisible))
     return make
 
 
@@ -105,7 +129,7 @@ def stamp_back(draw: Draw) -> Mistimed:
     )
 
 
-@_enter
+@_of_a_clock
 def clock_steps(draw: Draw) -> Mistimed:
     """A camera's clock, or both, jumps and stays there."""
     far_ns, cameras = draw.sign() * _far_ns(draw), draw.targets()
@@ -156,14 +180,14 @@ def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
     return Mistimed(f"{words}, {' and '.join(sorted(cameras))}", change, _pairing(draw))
 
 
-@_enter
+@_of_a_clock
 def stamps_doubled(draw: Draw) -> Mistimed:
     """Stamps in a wrong unit: they go twice or half as fast."""
     rate = 1.0 if draw.sign() > 0 else -0.5
     return _rated(draw, rate, f"{1 + rate:g} times as fast")
 
 
-@_enter
+@_of_a_clock
 def clock_drifts(draw: Draw) -> Mistimed:
     """A camera's clock goes wrong by 0.01 to 20 %."""
     rate = draw.sign() * draw.log(1e-4, 0.2)
@@ -232,7 +256,7 @@ def frames_delayed(draw: Draw) -> Mistimed:
     )
 
 
-@_enter
+@_of_the_host
 def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
     """Frames arrive late by up to a second, and the driver stamps them when they do."""
     late_ns, cameras = round(draw.log(0.05, 1.0) * S), draw.one()

@@ -89,12 +89,26 @@ def on_a_plate(cameras: frozenset[str]) -> Unseen:
     return unseen
 
 
+def by_a_step_of_the_print(shift_px: float) -> Unseen:
+    """The view has moved by about as much as the print's dots lie apart."""
+
+    def unseen(subject: Subject) -> str:
+        if shift_px < 3.3:
+            return ""
+        return "a print looks the same one step of its dots (4 to 5 px, 0.9 mm) further on"
+
+    return unseen
+
+
 def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Unseen:
     """A plain plate is seen doubled by less than half a spot's radius."""
 
     def unseen(subject: Subject) -> str:
-        if subject.has_flat or "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
+        if "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
             return ""
-        return "on a plain plate a picture doubled by less than half a spot is a shift: share × distance"
+        return (
+            "on a plain plate a picture doubled by less than half a spot is a shift: share × distance, up to "
+            "2 mm; grain is too faint to show it"
+        )
 
     return unseen

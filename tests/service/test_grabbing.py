@@ -19,6 +19,7 @@ from altd.ports import (
     CameraEndedError,
     CameraError,
     CameraLostError,
+    CameraMistimedError,
     CameraNotFoundError,
     CameraRefusedError,
     CameraTimeoutError,
@@ -139,6 +140,23 @@ async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
     assert component.message.startswith("not measured: exposure 3 is ")
     assert why in component.message
     await stop(task)
+
+
+async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is_not_lost(
+    component: Component,
+) -> None:
+    """Exposure 2 came and was left out; the camera stays open."""
+    camera = ScriptedCamera("frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component))
+    taken: list[Frame] = []
+    while len(taken) < 5:
+        taken += await inbox.take()
+    assert component.counters["mistimed"] == 1
+    assert "lost" not in component.counters
+    assert component.message == "not measured: exposure 2 came late"
+    await stop(task)
+    assert camera.calls.count("open") == 1
 
 
 async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component) -> None:

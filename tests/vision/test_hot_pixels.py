@@ -83,3 +83,16 @@ def test_an_aged_sensor_with_as_many_new_ones_is_the_same(known: HotPixels) -> N
     new = [(60 + 70 * n, 130) for n in range(8)]
     seen = compared(known, picture(np.random.default_rng(7), PLACES + new))
     assert (seen.is_same, seen.is_other) == (True, False)
+
+
+@pytest.mark.parametrize("lost_px", [-300, -1, 3, 20])
+def test_a_picture_of_which_bytes_were_lost_on_the_way_is_not_as_it_was_read(
+    known: HotPixels, lost_px: int
+) -> None:
+    """What follows the loss lies aside, row by row; what came before it is in its place."""
+    pixels = picture(np.random.default_rng(8), PLACES)
+    row = 210
+    pixels.reshape(-1)[row * 752 :] = np.roll(pixels.reshape(-1)[row * 752 :], lost_px)
+    seen = compared(known, pixels)
+    assert (seen.present, seen.aside) == (4, 4)
+    assert seen.is_other

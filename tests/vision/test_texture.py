@@ -102,3 +102,16 @@ def test_the_shape_of_a_spot_is_no_texture() -> None:
 
 def test_a_frame_without_a_spot_has_no_sample() -> None:
     assert sample_of(frame(np.zeros((HEIGHT, WIDTH)), np.random.default_rng(8)), SpotSettings()) is None
+
+
+def test_a_doubled_picture_is_told_by_how_far_it_may_draw_the_spot_aside() -> None:
+    """Share times distance, within the resolution; on a print a step of the dots further on would do too."""
+    rng = np.random.default_rng(7)
+    surface = grain(5, 0.25)
+    there = light(SPOT) * (1 + surface)
+    assert matched(frame(there, rng, noise=1.0), surface).doubled_px < 0.15
+    for share, far_px in ((0.2, 4.0), (0.3, 3.0), (0.3, 5.0)):
+        ghost = cv2.warpAffine(there, np.array([[1.0, 0, far_px], [0, 1, 0]]), (WIDTH, HEIGHT))
+        found = matched(frame((1 - share) * there + share * ghost, rng, noise=1.0), surface)
+        assert 0.8 * share * far_px < found.doubled_px < 2.0 * share * far_px
+        assert found.shift_px < 0.2

@@ -7,8 +7,16 @@ from dataclasses import dataclass
 
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 5
-_JUMP_NS = 50_000_000
-"""An offset that changes by more within the window is no drift: 1 % of the window's length."""
+_AGREED_NS = 8_000_000
+"""What a frame may come early or late by, against those before it, without a question: a frame's way through
+network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
+_LATE_IN_A_ROW = 3
+"""So many frames that come late by more are still the network's doing, and keep their times; so do more when
+each is less late than the one before, as what was held up comes in at once."""
+_STEPPED_AFTER_NS = 3_000_000_000
+"""Who has come late for so long, without one frame in time, was not held up: the clock was set back."""
+_STEADY_FRAMES = 20
+"""A clock that was implausible is used again when so many frames agree with it."""
 
 
 @dataclass(slots=True)
@@ -27,38 +35,77 @@ class DeviceClock:
     followed within 0.5 ms. A frame that comes late, from a camera that was held up for instance, does not
     move the envelope and keeps its true time.
 
-    A clock that stands still, that goes back again and again, or that runs more than 1 % slow is not
-    plausible: then the receive time itself is the answer, until the clock has run well for some seconds.
+    Frames that come late one after the other were held up, or the clock was set back: nobody knows which, and
+    they have no time until one comes in time again or the new offset has lasted. A frame that comes too early
+    has a stamp that is not true: it has the time of its arrival, and so have those that follow if they agree.
+
+    A clock that stands still or goes back is not plausible: then the receive time itself is the answer, until
+    the clock has run well for a second.
     """
 
     def __init__(self) -> None:
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._last_device_ns: int | None = None
-        self._trusted = True
+        self._steady = _STEADY_FRAMES
+        """How many frames in a row have agreed since the clock was not plausible."""
+        self._early_offset_ns: int | None = None
+        self._late = 0
+        self._late_since_ns = self._first_late_offset_ns = self._last_late_offset_ns = 0
 
     @property
     def trusted(self) -> bool:
         """Whether the device's clock is in use, not the receive time."""
-        return self._trusted
+        return self._steady >= _STEADY_FRAMES
 
-    def host_ns(self, device_ns: int, receive_ns: int) -> int:
+    def host_ns(self, device_ns: int, receive_ns: int) -> int | None:
         """The host's time of ``device_ns``, for a frame that was received at ``receive_ns``; never later.
 
-        Frames are to be given in the order in which they were received.
+        None where nobody knows it. Frames are to be given in the order in which they were received.
         """
         last_ns, self._last_device_ns = self._last_device_ns, device_ns
         offset_ns = receive_ns - device_ns
         if device_ns <= 0 or (last_ns is not None and device_ns <= last_ns):
-            self._distrust()
-        elif self._buckets and offset_ns < self._envelope_ns() - _JUMP_NS:
-            self._buckets.clear()  # set forward; or all frames until now came late
+            self._begin_anew(steady=0)
+            return receive_ns
+        if not self._buckets:
+            self._take(offset_ns, receive_ns)
+        beyond_ns = offset_ns - self._envelope_ns()
+        if beyond_ns < -_AGREED_NS:
+            return self._early(offset_ns, receive_ns)
+        self._early_offset_ns = None
+        if beyond_ns > _AGREED_NS:
+            return self._held_up(offset_ns, device_ns, receive_ns)
+        self._late = 0
+        self._steady += not self.trusted
         self._take(offset_ns, receive_ns)
-        over = list(self._buckets)[:-1]  # seconds that are over, so that one late frame does not count
-        if len(over) > 1:
-            self._trusted = over[-1].offset_ns - over[0].offset_ns <= _JUMP_NS
-            if not self._trusted:
-                self._distrust()
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
+
+    def _early(self, offset_ns: int, receive_ns: int) -> int:
+        """A stamp that is later than can be: one that is wrong, or the clock was set forward."""
+        known_ns, self._early_offset_ns = self._early_offset_ns, offset_ns
+        if known_ns is not None:
+            agrees = abs(offset_ns - known_ns) <= _AGREED_NS
+            self._begin_anew(steady=self._steady if agrees else 0)
+            self._take(offset_ns, receive_ns)
+        return receive_ns
+
+    def _held_up(self, offset_ns: int, device_ns: int, receive_ns: int) -> int | None:
+        """A frame that comes late: what it shows is old, or the clock was set back or runs slow."""
+        if not self.trusted:
+            self._begin_anew(steady=0)
+            self._take(offset_ns, receive_ns)
+            return receive_ns
+        if self._late == 0:
+            self._late_since_ns, self._first_late_offset_ns = receive_ns, offset_ns
+        less_late = self._late > 0 and offset_ns < self._last_late_offset_ns - _AGREED_NS
+        self._late += not less_late
+        self._last_late_offset_ns = offset_ns
+        if receive_ns - self._late_since_ns > _STEPPED_AFTER_NS:
+            is_steady = abs(offset_ns - self._first_late_offset_ns) <= _AGREED_NS
+            self._begin_anew(steady=_STEADY_FRAMES if is_steady else 0)
+            self._take(offset_ns, receive_ns)
+            return receive_ns
+        return None if self._late > _LATE_IN_A_ROW else device_ns + self._envelope_ns()
 
     def _envelope_ns(self) -> int:
         return min(bucket.offset_ns for bucket in self._buckets)
@@ -69,6 +116,7 @@ class DeviceClock:
         else:
             self._buckets[-1].offset_ns = min(self._buckets[-1].offset_ns, offset_ns)
 
-    def _distrust(self) -> None:
-        self._trusted = False
+    def _begin_anew(self, steady: int) -> None:
         self._buckets.clear()
+        self._steady = steady
+        self._early_offset_ns, self._late = None, 0

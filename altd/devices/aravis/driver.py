@@ -26,6 +26,7 @@ from altd.ports import (
     CameraBusyError,
     CameraError,
     CameraLostError,
+    CameraMistimedError,
     CameraNotFoundError,
     CameraRefusedError,
     CameraTimeoutError,
@@ -225,10 +226,14 @@ class AravisCamera:
         return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
     def _frame(self, opened: Opened, block: Block) -> Frame:
+        sequence = self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1)
         t_ns = self._middle_ns(block, round((opened.exposure_ms or 0.0) * 1e6))
+        if t_ns is None:
+            late = "frames are held up, or the camera's clock was set back"
+            raise CameraMistimedError(sequence, f"exposure {sequence} came late: {late}")
         return Frame(
             self.name,
-            self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1),
+            sequence,
             t_ns,
             self._pixels(block),
             BITS[self._settings.pixel_format],
@@ -237,16 +242,17 @@ class AravisCamera:
             changing=self._changed_ns <= t_ns < self._settled_ns,
         )
 
-    def _middle_ns(self, block: Block, exposure_ns: int) -> int:
+    def _middle_ns(self, block: Block, exposure_ns: int) -> int | None:
         """The camera stamps the start of the exposure, and its first packet leaves at the end.
 
-        One that stamps another instant is mapped as well: only the arrival says where its clock lies.
+        One that stamps another instant is mapped as well: only the arrival says where its clock lies. None
+        where nobody knows.
         """
         trusted = self._clock.trusted
         start_ns = self._clock.host_ns(block.device_ns, block.arrived_ns - exposure_ns)
         if trusted and not self._clock.trusted:
             log.warning("camera %s: its clock is not plausible; frames are stamped on arrival", self.name)
-        return start_ns + exposure_ns // 2
+        return None if start_ns is None else start_ns + exposure_ns // 2
 
     def _pixels(self, block: Block) -> PixelArray:
         kind = np.dtype("u1" if BITS[self._settings.pixel_format] == 8 else "<u2")
