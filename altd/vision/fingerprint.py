@@ -24,7 +24,9 @@ _NOISE_SIGMAS = 3.0
 _MODEL_PX = 0.02
 """On good views of the campaign's units shifts of 0.02 px at most are found on print, of 0.06 on plates."""
 _MODEL_DOUBLED_PX = 0.2
-"""Likewise: 0.13 px at most, 0.2 with spots of 6 mm and with clipped ones."""
+"""Likewise: 0.13 px at most, 0.2 with spots of 6 mm and with clipped ones; twice that where the picture moved
+by a part of a pixel, for which the model is interpolated."""
+_SHIFTED_DOUBLED = 3.0
 _PATTERNED_FROM = 0.2
 """Contrast from which a target is printed: grain of a plate stays below 0.1, dots of any size are above."""
 _PRINT_SEEN_FROM = 0.35
@@ -118,7 +120,8 @@ def _displaced_px(found: Match, patterned: bool) -> float:
     Grain of a plate is too faint to show a second picture.
     """
     noise_px2 = (_NOISE_SIGMAS * found.sigma_px) ** 2 + _MODEL_PX**2
-    of_second_px2 = max(found.doubled_px**2 - _MODEL_DOUBLED_PX**2, 0.0) if patterned else 0.0
+    of_model_px = _MODEL_DOUBLED_PX + min(_SHIFTED_DOUBLED * found.shift_px, _MODEL_DOUBLED_PX)
+    of_second_px2 = max(found.doubled_px**2 - of_model_px**2, 0.0) if patterned else 0.0
     return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + of_second_px2)
 
 
