@@ -216,7 +216,9 @@ def test_a_camera_pulled_out_makes_the_measurement_invalid_with_the_reason(faile
 
 
 def test_a_camera_that_is_back_delivers_again_without_a_restart(failed: Any) -> None:
-    """In some runs all frames after the return say ``frame_repeated``: most likely vivid, not traced."""
+    """After one return in four vivid shows each picture twice (equal checksums of all pixels of neighbouring
+    frames, read through the driver alone), and the daemon says ``frame_repeated``, as it must.
+    """
     pulled = failed["pulled_out"]
     back = [
         at_s
