@@ -13,6 +13,7 @@ network, driver and threads varies by less, and so does a drift of 0.1 % in five
 _LATE_IN_A_ROW = 3
 """So many frames that come late by more are still the network's doing, and keep their times; so do more when
 each is less late than the one before, as what was held up comes in at once."""
+_BACK_IN_A_ROW = 3
 _STEPPED_AFTER_NS = 3_000_000_000
 """Who has come late for so long, without one frame in time, was not held up: the clock was set back."""
 _STEADY_FRAMES = 20
@@ -39,8 +40,8 @@ class DeviceClock:
     they have no time until one comes in time again or the new offset has lasted. A frame that comes too early
     has a stamp that is not true: it has the time of its arrival, and so have those that follow if they agree.
 
-    A clock that stands still or goes back is not plausible: then the receive time itself is the answer, until
-    the clock has run well for a second.
+    A clock that stands still or goes back for more than three frames is not plausible: then the receive time
+    itself is the answer, until the clock has run well for a second.
     """
 
     def __init__(self) -> None:
@@ -48,6 +49,7 @@ class DeviceClock:
         self._last_device_ns: int | None = None
         self._steady = _STEADY_FRAMES
         """How many frames in a row have agreed since the clock was not plausible."""
+        self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
         self._late = 0
         self._late_since_ns = self._first_late_offset_ns = self._last_late_offset_ns = 0
@@ -62,16 +64,16 @@ class DeviceClock:
 
         None where nobody knows it. Frames are to be given in the order in which they were received.
         """
-        last_ns, self._last_device_ns = self._last_device_ns, device_ns
         offset_ns = receive_ns - device_ns
-        if device_ns <= 0 or (last_ns is not None and device_ns <= last_ns):
-            self._begin_anew(steady=0)
-            return receive_ns
+        if device_ns <= 0 or (self._last_device_ns is not None and device_ns <= self._last_device_ns):
+            return self._back(device_ns, receive_ns)
+        self._in_a_row_back = 0
         if not self._buckets:
             self._take(offset_ns, receive_ns)
         beyond_ns = offset_ns - self._envelope_ns()
         if beyond_ns < -_AGREED_NS:
-            return self._early(offset_ns, receive_ns)
+            return self._early(device_ns, offset_ns, receive_ns)
+        self._last_device_ns = device_ns
         self._early_offset_ns = None
         if beyond_ns > _AGREED_NS:
             return self._held_up(offset_ns, device_ns, receive_ns)
@@ -80,10 +82,20 @@ class DeviceClock:
         self._take(offset_ns, receive_ns)
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
 
-    def _early(self, offset_ns: int, receive_ns: int) -> int:
+    def _back(self, device_ns: int, receive_ns: int) -> int | None:
+        """A stamp that is not later than the last: of a frame that was overtaken, or the clock stands."""
+        self._in_a_row_back += 1
+        if self.trusted and self._in_a_row_back <= _BACK_IN_A_ROW:
+            return None
+        self._last_device_ns = device_ns
+        self._begin_anew(steady=0)
+        return receive_ns
+
+    def _early(self, device_ns: int, offset_ns: int, receive_ns: int) -> int:
         """A stamp that is later than can be: one that is wrong, or the clock was set forward."""
         known_ns, self._early_offset_ns = self._early_offset_ns, offset_ns
         if known_ns is not None:
+            self._last_device_ns = device_ns
             agrees = abs(offset_ns - known_ns) <= _AGREED_NS
             self._begin_anew(steady=self._steady if agrees else 0)
             self._take(offset_ns, receive_ns)
