@@ -19,14 +19,12 @@ _MAX_SIZE_RATIO = 1.25
 """Of two targets' spots, beside the ratio that the calibration saw: a beam widens less on its way."""
 _STRETCH_SIGMA = 0.001
 """Of a stretch, beside what the calibration's nodes scatter: targets that are not quite parallel."""
-_BIAS_PER_STRETCH = 2.5
+_BIAS_PER_STRETCH = 2.0
 """Radii by which light may displace a spot, one sigma, per stretch that it makes."""
 _BIAS_PER_MM2 = 7.5e-5
 """A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
 by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
 _EXPLAINED_SIGMAS = 3.0
-_USUAL_SIGMAS = 2.0
-"""What is not explained is more than this: a spot that is stretched by more than 3 is one of a kind."""
 _DISTORTED_FROM_SIGMAS = 6.0
 _DISTORTED_FROM_STRETCH = 0.015
 """What may displace a spot by less adds to its sigma."""
@@ -77,15 +75,14 @@ def agreement(
     """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
 
     Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
-    it by ε d/2 of its 1/e² radius: sigma is 2.5 radii times the stretch, so that the error is below five
-    sigmas from d = 0.2 on, of equal ones 0.35. On nearer light neither can be seen.
+    it by ε d/2 of its 1/e² radius: sigma is two radii times the stretch, so that the error is below five
+    sigmas from d = 0.2 on, of equal ones 0.4. On nearer light neither can be seen.
     """
     difference = (second - first) - (np.array(second_known.mean) - np.array(first_known.mean))
     sigma = np.hypot(np.array(first_known.sigma), np.array(second_known.sigma))
     stretch = float(np.hypot(difference[1], difference[2]))
     stretch_sigma = math.hypot(float(sigma[1] + sigma[2]) / 2, _STRETCH_SIGMA)
-    is_explained = stretch < _EXPLAINED_SIGMAS * stretch_sigma
-    unexplained = 0.0 if is_explained else math.sqrt(stretch**2 - (_USUAL_SIGMAS * stretch_sigma) ** 2)
+    unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
     sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):
