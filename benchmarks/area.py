@@ -9,7 +9,6 @@ area, so that spots at its edge are cut.
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import tempfile
 from collections import Counter
@@ -52,11 +51,16 @@ class Case:
     flat: bool = False
     pitch_mm: float = PITCH_MM
     seen_half_mm: tuple[float, float] = SEEN_HALF_MM
+    speckle_contrast: float = 0.16
 
 
 CASES = (
     Case("plain"),
     Case("flat", flat=True),
+    Case("no speckle", speckle_contrast=0.0),
+    Case("no speckle, flat", flat=True, speckle_contrast=0.0),
+    Case("coarse", speckle_contrast=0.2),
+    Case("coarse, flat", flat=True, speckle_contrast=0.2),
     Case("narrow", pitch_mm=NARROW_PITCH_MM),
     Case("tight", seen_half_mm=TIGHT_HALF_MM),
     Case("tight, flat", flat=True, seen_half_mm=TIGHT_HALF_MM),
@@ -65,11 +69,11 @@ CASES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """A beam against its truth: what is off by its sigma (x, y, yaw, pitch), NaN where it is not measured."""
+    """A beam against its truth: x mm, y mm, yaw °, pitch °, NaN where it is not measured."""
 
     is_outer: bool
-    normalised: npt.NDArray[np.float64]
-    off_mm: float
+    off: npt.NDArray[np.float64]
+    sigma: npt.NDArray[np.float64]
     reasons: tuple[str, ...]
 
     @property
@@ -80,7 +84,8 @@ class Held:
 
 def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
     """The beams of one unit, after its calibration."""
-    unit = Unit(UnitConfig(seed=seed, seen_half_mm=case.seen_half_mm))
+    of_unit = UnitConfig(seed=seed, seen_half_mm=case.seen_half_mm, speckle_contrast=case.speckle_contrast)
+    unit = Unit(of_unit)
     chain = MeasuringChain(
         [View(name, name) for name in CAMERAS],
         _calibrated(case, unit, folder),
@@ -121,7 +126,8 @@ def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:
     is_outer = bool(np.any(spots > np.array(HALF_AREA_MM) - OUTER_MM))
     beam = measurement.beam
     if beam is None:
-        return Held(is_outer, np.full(4, np.nan), math.nan, tuple(map(str, measurement.status)))
+        unknown = np.full(4, np.nan)
+        return Held(is_outer, unknown, unknown, tuple(map(str, measurement.status)))
     off = np.array(
         [
             beam.x_mm - pose.x_mm,
@@ -131,7 +137,7 @@ def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:
         ]
     )
     sigma = np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
-    return Held(is_outer, off / sigma, float(np.abs(off[:2]).max()), ())
+    return Held(is_outer, off, sigma, ())
 
 
 def line(name: str, beams: Sequence[Held]) -> str:
@@ -139,13 +145,14 @@ def line(name: str, beams: Sequence[Held]) -> str:
     valid = [beam for beam in beams if beam.is_valid]
     if not valid:
         return f"{name:<24}{len(beams):>6}     0 %"
-    normalised = np.array([beam.normalised for beam in valid])
-    rms = np.sqrt(np.mean(np.square(normalised), axis=0))
-    each = "  ".join(f"{value:.2f}" for value in rms)
+    off = np.array([beam.off for beam in valid])
+    normalised = off / np.array([beam.sigma for beam in valid])
+    x_mm, y_mm, yaw_deg, pitch_deg = np.sqrt(np.mean(np.square(off), axis=0))
+    each = "  ".join(f"{value:.2f}" for value in np.sqrt(np.mean(np.square(normalised), axis=0)))
     return (
-        f"{name:<24}{len(beams):>6}  {len(valid) / len(beams):>6.1%}   {each}   "
-        f"{np.sqrt(np.mean(np.square(normalised))):.2f}   {np.abs(normalised).max():.1f}   "
-        f"{max(beam.off_mm for beam in valid):.3f}"
+        f"{name:<24}{len(beams):>6}  {len(valid) / len(beams):>6.1%}   {x_mm:.4f} {y_mm:.4f} mm  "
+        f"{yaw_deg:.4f} {pitch_deg:.4f}°   {each}   {np.sqrt(np.mean(np.square(normalised))):.2f}   "
+        f"{np.abs(normalised).max():.1f}   {np.abs(off[:, :2]).max():.3f}"
     )
 
 
@@ -164,7 +171,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--cases", nargs="+", default=names, choices=names, help="which cases")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)
-    print(f"{'':<24} beams   valid   rms(error/sigma): x, y, yaw, pitch, all; worst; worst mm")
+    print(f"{'':<24} beams   valid   rms error: x, y, yaw, pitch; rms(error/sigma): x, y, yaw, pitch, all;")
+    print(f"{'':<24}                 worst in sigmas; worst mm")
     for case in CASES:
         if case.name not in options.cases:
             continue
