@@ -10,10 +10,14 @@ _BUCKETS = 5
 _AGREED_NS = 8_000_000
 """What a frame may come early or late by, against those before it, without a question: a frame's way through
 network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
-_LATE_IN_A_ROW = 3
-"""So many frames that come late by more are still the network's doing, and keep their times; so do more when
-each is less late than the one before, as what was held up comes in at once."""
+_LATE_IN_A_ROW = 20
+_VERY_LATE_NS = 25_000_000
+_VERY_LATE_IN_A_ROW = 3
+"""So many frames that come late by more are still the doing of the network or a busy computer, and keep their
+times; so do more when each is less late than the one before, as what was held up comes in at once."""
 _BACK_IN_A_ROW = 3
+_SETTLING_FRAMES = 10
+"""The first of all may have come late themselves."""
 _STEPPED_AFTER_NS = 3_000_000_000
 """Who has come late for so long, without one frame in time, was not held up: the clock was set back."""
 _STEADY_FRAMES = 20
@@ -51,7 +55,9 @@ class DeviceClock:
         """How many frames in a row have agreed since the clock was not plausible."""
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
-        self._late = 0
+        self._late = self._very_late = 0
+        self._mapped = 0
+        """Frames since the clock was mapped anew."""
         self._late_since_ns = self._first_late_offset_ns = self._last_late_offset_ns = 0
 
     @property
@@ -71,13 +77,14 @@ class DeviceClock:
         if not self._buckets:
             self._take(offset_ns, receive_ns)
         beyond_ns = offset_ns - self._envelope_ns()
-        if beyond_ns < -_AGREED_NS:
+        self._mapped += 1
+        if beyond_ns < -_AGREED_NS and self._mapped > _SETTLING_FRAMES:
             return self._early(device_ns, offset_ns, receive_ns)
         self._last_device_ns = device_ns
         self._early_offset_ns = None
         if beyond_ns > _AGREED_NS:
             return self._held_up(offset_ns, device_ns, receive_ns)
-        self._late = 0
+        self._late = self._very_late = 0
         self._steady += not self.trusted
         self._take(offset_ns, receive_ns)
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
@@ -111,13 +118,18 @@ class DeviceClock:
             self._late_since_ns, self._first_late_offset_ns = receive_ns, offset_ns
         less_late = self._late > 0 and offset_ns < self._last_late_offset_ns - _AGREED_NS
         self._late += not less_late
+        if offset_ns - self._envelope_ns() < _VERY_LATE_NS:
+            self._very_late = 0
+        else:
+            self._very_late += not less_late
         self._last_late_offset_ns = offset_ns
         if receive_ns - self._late_since_ns > _STEPPED_AFTER_NS:
             is_steady = abs(offset_ns - self._first_late_offset_ns) <= _AGREED_NS
             self._begin_anew(steady=_STEADY_FRAMES if is_steady else 0)
             self._take(offset_ns, receive_ns)
             return receive_ns
-        return None if self._late > _LATE_IN_A_ROW else device_ns + self._envelope_ns()
+        is_unknown = self._late > _LATE_IN_A_ROW or self._very_late > _VERY_LATE_IN_A_ROW
+        return None if is_unknown else device_ns + self._envelope_ns()
 
     def _envelope_ns(self) -> int:
         return min(bucket.offset_ns for bucket in self._buckets)
@@ -131,4 +143,5 @@ class DeviceClock:
     def _begin_anew(self, steady: int) -> None:
         self._buckets.clear()
         self._steady = steady
-        self._early_offset_ns, self._late = None, 0
+        self._early_offset_ns = None
+        self._late = self._very_late = self._mapped = 0

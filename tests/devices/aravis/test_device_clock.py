@@ -92,14 +92,14 @@ class TestDeviceClock:
 
     @pytest.mark.parametrize("step_ms", [-7200_000, -90, -40, -20, 20, 40, 90, 7200_000])
     def test_a_clock_that_was_set_gives_no_wrong_time(self, step_ms: int) -> None:
-        """Three frames at most have the old time after a clock was set back."""
+        """Three frames at most have the old time after it was set back; a second of them, if by little."""
         step = step_ms * MS
         clock = DeviceClock()
         rows = run(clock, lambda true: true - BOOTED + 8000 * S + (step if true > 110 * S else 0))
         wrong = [true for true, _, mapped in rows if abs(mapped - true - MS) > 9 * MS and true > 101 * S]
         late = 40 * MS  # a frame that is early has the time of its arrival, which may be late
         assert all(abs(mapped - true) < late for true, _, mapped in rows if true not in wrong)
-        assert len(wrong) <= 5
+        assert len(wrong) <= (5 if abs(step_ms) > 25 else 22)
         assert rows[-1][0] > 119 * S
         assert len(rows) > 400 - 66  # three seconds until a clock that was set back is used again
 
@@ -121,3 +121,27 @@ class TestDeviceClock:
         rows = run(clock, lambda true: round((true - BOOTED) * (1 + rate)), 60)
         errors = sorted(abs(mapped - true - MS) for true, _, mapped in rows[40:])
         assert errors[int(0.9 * len(errors))] < 13 * MS
+
+    def test_first_frames_that_come_late_are_no_reason_to_distrust(self) -> None:
+        clock = DeviceClock()
+        late_ms = [80, 60, 45, 30, 18, 8, *[0] * 30]
+        mapped = [
+            clock.host_ns(BOOTED + k * 50 * MS, 90 * S + (k * 50 + late) * MS)
+            for k, late in enumerate(late_ms)
+        ]
+        assert clock.trusted
+        assert mapped[6:] == [90 * S + k * 50 * MS for k in range(6, 36)]
+
+    def test_a_busy_computer_loses_no_frame(self) -> None:
+        """Frames come up to 20 ms late, one in ten in time."""
+        clock = DeviceClock()
+        random = np.random.default_rng(5)
+        late_ms = np.where(random.random(2000) < 0.1, 0.0, random.uniform(5.0, 20.0, 2000))
+        mapped = [
+            clock.host_ns(BOOTED + k * 50 * MS, 90 * S + round((k * 50 + late) * MS))
+            for k, late in enumerate(late_ms)
+        ]
+        unknown = sum(at is None for at in mapped)
+        assert unknown < 0.12 * len(mapped)
+        errors = [at - 90 * S - k * 50 * MS for k, at in enumerate(mapped) if at is not None]
+        assert max(map(abs, errors[40:])) < 9 * MS
