@@ -129,12 +129,15 @@ class StderrLog(logging.Handler):
             self.release()
 
     def _run(self) -> None:
+        looked_s = time.monotonic()
         while not (self._ending.is_set() and self._lines.empty()):
             try:
                 line = self._lines.get(timeout=LOG_REPEAT_S)
             except queue.Empty:
+                line = ""
+            if time.monotonic() - looked_s >= LOG_REPEAT_S:
+                looked_s = time.monotonic()
                 self._put_due()
-                continue
             if line:
                 self._write(line)
             if self._lines.empty():

@@ -87,8 +87,11 @@ class SynchronyCheck:
         times_ns, places, behind_ns = (np.array(column) for column in zip(*self._rows, strict=True))
         intervals_ns = np.diff(times_ns)
         period_ns = float(np.median(intervals_ns))
-        if np.abs(intervals_ns - period_ns).max() > _UNEVEN * period_ns:
-            self._rows.popleft()
+        uneven = np.flatnonzero(np.abs(intervals_ns - period_ns) > _UNEVEN * period_ns)
+        if uneven.size:
+            begin = int(uneven[-1]) + 1
+            times_ns, places, behind_ns = times_ns[begin:], places[begin:], behind_ns[begin:]
+        if len(times_ns) < _MIN_EXPOSURES:
             return
         steps = np.diff(places, axis=0)
         whiten = _autoregression(steps[:, 0])
@@ -127,10 +130,11 @@ def _normalised(series: FloatArray) -> FloatArray | None:
     limit = _CLIP_SIGMAS * _MAD_TO_SIGMA * np.median(np.abs(centred), axis=0)
     clipped = np.clip(centred, -limit, limit)
     clipped -= clipped.mean(axis=0)
-    covariance = clipped.T @ clipped / len(clipped)
-    if not np.linalg.det(covariance) > 0.0:
+    try:
+        root = np.linalg.cholesky(clipped.T @ clipped / len(clipped))
+    except np.linalg.LinAlgError:
         return None
-    normalised: FloatArray = np.linalg.solve(np.linalg.cholesky(covariance), clipped.T).T
+    normalised: FloatArray = np.linalg.solve(root, clipped.T).T
     return normalised
 
 

@@ -133,6 +133,12 @@ def test_lost_exposures_are_no_motion() -> None:
     assert set(said(fresh(), iter(seen))) == {""}
 
 
+@pytest.mark.parametrize("every", [195, 150, 120])
+def test_one_lost_exposure_in_a_hundred_does_not_blind_it(every: int) -> None:
+    seen = (one for one in exposures(shaking(4), late=1, count=800) if one.sequence % every)
+    assert "moves 1 exposures after" in said(fresh(), seen)[-1]
+
+
 def test_an_outlier_of_one_spot_is_no_motion() -> None:
     def jumping() -> Iterator[Exposure]:
         for each in exposures(at_rest, count=800):

@@ -174,10 +174,10 @@ class MeasuringChain:
     def silence(self, t_ns: int) -> Measurement:
         """The measurement of a moment at which no camera delivers."""
         self._window.forget()
-        sequence = self._last_exposure.sequence if self._last_exposure else 0
+        last = Exposure(self._last_exposure.sequence if self._last_exposure else 0, t_ns, {})
         silent = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
         self._last_spots = dict.fromkeys(self._targets, silent)
-        return self._invalid(sequence, t_ns, tuple(silent.fault(target) for target in self._targets))
+        return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _measure(self, pairs: Sequence[Pair[_Found]]) -> list[Measurement]:
         measurements = (self._after(self._exposure(pair)) for pair in pairs)
@@ -214,29 +214,29 @@ class MeasuringChain:
         if mean is None:
             return None
         if not isinstance(mean, MeanSpots):
-            return self._invalid(exposure.sequence, exposure.t_ns, mean)
+            return self._invalid(exposure, exposure.t_ns, mean)
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
-            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
+            return self._invalid(exposure, mean.t_ns, (fault,))
         points = self._points(mean)
         if isinstance(points, Fault):
-            return self._invalid(exposure.sequence, mean.t_ns, (points,))
+            return self._invalid(exposure, mean.t_ns, (points,))
         targets = [self._calibration[target] for target in mean.targets]
         doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
         if isinstance(doubts_mm, Fault):
-            return self._invalid(exposure.sequence, mean.t_ns, (doubts_mm,))
+            return self._invalid(exposure, mean.t_ns, (doubts_mm,))
         z_mm = [target.z_mm for target in targets]
         covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
         try:
             beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
         except np.linalg.LinAlgError:
             fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
-            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
+            return self._invalid(exposure, mean.t_ns, (fault,))
         if self._too_uncertain(beam):
             fault = _unexplained(mean, points, doubts_mm, covariance) or self._unsteady(beam)
-            return self._invalid(exposure.sequence, mean.t_ns, (fault,))
+            return self._invalid(exposure, mean.t_ns, (fault,))
         if (doubt := range_fault(beam)) is not None:
-            return self._invalid(exposure.sequence, mean.t_ns, (doubt,))
+            return self._invalid(exposure, mean.t_ns, (doubt,))
         return self._valid(exposure, mean, points, beam)
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
@@ -278,16 +278,17 @@ class MeasuringChain:
             last_exposure_ns=exposure.t_ns,
         )
 
-    def _invalid(self, sequence: int, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
+    def _invalid(self, exposure: Exposure, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
         """No numbers at all, not even of a target whose own spot is good: nobody may steer by half a beam."""
         return Measurement(
-            sequence=sequence,
+            sequence=exposure.sequence,
             t_ns=t_ns,
             time=self._utc(t_ns),
             frames=0,
             beam=None,
             points_mm=dict.fromkeys(self._targets),
             status=faults + self._origin_faults(),
+            last_exposure_ns=exposure.t_ns,
         )
 
     def _origin_faults(self) -> tuple[Fault, ...]:

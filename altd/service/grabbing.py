@@ -253,14 +253,14 @@ class _Grabber:
                 last = error.sequence
                 self._call(self._report.mistimed, time.monotonic(), str(error))
                 continue
-            if self._setter is not None:
-                frame = self._setter.marked(frame)
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
             self._delivered = True
             if not self._camera.waits and (sentence := stamps.refusal(frame, time.monotonic_ns())):
                 self._call(self._report.mistimed, time.monotonic(), sentence)
                 continue
+            if self._setter is not None:
+                frame = self._setter.marked(frame)
             self._call(self._report.frame, time.monotonic(), lost)
             self._inbox.put(frame, wait=self._camera.waits)
 

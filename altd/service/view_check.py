@@ -38,10 +38,14 @@ class ViewCheck:
     def _forget(self) -> None:
         self._wrong: ViewVerdict | None = None
         self._wrong_verdicts = 0
-        self._doubt = "nothing was seen yet"
-        self._shift_px: float | None = None
         self.displaced_px = 0.0
         """What the picture's shift adds to the uncertainty of the spots that are not refused."""
+        self._look_anew()
+
+    def _look_anew(self) -> None:
+        """Examine the next frames; what was found wrong or displaced stands until they show the contrary."""
+        self._doubt = "nothing was seen yet"
+        self._shift_px: float | None = None
         self._verified_ns: int | None = None
         self._sensor_is_same = False
         self._examined = 0
@@ -63,7 +67,7 @@ class ViewCheck:
                 return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured")
         last_ns, self._last_ns = self._last_ns, frame.t_ns
         if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _GAP_NS:
-            self._forget()
+            self._look_anew()
         self._frames_since += 1
         if self._target.fingerprint is not None and self._is_due(frame, spot):
             self._examine(frame, spot)
@@ -89,7 +93,8 @@ class ViewCheck:
         return f"{sensor}could not be verified: {self._doubt}"
 
     def _is_due(self, frame: Frame, spot: Spot | NoSpot) -> bool:
-        if self._wrong is not None or self._examined == 0:
+        is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER
+        if (self._wrong is not None and not is_established) or self._examined == 0:
             return True
         if self._verified_ns is None and self._examined < _FIRST_FRAMES:
             return True

@@ -6,7 +6,6 @@ part of the sensor and one of another sensor have them elsewhere; what stands be
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import cv2
@@ -19,7 +18,7 @@ Places = npt.NDArray[np.int64]
 """Pixels (n, 2) as u, v."""
 
 MAX_PIXELS = 500
-"""A sensor with more is kept with that many."""
+"""A sensor with more is kept with that many; of a picture with more it is not asked where they lie."""
 
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 _RATIO = 5
@@ -118,7 +117,7 @@ class HotPixels:
 
     def _offset_px(self, seen: Places, present: int) -> tuple[int, int] | None:
         """Where most of the hot pixels lie the same way beside their places, if not in them."""
-        if not len(seen) or not len(self.always):
+        if not 0 < len(seen) <= MAX_PIXELS or not len(self.always):
             return None
         offsets = (seen[:, None, :] - self.always[None, :, :]).reshape(-1, 2)
         near = offsets[np.abs(offsets).max(axis=1) <= _MAX_OFFSET_PX]
@@ -159,10 +158,12 @@ def places_of(places: list[tuple[int, int]]) -> Places:
 
 def _aside(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
     """How many of the missing ones lie the same number of pixels further on, or back, as rows follow."""
-    offsets = Counter(
-        (there[1] - here[1]) * width_px + there[0] - here[0] for here in missing for there in foreign
-    )
-    return max((count for offset, count in offsets.items() if abs(offset) <= _MAX_LOST_PX), default=0)
+    if not missing or not 0 < len(foreign) <= MAX_PIXELS:
+        return 0
+    here, there = (np.array([v * width_px + u for u, v in places]) for places in (missing, foreign))
+    offsets = (there[:, None] - here[None, :]).ravel()
+    near = offsets[np.abs(offsets) <= _MAX_LOST_PX] + _MAX_LOST_PX
+    return int(np.bincount(near).max()) if near.size else 0
 
 
 def _as_set(places: Places) -> set[tuple[int, int]]:

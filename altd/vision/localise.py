@@ -106,7 +106,7 @@ def spot_in(
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
     spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
     if profile is None:
-        return spot
+        return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     return _held_against(reference, frame, patch, profile, spot, settings)
 
 

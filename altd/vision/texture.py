@@ -202,6 +202,8 @@ def match(sample: Sample, texture: Texture) -> Match | None:
     root = np.sqrt(np.where(usable, energy, 1))
     score = np.where(usable, _correlated(expected, weight * sample.relative) / root, 0)
     best = _Peak.at(score, (int(score.argmax()) // score.shape[1], int(score.argmax()) % score.shape[1]))
+    if score[best.lag] <= 0:
+        return None
     height, amplitude, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
     left = np.where(usable, _correlated(expected, weight * rest) / root, np.float32(0))
     noise = max(float(np.sqrt(np.mean(np.square(left[usable])))), 1e-9)

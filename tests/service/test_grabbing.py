@@ -142,6 +142,21 @@ async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
     await stop(task)
 
 
+class SettableLyingCamera(LyingCamera):
+    exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
+
+
+async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(component: Component) -> None:
+    camera = SettableLyingCamera(3600.0)
+    setter = ExposureSetter(ExposureControl(exposure_ms=3.0), 20.0)
+    inbox = Inbox(["front"])
+    task = asyncio.create_task(grab(camera, inbox, component, setter))
+    (first,) = await inbox.take()
+    assert first.changing
+    assert component.counters["mistimed"] == 1
+    await stop(task)
+
+
 async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is_not_lost(
     component: Component,
 ) -> None:

@@ -135,12 +135,21 @@ def test_one_wrong_verdict_holds_until_the_next_frame_and_three_until_it_is_veri
     bench.push(1, after_ns=500_000_000)
     assert bench.push(3, WRONG) == [False] * 3
     assert bench.push(5, DOUBT) == [False] * 5
-    assert bench.push(3, GOOD) == [True] * 3
+    assert bench.push(5, GOOD)[-2:] == [True] * 2  # an established one is looked at every 0.2 s
+
+
+def test_a_pause_ends_neither_an_established_wrong_view_nor_what_is_known_of_a_shift(bench: Bench) -> None:
+    bench.push(5, WRONG)
+    assert bench.push(2, DOUBT, after_ns=500_000_000) == [False] * 2
+    assert bench.push(1, GOOD, after_ns=500_000_000) == [True]
+    bench.push(4, replace(GOOD, displaced_px=0.4))
+    bench.push(1, DOUBT, after_ns=500_000_000)
+    assert bench.check.displaced_px == 0.4
 
 
 def test_another_sensor_is_over_when_the_hot_pixels_are_back(bench: Bench) -> None:
     assert bench.push(5, OTHER_SENSOR) == [False] * 5
-    assert bench.push(1, SAME_SENSOR, spot=NO_SPOT) == [True]
+    assert bench.push(4, SAME_SENSOR, spot=NO_SPOT)[-1]
 
 
 def test_hot_pixels_do_not_mend_a_view_that_moved(bench: Bench) -> None:

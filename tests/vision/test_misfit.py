@@ -144,3 +144,37 @@ def test_dust_on_the_window_is_not_distorted() -> None:
         assert isinstance(outcome, Spot), outcome
         error_px = np.hypot(outcome.u_px - spot.u_px, outcome.v_px - spot.v_px)
         assert error_px < 5 * np.sqrt(outcome.sigma_px**2 + outcome.excess_px**2 + USUAL.noise_px**2)
+
+
+def on_print(image: Picture) -> Picture:
+    """Dots of 2.4 px, 4.2 px from each other: without a flat such a spot is localised by its moments."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    turned_u, turned_v = u + 0.05 * v, v - 0.05 * u
+    beside = np.hypot((turned_u + 2.1) % 4.2 - 2.1, (turned_v + 2.1) % 4.2 - 2.1)
+    return image * (np.clip(1.7 - beside, 0, 1) * 0.95 + 0.05)
+
+
+def disc_in_half_shadow(rng: np.random.Generator, radius_px: float) -> Picture:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    u_px, v_px = 370 + rng.uniform(-5, 5), 240 + rng.uniform(-5, 5)
+    disc = 180.0 * (np.hypot(u - u_px, v - v_px) < radius_px)
+    return np.where(u > u_px + 0.3 * radius_px, 0.02 * disc, disc)
+
+
+@pytest.mark.parametrize("radius_px", [6.0, 12.0, 20.0])
+def test_what_no_profile_fits_is_no_spot_on_print_either(radius_px: float) -> None:
+    """Its moments are those of something; nothing would vouch for them."""
+    rng = np.random.default_rng(11)
+    for _ in range(8):
+        outcome = locate(
+            frame(on_print(disc_in_half_shadow(rng, radius_px)), rng), SpotSettings(), None, USUAL
+        )
+        assert isinstance(outcome, NoSpot) or outcome.shape is not None
+
+
+def test_good_spots_on_print_have_a_profile() -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(8):
+        outcome = locate(frame(on_print(light(blob(rng))), rng), SpotSettings(), None, USUAL)
+        assert isinstance(outcome, NoSpot) or outcome.shape is not None
+        assert not isinstance(outcome, NoSpot) or outcome.reason is not Reason.WRONG_SHAPE, outcome

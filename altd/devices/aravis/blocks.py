@@ -178,6 +178,8 @@ class Assembler:
             block.resends += 1
             block.asked_ns = now_ns
             for first, last in _gaps(block.have):
+                if last == len(block.have) - 1:  # the trailer's place, behind all that the camera may send
+                    last = block.layout.most + 1
                 self._request_id = self._request_id % 65535 + 1
                 yield gvsp.resend_command(self._request_id, block.id, block.layout.extended, first, last)
 

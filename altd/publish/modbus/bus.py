@@ -23,6 +23,8 @@ SHORTEST = 4
 MAX_UNIT_ID = 247
 """The largest unit id; 0 is everybody (Serial 2.2)."""
 
+_MOST_PIECES = 16
+"""In which adapters tear a frame. More is noise, and each costs a look at all that begin before it."""
 TORN_S = 0.1
 """A silence that no frame bridges. The specification says 1.5 characters (Serial 2.5.1.1), but USB adapters
 hand over what they have every 16 ms."""
@@ -102,7 +104,9 @@ class Bus:
         if self._due is not None and now_s > self._due.until_s:
             self._due = None
         self._pieces.append(heard)
-        while sum(map(len, self._pieces)) > LONGEST and len(self._pieces) > 1:
+        while len(self._pieces) > 1 and (
+            sum(map(len, self._pieces)) > LONGEST or len(self._pieces) > _MOST_PIECES
+        ):
             del self._pieces[0]
         for first in range(len(self._pieces)):
             whole = b"".join(self._pieces[first:])
