@@ -10,8 +10,10 @@ import os
 import shlex
 import signal
 import sys
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, TypeVar
 
 import cv2
@@ -251,14 +253,23 @@ def _lamps(options: argparse.Namespace) -> int:
     failed = os.environ.get("SERVICE_RESULT", "success") != "success"
     looks: dict[str, Callable[[], None]] = {
         "off": lambda: by_hand.leave(frozenset()),
-        "on": by_hand.light_until_interrupted,
+        "on": lambda: by_hand.light_until(interrupted.wait),
         "test": by_hand.light_in_turn,
         "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
     }
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)  # what is lit gets dark on the way out
+    interrupted = threading.Event()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        """What is lit gets dark on the way out; a library's callback swallows what is raised in it."""
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
     try:
         looks[options.look]()
+        if interrupted.is_set():
+            return 130
     except LampsError as error:
         complain(f"altd lamps: {error}")
         return 1

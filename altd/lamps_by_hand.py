@@ -65,16 +65,15 @@ class LampsByHand:
                 self._lamps.switch(True)
                 time.sleep(LIT_S)
 
-    def light_until_interrupted(self) -> None:
-        """All lit; dark again once KeyboardInterrupt comes."""
+    def light_until(self, interrupted: Callable[[], object]) -> None:
+        """All lit; dark again once ``interrupted`` returns, or KeyboardInterrupt comes."""
         with self._opened():
             if self._indicators is not None:
                 self._indicators.show(frozenset(Indicator))
             if self._lamps is not None:
                 self._lamps.switch(True)
             self._say("all are lit; Ctrl-C darkens them")
-            while True:
-                time.sleep(3600)
+            interrupted()
 
     @contextmanager
     def _opened(self) -> Iterator[None]:

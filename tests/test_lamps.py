@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,27 @@ import pytest
 from support.cli import altd, refusal, write_config
 from support.guest import run_in_guest
 from support.recordings import write_beams, write_scan
+
+SWALLOWED = """
+import os, signal, sys, time
+from altd import cli, parts
+
+class Lamps:
+    def open(self):
+        pass
+    def switch(self, on):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)
+        except KeyboardInterrupt:
+            print("swallowed", flush=True)
+    def close(self):
+        print("closed", flush=True)
+
+parts.lamps_of = lambda *_, **__: Lamps()
+sys.exit(cli.main(["lamps", "on", "--config", sys.argv[1]]))
+"""
+"""Ctrl-C while a library of the driver calls back, as PyGObject does: what is raised there goes nowhere."""
 
 DARK = {"LED_A": 0, "LED_B": 0, "DATA": 0, "ERROR": 0, "POWER": 0, "OK": 0}
 
@@ -133,6 +156,17 @@ class TestCommandLine:
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam")
         outcome = altd("lamps", "stopped", "--config", config)
         assert (outcome.status, outcome.out, outcome.err) == (0, "", "")
+
+    def test_an_interruption_that_a_library_swallows_ends_it_all_the_same(
+        self, unit: Path, tmp_path: Path
+    ) -> None:
+        more = '\n[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["A"]\n'
+        config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam", more)
+        done = subprocess.run(
+            [sys.executable, "-c", SWALLOWED, config], capture_output=True, text=True, timeout=20, check=False
+        )
+        assert (done.returncode, done.stderr) == (130, "")
+        assert done.stdout.splitlines() == ["swallowed", "all are lit; Ctrl-C darkens them", "closed"]
 
     def test_without_a_chip_ends_in_one_line(self, unit: Path, tmp_path: Path) -> None:
         more = '\n[indicators]\ndriver = "gpiod"\nchip = "no such chip"\nok = "OK"\n'
