@@ -27,6 +27,7 @@ from benchmarks.campaign.unseen import Subject
 from benchmarks.campaign.way import Draw, Spoil, Way, both
 
 PAIRS = "pairs"
+_ONE_IS_HIDDEN = "one of the two could not be seen by itself"
 _MOVING_SHARE = 0.2
 _BATCH = 6
 _COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")
@@ -159,7 +160,7 @@ def _spoilt(
         foreign = _rig(alike[int(rng.integers(len(alike)))])
     hidden = spoil.unseen(Subject.of(SIMULATED.get(rig.name)))
     outcome = run_episode(rig, spoil, rng, moving, foreign)
-    invisible = way.invisible or hidden
+    invisible = way.invisible or (_ONE_IS_HIDDEN if hidden and name == PAIRS else hidden)
     return name + UNSEEN * bool(hidden), f"#{number} {rig.name}: {note}", outcome, invisible
 
 
