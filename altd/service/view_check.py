@@ -140,4 +140,6 @@ class ViewCheck:
     def _is_cleared(self, verdict: ViewVerdict, wrong: ViewVerdict) -> bool:
         if verdict.is_verified or (wrong.is_other_sensor and verdict.is_same_sensor):
             return True
+        if wrong.is_print_seen and verdict.is_print_seen is False:
+            return True
         return self._wrong_verdicts < _ESTABLISHED_AFTER

@@ -13,7 +13,7 @@ from typing import Literal
 from altd.records import Frame
 from altd.vision.hot_pixels import HotPixels
 from altd.vision.settings import SpotSettings
-from altd.vision.texture import Match, Texture, match, sample_of
+from altd.vision.texture import Match, Sample, Texture, match, sample_of
 
 TextureSource = Literal["flat", "scan"]
 
@@ -50,6 +50,9 @@ class ViewVerdict:
     ``is_verified``: it is. ``doubt`` says why neither is certain. ``is_same_sensor``: the hot pixels are in
     their places; ``is_other_sensor``: they are what is wrong. ``shift_px`` is by how much the picture moved,
     None where that could not be measured.
+    ``displaced_px`` is the part of it that is certain enough to add to the uncertainty of a spot, with what a
+    doubled picture does; None where nobody knows. ``is_print_seen`` tells whether a spot shows print on a
+    target that has none, None where no spot tells.
     """
 
     wrong: str = ""
@@ -59,6 +62,7 @@ class ViewVerdict:
     is_other_sensor: bool = False
     shift_px: float | None = None
     displaced_px: float | None = None
+    is_print_seen: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +99,12 @@ class Fingerprint:
             return ViewVerdict(doubt=_NO_SPOT)
         patterned = self.texture.contrast > _PATTERNED_FROM
         if not patterned and sample.contrast > _PRINT_SEEN_FROM:
-            return ViewVerdict(wrong=f"print is seen (contrast {sample.contrast:.2f}) on a target without")
-        found = match(sample, self.texture)
+            why = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
+            return ViewVerdict(wrong=why, is_print_seen=True)
+        return replace(self._matched(sample, self.texture, patterned), is_print_seen=False)
+
+    def _matched(self, sample: Sample, texture: Texture, patterned: bool) -> ViewVerdict:
+        found = match(sample, texture)
         if found is None:
             return ViewVerdict(doubt="nothing is known of the target under the spot")
         if self.source == "flat" and (why := _absent(found, patterned)):

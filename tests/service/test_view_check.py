@@ -152,6 +152,13 @@ def test_another_sensor_is_over_when_the_hot_pixels_are_back(bench: Bench) -> No
     assert bench.push(4, SAME_SENSOR, spot=NO_SPOT)[-1]
 
 
+def test_print_on_a_plain_plate_is_over_when_a_spot_shows_none(bench: Bench) -> None:
+    """Nothing else could end it where the plate's own grain is not known under the spot."""
+    assert bench.push(5, ViewVerdict("print is seen", is_print_seen=True)) == [False] * 5
+    assert bench.push(4, SAME_SENSOR, spot=NO_SPOT) == [False] * 4
+    assert bench.push(4, replace(DOUBT, is_print_seen=False))[-1]
+
+
 def test_hot_pixels_do_not_mend_a_view_that_moved(bench: Bench) -> None:
     assert bench.push(5, WRONG) == [False] * 5
     assert bench.push(2, SAME_SENSOR) == [False] * 2
