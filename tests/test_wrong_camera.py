@@ -28,6 +28,7 @@ from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.scan import record_scan
 from hw_sim.stage import Stage
+from hw_sim.targets import DotPattern
 from hw_sim.unit import Unit, UnitConfig
 
 VIEWS = (View("front", "front"), View("rear", "rear"))
@@ -223,6 +224,21 @@ def test_a_picture_that_moved_by_less_than_is_refused_is_uncertain_by_so_much(
         assert error_mm > 0.15 * far_px
         assert error_mm < 2.5 * moved_aside.beam.sigma_x_mm
         assert moved_aside.beam.sigma_x_mm < good.beam.sigma_x_mm + 2 * error_mm
+
+
+def test_a_coarse_print_is_no_doubled_picture(tmp_path: Path) -> None:
+    """Dots of 1 mm, 2 mm from each other (Table 3.1): nothing is wrong with a unit that has them."""
+    unit = Unit(UnitConfig(seed=5, dots=DotPattern(1.0, 2.0, hexagonal=False)))
+    unit.set_camera("front", exposure_ms=1.4)  # its dots are larger and brighter
+    record_scan(tmp_path / "scan", unit, Stage(np.random.default_rng(5)), 1, lambda *_: None)
+    known = calibrate_scan(open_recording(tmp_path / "scan")).calibration
+    unit.leds_on = False
+    for number, pose in enumerate(POSES):
+        unit.place(pose)
+        front, rear = (unit.expose(camera, number, 0).pixels for camera in ("front", "rear"))
+        (measurement,) = measured(chain(known), [(front, rear)])
+        assert measurement.beam is not None, measurement.status
+        assert measurement.beam.sigma_x_mm < 0.06
 
 
 class TestIdentities:

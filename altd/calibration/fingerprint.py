@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from altd.vision.texture import Sample, Texture, sample_of
 
 _MAX_SIGMA = 0.05
 """Relative noise up to which a pixel's texture is known: that of a plain plate's grain."""
+_USUAL_SHARE = 0.95
 _MIN_VERIFIED_SHARE = 0.9
 """Of a scan's own nodes, by the texture of its flat; else the flat is not what the laser shows."""
 
@@ -55,7 +57,9 @@ def fingerprint_of(
             verdicts.append(made.examine(frame, settings, has_spot=True))
     good = sum(verdict.is_verified for verdict in verdicts)
     if good >= _MIN_VERIFIED_SHARE * len(verdicts):
-        return made, ""
+        doubled_px = [verdict.doubled_px for verdict in verdicts if verdict.doubled_px is not None]
+        usual_px = float(np.quantile(doubled_px, _USUAL_SHARE)) if doubled_px else None
+        return replace(made, usual_doubled_px=usual_px), ""
     remark = (
         f"the flat does not show the spots' ground ({good} of {len(verdicts)} nodes): it verifies no view"
     )

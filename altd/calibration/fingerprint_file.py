@@ -28,7 +28,8 @@ class FingerprintTable(BaseModel):
     """``fingerprint``: hot pixels as (u, v), and where the texture comes from.
 
     ``texture`` ``flat``: from the target's flat in the same file; ``scan``: as the grey picture ``png``,
-    base64, whose level 128 stands for even ground and 200 levels for twice its brightness.
+    base64, whose level 128 stands for even ground and 200 levels for twice its brightness. ``doubled_px``:
+    what good spots show of a doubled picture.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -37,6 +38,7 @@ class FingerprintTable(BaseModel):
     sometimes_hot_px: _Pixels
     texture: Literal["flat", "scan"] | None
     png: str | None
+    doubled_px: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] | None = None
 
 
 def as_document(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
@@ -53,6 +55,7 @@ def as_document(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
         "sometimes_hot_px": fingerprint.hot.sometimes.tolist(),
         "texture": fingerprint.source,
         "png": png,
+        "doubled_px": fingerprint.usual_doubled_px,
     }
 
 
@@ -75,7 +78,7 @@ def from_table(
         if flat is None:
             raise ValueError(f"{place}.texture: 'flat', but the target has none")
         texture = Texture.of_flat(flat)
-    return Fingerprint(hot, texture, table.texture)
+    return Fingerprint(hot, texture, table.texture, table.doubled_px)
 
 
 def _texture(place: str, text: str, width: int, height: int) -> Texture:
