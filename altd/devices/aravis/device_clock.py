@@ -5,21 +5,29 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+import numpy as np
+
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 5
 _AGREED_NS = 8_000_000
 """What a frame may come early or late by, against those before it, without a question: a frame's way through
 network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
-_LATE_IN_A_ROW = 20
 _VERY_LATE_NS = 25_000_000
-_VERY_LATE_IN_A_ROW = 3
-"""So many frames that come late by more are still the doing of the network or a busy computer, and keep their
-times; so do more when each is less late than the one before, as what was held up comes in at once."""
+_FEW, _FEW_BAND_NS = 4, 4_000_000
+_MANY, _MANY_BAND_NS = 20, 8_000_000
+"""Of so many frames in a row that come late, the few by more than ``_VERY_LATE_NS``, three quarters lie on a
+straight line to so much, and not one that falls: a clock that was set or runs slow makes that; what a busy
+computer or network holds up scatters, and comes in less and less late."""
+_ON_LINE_SHARE = 0.75
+_FALLING_NS = 1_000_000
+_REMEMBERED = 100
+_STEPPED_AFTER_NS = 3_000_000_000
+"""Who has come late on a line for so long, without one frame in time, was not held up."""
+_OUTDATED_NS = 10_000_000_000
+"""An envelope that no frame has met for so long is made anew of those that came late."""
 _BACK_IN_A_ROW = 3
 _SETTLING_FRAMES = 10
 """The first of all may have come late themselves."""
-_STEPPED_AFTER_NS = 3_000_000_000
-"""Who has come late for so long, without one frame in time, was not held up: the clock was set back."""
 _STEADY_FRAMES = 20
 """A clock that was implausible is used again when so many frames agree with it."""
 
@@ -40,9 +48,10 @@ class DeviceClock:
     followed within 0.5 ms. A frame that comes late, from a camera that was held up for instance, does not
     move the envelope and keeps its true time.
 
-    Frames that come late one after the other were held up, or the clock was set back: nobody knows which, and
-    they have no time until one comes in time again or the new offset has lasted. A frame that comes too early
-    has a stamp that is not true: it has the time of its arrival, and so have those that follow if they agree.
+    Frames that come late one after the other, all by as much or more and more, were delayed, or the clock was
+    set back or runs slow: nobody knows which, and they have no time until one comes in time again or it has
+    lasted. A frame that comes too early has a stamp that is not true: it has the time of its arrival, and so
+    have those that follow if they agree.
 
     A clock that stands still or goes back for more than three frames is not plausible: then the receive time
     itself is the answer, until the clock has run well for a second.
@@ -55,10 +64,11 @@ class DeviceClock:
         """How many frames in a row have agreed since the clock was not plausible."""
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
-        self._late = self._very_late = 0
         self._mapped = 0
         """Frames since the clock was mapped anew."""
-        self._late_since_ns = self._first_late_offset_ns = self._last_late_offset_ns = 0
+        self._late_ns: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
+        """When the late ones of a row were received, and their offsets."""
+        self._late_since_ns = 0
 
     @property
     def trusted(self) -> bool:
@@ -84,7 +94,7 @@ class DeviceClock:
         self._early_offset_ns = None
         if beyond_ns > _AGREED_NS:
             return self._held_up(offset_ns, device_ns, receive_ns)
-        self._late = self._very_late = 0
+        self._late_ns.clear()
         self._steady += not self.trusted
         self._take(offset_ns, receive_ns)
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
@@ -114,22 +124,38 @@ class DeviceClock:
             self._begin_anew(steady=0)
             self._take(offset_ns, receive_ns)
             return receive_ns
-        if self._late == 0:
-            self._late_since_ns, self._first_late_offset_ns = receive_ns, offset_ns
-        less_late = self._late > 0 and offset_ns < self._last_late_offset_ns - _AGREED_NS
-        self._late += not less_late
-        if offset_ns - self._envelope_ns() < _VERY_LATE_NS:
-            self._very_late = 0
-        else:
-            self._very_late += not less_late
-        self._last_late_offset_ns = offset_ns
-        if receive_ns - self._late_since_ns > _STEPPED_AFTER_NS:
-            is_steady = abs(offset_ns - self._first_late_offset_ns) <= _AGREED_NS
+        if not self._late_ns:
+            self._late_since_ns = receive_ns
+        self._late_ns.append((receive_ns, offset_ns))
+        lasted_ns = receive_ns - self._late_since_ns
+        if lasted_ns > _OUTDATED_NS:
+            smallest_ns = min(offset for _, offset in self._late_ns)
+            self._begin_anew(steady=self._steady)
+            self._take(smallest_ns, receive_ns)
+        elif self._lie_on_a_line(_MANY, _AGREED_NS, _MANY_BAND_NS):
+            if lasted_ns <= _STEPPED_AFTER_NS:
+                return None
+            is_steady = offset_ns - self._late_ns[0][1] <= _AGREED_NS
             self._begin_anew(steady=_STEADY_FRAMES if is_steady else 0)
             self._take(offset_ns, receive_ns)
             return receive_ns
-        is_unknown = self._late > _LATE_IN_A_ROW or self._very_late > _VERY_LATE_IN_A_ROW
-        return None if is_unknown else device_ns + self._envelope_ns()
+        elif self._lie_on_a_line(_FEW, _VERY_LATE_NS, _FEW_BAND_NS):
+            return None
+        return min(device_ns + self._envelope_ns(), receive_ns)
+
+    def _lie_on_a_line(self, count: int, least_ns: int, band_ns: int) -> bool:
+        """Whether the last so many all came late by so much, and three quarters of them on one line."""
+        if len(self._late_ns) < count:
+            return False
+        envelope_ns = self._envelope_ns()
+        offsets_ns = np.array([float(offset_ns - envelope_ns) for _, offset_ns in self._late_ns])[-count:]
+        if offsets_ns.min() < least_ns:
+            return False
+        first, second = np.triu_indices(count, 1)
+        slope_ns = float(np.median((offsets_ns[second] - offsets_ns[first]) / (second - first)))
+        level_ns = offsets_ns - slope_ns * np.arange(count)
+        near = np.abs(level_ns - np.median(level_ns)) <= band_ns / 2
+        return slope_ns > -_FALLING_NS and float(near.mean()) >= _ON_LINE_SHARE
 
     def _envelope_ns(self) -> int:
         return min(bucket.offset_ns for bucket in self._buckets)
@@ -144,4 +170,5 @@ class DeviceClock:
         self._buckets.clear()
         self._steady = steady
         self._early_offset_ns = None
-        self._late = self._very_late = self._mapped = 0
+        self._late_ns.clear()
+        self._mapped = 0
