@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.config import AravisCamera, Config, RecordingCamera, V4l2Camera
+from altd.config import AravisCamera, Config, RecordingCamera
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 from altd.errors import BadInputError
@@ -28,8 +28,6 @@ def libraries(config: Config | None) -> Iterator[Finding]:
     """The libraries behind the drivers that the config names; without one, behind all."""
     cameras = () if config is None else tuple(config.cameras.values())
     lamps = () if config is None else (config.lamps, config.indicators)
-    if config is None or any(isinstance(camera, V4l2Camera) for camera in cameras):
-        yield _library("linuxpy", "linuxpy.video.raw")
     if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
         yield _library("gpiod", "gpiod")
     if config is None or any(isinstance(camera, AravisCamera) for camera in cameras):

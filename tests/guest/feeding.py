@@ -13,18 +13,12 @@ from mmap import mmap
 from pathlib import Path
 
 import numpy as np
-from linuxpy.video.raw import (
-    IOC,
-    BufType,
-    Field,
-    Memory,
-    v4l2_buffer,
-    v4l2_format,
-    v4l2_fourcc,
-    v4l2_requestbuffers,
-)
 
+from altd.devices.v4l2 import abi
 from altd.devices.v4l2.node import Node
+
+V4L2_BUF_TYPE_VIDEO_OUTPUT = 2  # as in <linux/videodev2.h>, what altd itself does not use
+V4L2_FIELD_NONE = 1
 
 
 class Output:
@@ -54,25 +48,25 @@ class Output:
             os.write(self._node.descriptor, picture)
             return
         begins = len(self._free) == len(self._maps)
-        index = self._free.pop() if self._free else self._node.call(IOC.DQBUF, _buffer(0)).index
+        index = self._free.pop() if self._free else self._node.call(abi.VIDIOC_DQBUF, _buffer(0)).index
         self._maps[index][: len(picture)] = picture
         filled = _buffer(index)
-        filled.bytesused, filled.field = len(picture), Field.NONE
-        self._node.call(IOC.QBUF, filled)
+        filled.bytesused, filled.field = len(picture), V4L2_FIELD_NONE
+        self._node.call(abi.VIDIOC_QBUF, filled)
         if begins:
-            self._node.call(IOC.STREAMON, ctypes.c_int(BufType.VIDEO_OUTPUT))
+            self._node.call(abi.VIDIOC_STREAMON, ctypes.c_int(V4L2_BUF_TYPE_VIDEO_OUTPUT))
 
     def _open(self) -> None:
         self._node = node = Node(self._device)
-        wanted = v4l2_format(type=BufType.VIDEO_OUTPUT)
+        wanted = abi.v4l2_format(type=V4L2_BUF_TYPE_VIDEO_OUTPUT)
         wanted.fmt.pix.width, wanted.fmt.pix.height = self._columns, self._rows
-        wanted.fmt.pix.pixelformat = v4l2_fourcc(*"GREY")
-        node.call(IOC.S_FMT, wanted)
+        wanted.fmt.pix.pixelformat = abi.v4l2_fourcc("GREY")
+        node.call(abi.VIDIOC_S_FMT, wanted)
         if node.driver == "v4l2 loopback":
             return
-        asked = v4l2_requestbuffers(count=3, type=BufType.VIDEO_OUTPUT, memory=Memory.MMAP)
-        for index in range(node.call(IOC.REQBUFS, asked).count):
-            buffer = node.call(IOC.QUERYBUF, _buffer(index))
+        asked = abi.v4l2_requestbuffers(count=3, type=V4L2_BUF_TYPE_VIDEO_OUTPUT, memory=abi.V4L2_MEMORY_MMAP)
+        for index in range(node.call(abi.VIDIOC_REQBUFS, asked).count):
+            buffer = node.call(abi.VIDIOC_QUERYBUF, _buffer(index))
             self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
         self._free = list(range(len(self._maps)))
 
@@ -84,8 +78,8 @@ class Output:
         self._node = None
 
 
-def _buffer(index: int) -> v4l2_buffer:
-    return v4l2_buffer(index=index, type=BufType.VIDEO_OUTPUT, memory=Memory.MMAP)
+def _buffer(index: int) -> abi.v4l2_buffer:
+    return abi.v4l2_buffer(index=index, type=V4L2_BUF_TYPE_VIDEO_OUTPUT, memory=abi.V4L2_MEMORY_MMAP)
 
 
 def main(frames: Path, fps: float, devices: list[Path]) -> None:

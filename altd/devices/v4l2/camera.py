@@ -9,10 +9,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from linuxpy.video.raw import BufferFlag, v4l2_buffer
-
 from altd.config import V4l2Camera as Settings
 from altd.devices.counting import FrameCounter
+from altd.devices.v4l2 import abi
 from altd.devices.v4l2.controls import controls_of, set_controls
 from altd.devices.v4l2.exposure import ExposureTime
 from altd.devices.v4l2.image import PIXEL_FORMATS, Layout, Stamp, middle_of_exposure_ns
@@ -128,16 +127,17 @@ class V4l2Camera:
             raise CameraLostError(f"{self._settings.device}: is not open")
         return self._running
 
-    def _frame(self, running: _Running, buffer: v4l2_buffer) -> Frame | None:
+    def _frame(self, running: _Running, buffer: abi.v4l2_buffer) -> Frame | None:
         """The frame in a buffer; None when the driver says that it is damaged, or when it is too short."""
-        flags = BufferFlag(buffer.flags)
+        flags = int(buffer.flags)
         memory = running.stream.memory(buffer)
-        if BufferFlag.ERROR in flags or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
+        damaged = flags & abi.V4L2_BUF_FLAG_ERROR
+        if damaged or min(buffer.bytesused, len(memory)) < running.layout.frame_bytes:
             return None
-        monotonic = flags & BufferFlag.TIMESTAMP_MASK == BufferFlag.TIMESTAMP_MONOTONIC
-        begun = flags & BufferFlag.TSTAMP_SRC_MASK == BufferFlag.TSTAMP_SRC_SOE
+        monotonic = flags & abi.V4L2_BUF_FLAG_TIMESTAMP_MASK == abi.V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC
+        begun = flags & abi.V4L2_BUF_FLAG_TSTAMP_SRC_MASK == abi.V4L2_BUF_FLAG_TSTAMP_SRC_SOE
         t_ns = middle_of_exposure_ns(
-            buffer.timestamp.secs * 1_000_000_000 + buffer.timestamp.usecs * 1000,
+            buffer.timestamp.tv_sec * 1_000_000_000 + buffer.timestamp.tv_usec * 1000,
             "monotonic" if monotonic else "unknown",
             Stamp.START_OF_EXPOSURE if begun else Stamp.END_OF_FRAME,
             running.exposure_ms,

@@ -7,18 +7,17 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from linuxpy.video.raw import IOC, ControlFlag, CtrlType, v4l2_control, v4l2_query_ext_ctrl
-
+from altd.devices.v4l2 import abi
 from altd.devices.v4l2.node import Node, text
 from altd.ports import CameraRefusedError
 
 _KINDS = {
-    CtrlType.INTEGER: "integer",
-    CtrlType.BOOLEAN: "boolean",
-    CtrlType.MENU: "menu",
-    CtrlType.INTEGER_MENU: "menu",
-    CtrlType.BITMASK: "bits",
-    CtrlType.BUTTON: "button",
+    abi.V4L2_CTRL_TYPE_INTEGER: "integer",
+    abi.V4L2_CTRL_TYPE_BOOLEAN: "boolean",
+    abi.V4L2_CTRL_TYPE_MENU: "menu",
+    abi.V4L2_CTRL_TYPE_INTEGER_MENU: "menu",
+    abi.V4L2_CTRL_TYPE_BITMASK: "bits",
+    abi.V4L2_CTRL_TYPE_BUTTON: "button",
 }
 """Those that one number of 32 bits sets."""
 
@@ -39,7 +38,7 @@ class Control:
 
     def value(self, node: Node) -> int:
         """What it is set to; raises OSError."""
-        return int(node.call(IOC.G_CTRL, v4l2_control(self.number)).value)
+        return int(node.call(abi.VIDIOC_G_CTRL, abi.v4l2_control(self.number)).value)
 
     def set(self, node: Node, value: int) -> None:
         """Set it to exactly this; raises CameraRefusedError when the camera does not take it, or OSError."""
@@ -47,7 +46,7 @@ class Control:
         if beyond or not self.writes:  # the kernel would take the nearest
             raise CameraRefusedError(f"control {self.name} does not take {value}: {self}")
         try:
-            taken = int(node.call(IOC.S_CTRL, v4l2_control(self.number, value)).value)
+            taken = int(node.call(abi.VIDIOC_S_CTRL, abi.v4l2_control(self.number, value)).value)
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ERANGE, errno.EACCES):
                 raise CameraRefusedError(f"control {self.name} does not take {value}: {self}") from error
@@ -81,29 +80,28 @@ def set_controls(node: Node, wanted: Mapping[str, int]) -> None:
 
 
 def _controls(node: Node) -> Iterator[Control]:
-    query = v4l2_query_ext_ctrl(id=ControlFlag.NEXT_CTRL)
+    query = abi.v4l2_query_ext_ctrl(id=abi.V4L2_CTRL_FLAG_NEXT_CTRL)
     while True:
         try:
-            node.call(IOC.QUERY_EXT_CTRL, query)
+            node.call(abi.VIDIOC_QUERY_EXT_CTRL, query)
         except OSError as error:
             if error.errno in (errno.EINVAL, errno.ENOTTY):  # that was the last one, or it has none at all
                 return
             raise
-        flags = ControlFlag(query.flags)
-        if query.type in _KINDS and ControlFlag.DISABLED not in flags:
-            button = query.type == CtrlType.BUTTON
+        if query.type in _KINDS and not query.flags & abi.V4L2_CTRL_FLAG_DISABLED:
+            button = query.type == abi.V4L2_CTRL_TYPE_BUTTON
             yield Control(
                 number=query.id,
                 name=_spelled(text(query.name)),
-                kind=_KINDS[CtrlType(query.type)],
+                kind=_KINDS[query.type],
                 smallest=query.minimum,
                 largest=query.maximum,
                 step=query.step,
                 default=query.default_value,
-                reads=not button and ControlFlag.WRITE_ONLY not in flags,
-                writes=ControlFlag.READ_ONLY not in flags,
+                reads=not button and not query.flags & abi.V4L2_CTRL_FLAG_WRITE_ONLY,
+                writes=not query.flags & abi.V4L2_CTRL_FLAG_READ_ONLY,
             )
-        query.id |= ControlFlag.NEXT_CTRL
+        query.id |= abi.V4L2_CTRL_FLAG_NEXT_CTRL
 
 
 def _spelled(name: str) -> str:

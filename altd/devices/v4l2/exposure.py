@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
-from linuxpy.video.raw import ControlID
-
+from altd.devices.v4l2 import abi
 from altd.devices.v4l2.controls import Control
 from altd.devices.v4l2.node import Node
 from altd.ports import ExposureRange
@@ -33,11 +32,11 @@ class ExposureTime:
     def of(cls, controls: Iterable[Control]) -> Self | None:
         """Out of a camera's controls; None when it cannot be told an exposure in milliseconds."""
         by_number = {control.number: control for control in controls}
-        time = by_number.get(ControlID.EXPOSURE_ABSOLUTE)
+        time = by_number.get(abi.V4L2_CID_EXPOSURE_ABSOLUTE)
         if time is None or not time.writes or time.largest < 1:
             return None
-        automatic = by_number.get(ControlID.EXPOSURE_AUTO)
-        return cls(time, automatic, by_number.get(ControlID.EXPOSURE_AUTO_PRIORITY))
+        automatic = by_number.get(abi.V4L2_CID_EXPOSURE_AUTO)
+        return cls(time, automatic, by_number.get(abi.V4L2_CID_EXPOSURE_AUTO_PRIORITY))
 
     @property
     def range(self) -> ExposureRange:

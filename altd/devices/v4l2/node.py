@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
-from linuxpy.video.raw import IOC, Capability, v4l2_capability
+from altd.devices.v4l2 import abi
 
 _CHARACTER_DEVICES = Path("/sys/dev/char")
 
-CallStruct = TypeVar("CallStruct")
-
-
-class Indexed(Protocol):
-    """A structure of the kernel that asks for one entry of a list."""
-
-    index: int
-
-
-Entry = TypeVar("Entry", bound=Indexed)
+Argument = TypeVar("Argument", bound=ctypes.Structure | ctypes.c_int)
+Entry = TypeVar("Entry", bound=ctypes.Structure)
 
 
 class Node:
@@ -31,7 +24,7 @@ class Node:
     def __init__(self, path: Path) -> None:
         self.descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         try:
-            about = self.call(IOC.QUERYCAP, v4l2_capability())
+            about = self.call(abi.VIDIOC_QUERYCAP, abi.v4l2_capability())
         except OSError:
             self.close()
             raise
@@ -39,18 +32,19 @@ class Node:
         self.card = text(about.card)
         self.bus = text(about.bus_info)
         self.serial = _usb_serial(self.descriptor)
-        capabilities = Capability(about.capabilities)
-        if Capability.DEVICE_CAPS in capabilities:  # those of this node, not of all nodes of the camera
-            capabilities = Capability(about.device_caps)
-        self.streams = Capability.VIDEO_CAPTURE in capabilities and Capability.STREAMING in capabilities
+        capabilities = about.capabilities
+        if capabilities & abi.V4L2_CAP_DEVICE_CAPS:  # those of this node, not of all nodes of the camera
+            capabilities = about.device_caps
+        needed = abi.V4L2_CAP_VIDEO_CAPTURE | abi.V4L2_CAP_STREAMING
+        self.streams = capabilities & needed == needed
 
-    def call(self, request: int, argument: CallStruct) -> CallStruct:
+    def call(self, request: int, argument: Argument) -> Argument:
         """Let the kernel read and fill a structure, which comes back."""
-        fcntl.ioctl(self.descriptor, request, argument)  # type: ignore[call-overload]
+        fcntl.ioctl(self.descriptor, request, argument)
         return argument
 
     def entries(self, request: int, argument: Entry) -> Iterator[Entry]:
-        """The entries of one of the kernel's lists, each in the same structure."""
+        """The entries of one of the kernel's lists, by their ``index``, each in the same structure."""
         for index in range(1 << 16):
             argument.index = index
             try:

@@ -9,19 +9,7 @@ import time
 from fractions import Fraction
 from mmap import mmap
 
-from linuxpy.video.raw import (
-    IOC,
-    BufType,
-    Capability,
-    Memory,
-    v4l2_buffer,
-    v4l2_format,
-    v4l2_fourcc,
-    v4l2_requestbuffers,
-    v4l2_streamparm,
-)
-
-from altd.devices.v4l2 import offers
+from altd.devices.v4l2 import abi, offers
 from altd.devices.v4l2.image import Layout, PixelFormat
 from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
@@ -35,12 +23,12 @@ _SAME_RATE = 1e-4
 
 def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -> Layout:
     """Have frames of exactly this format; raises CameraRefusedError that says what there is, or OSError."""
-    wanted = v4l2_format(type=BufType.VIDEO_CAPTURE)
+    wanted = abi.v4l2_format(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     wanted.fmt.pix.width = width
     wanted.fmt.pix.height = height
-    wanted.fmt.pix.pixelformat = v4l2_fourcc(*pixel_format.fourcc)
-    taken = node.call(IOC.S_FMT, wanted).fmt.pix
-    if taken.pixelformat != v4l2_fourcc(*pixel_format.fourcc):
+    wanted.fmt.pix.pixelformat = abi.v4l2_fourcc(pixel_format.fourcc)
+    taken = node.call(abi.VIDIOC_S_FMT, wanted).fmt.pix
+    if taken.pixelformat != abi.v4l2_fourcc(pixel_format.fourcc):
         there = ", ".join(fourcc.strip() for fourcc in offers.fourccs(node))
         raise CameraRefusedError(f"has no pixel format {pixel_format.name}; it has {there or 'none'}")
     if (taken.width, taken.height) != (width, height):
@@ -57,16 +45,16 @@ def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -
 
 def set_rate(node: Node, fps: float, layout: Layout) -> None:
     """Have this rate, where the camera lets itself be set one; raises CameraRefusedError or OSError."""
-    asked = v4l2_streamparm(type=BufType.VIDEO_CAPTURE)
+    asked = abi.v4l2_streamparm(type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE)
     capture = asked.parm.capture
     try:
-        node.call(IOC.G_PARM, asked)
-        if not capture.capability & Capability.TIMEPERFRAME:
+        node.call(abi.VIDIOC_G_PARM, asked)
+        if not capture.capability & abi.V4L2_CAP_TIMEPERFRAME:
             return
         period = 1 / Fraction(fps).limit_denominator(100_000)
         capture.timeperframe.numerator = period.numerator
         capture.timeperframe.denominator = period.denominator
-        node.call(IOC.S_PARM, asked)
+        node.call(abi.VIDIOC_S_PARM, asked)
     except OSError as error:
         if error.errno == errno.ENOTTY:
             return
@@ -89,38 +77,40 @@ class Stream:
         self._maps: list[mmap] = []
         try:
             granted = node.call(
-                IOC.REQBUFS,
-                v4l2_requestbuffers(count=_BUFFERS, type=BufType.VIDEO_CAPTURE, memory=Memory.MMAP),
+                abi.VIDIOC_REQBUFS,
+                abi.v4l2_requestbuffers(
+                    count=_BUFFERS, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
+                ),
             )
             for index in range(granted.count):  # not always as many as were asked for
-                buffer = node.call(IOC.QUERYBUF, _buffer(index))
+                buffer = node.call(abi.VIDIOC_QUERYBUF, _buffer(index))
                 self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
-                node.call(IOC.QBUF, buffer)
-            node.call(IOC.STREAMON, ctypes.c_int(BufType.VIDEO_CAPTURE))
+                node.call(abi.VIDIOC_QBUF, buffer)
+            node.call(abi.VIDIOC_STREAMON, ctypes.c_int(abi.V4L2_BUF_TYPE_VIDEO_CAPTURE))
         except OSError:
             self.close()
             raise
 
-    def take(self, deadline_s: float) -> v4l2_buffer | None:
+    def take(self, deadline_s: float) -> abi.v4l2_buffer | None:
         """The next buffer that the driver has filled, or None by the deadline of ``time.monotonic``."""
         while True:
             left_ms = max(0.0, deadline_s - time.monotonic()) * 1e3
             if not self._poll.poll(left_ms):
                 return None
             try:
-                return self._node.call(IOC.DQBUF, _buffer(0))
+                return self._node.call(abi.VIDIOC_DQBUF, _buffer(0))
             except BlockingIOError:
                 if left_ms <= 0.0:
                     return None
                 time.sleep(_AGAIN_S)  # woken for nothing; a driver that does so for ever costs no processor
 
-    def memory(self, buffer: v4l2_buffer) -> mmap:
+    def memory(self, buffer: abi.v4l2_buffer) -> mmap:
         """What the driver wrote; its own again after ``give_back``."""
         return self._maps[int(buffer.index)]
 
-    def give_back(self, buffer: v4l2_buffer) -> None:
+    def give_back(self, buffer: abi.v4l2_buffer) -> None:
         """Let the driver fill it again."""
-        self._node.call(IOC.QBUF, buffer)
+        self._node.call(abi.VIDIOC_QBUF, buffer)
 
     def close(self) -> None:
         """Unmap the buffers; the stream ends when the node is closed."""
@@ -128,5 +118,5 @@ class Stream:
             self._maps.pop().close()
 
 
-def _buffer(index: int) -> v4l2_buffer:
-    return v4l2_buffer(index=index, type=BufType.VIDEO_CAPTURE, memory=Memory.MMAP)
+def _buffer(index: int) -> abi.v4l2_buffer:
+    return abi.v4l2_buffer(index=index, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP)
