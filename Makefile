@@ -21,7 +21,8 @@ pages := \
     telegram:altd.publish.serial.telegram_page \
     console:altd.publish.serial.console_page \
     http:altd.publish.http.page \
-    config:altd.config_page
+    config:altd.config_page \
+    licences:tools.licences.page
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
@@ -38,11 +39,12 @@ test: programs venv kernel ## the tests
 fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
 	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
-check: venv ## style, types, layers, generated pages
+check: venv ## style, types, layers, licences, generated pages
 	@$(python) -m ruff check
 	$(python) -m ruff format --check
 	$(python) -m mypy
 	.venv/bin/lint-imports --no-logo
+	$(python) -m tools.licences
 	for page in $(pages); do
 		file=docs/$${page%:*}.md
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }

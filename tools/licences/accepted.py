@@ -1,0 +1,255 @@
+"""What goes with Apache-2.0, and what was found out by reading where a package does not say it itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ACCEPTED = frozenset(
+    {
+        "0BSD",
+        "Apache-2.0",
+        "Apache-2.0 WITH LLVM-exception",
+        "BSD-2-Clause",
+        "BSD-3-Clause",
+        "BSD-3-Clause-Open-MPI",
+        "Bitstream-Charter",  # a font
+        "CC0-1.0",
+        "FTL",
+        "GPL-3.0-or-later WITH GCC-exception-3.1",  # the exception: what GCC compiled may have any licence
+        "IJG",
+        "MIT",
+        "MIT-CMU",
+        "MIT-Modern-Variant",
+        "OFL-1.1",  # fonts, which may be passed on with any program
+        "OpenSSL",
+        "PSF-2.0",
+        "Qhull",
+        "Unicode-3.0",
+        "Unicode-DFS-2016",
+        "X11",
+        "Zlib",
+        "libpng-2.0",
+        "libtiff",
+    }
+)
+"""Who passes on altd with such a thing keeps its notices, and altd stays under Apache-2.0 as a whole.
+
+A licence that asks for more than notices (LGPL, MPL) is none of them: it is accepted for one package, with a
+reason that holds for that one.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """The licence of a package whose metadata do not give it as an SPDX expression.
+
+    ``says`` is what they say, as ``Package.says`` puts it: a release that says something else is read again.
+    ``requires`` is what it needs; asked for only where the package is not installed.
+    """
+
+    says: str
+    licence: str
+    why: str
+    requires: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Why a package under a licence that asks for more than notices is used all the same."""
+
+    licences: frozenset[str]
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Something of another licence that the wheel of a package brings along, or that its metadata name.
+
+    ``files`` are patterns of paths below ``site-packages``; ``component`` is its name in the metadata (a list
+    of parts in CycloneDX, or ``Name:`` in a licence file). ``why`` it goes, where its licence alone does not
+    say so. What ``is_there`` false has is named in the metadata only: the wheel does not have it.
+    """
+
+    package: str
+    name: str
+    licence: str
+    files: tuple[str, ...] = ()
+    component: str = ""
+    why: str = ""
+    is_there: bool = True
+
+
+PURPOSES = {
+    "gpiod": "lamps on GPIO lines",
+    "numpy": "arrays and linear algebra",
+    "opencv-python-headless": "pictures: reading, filters, camera models",
+    "pydantic": "the settings, checked",
+    "pygobject": "GigE Vision cameras, through Aravis (extra `aravis`)",
+    "pymodbus": "Modbus",
+    "pyserial": "serial ports",
+    "starlette": "HTTP",
+    "uvicorn": "HTTP",
+    "matplotlib": "the report's figures (extra `report`)",
+}
+"""What altd itself needs each package of ``pyproject.toml`` for."""
+
+STATED = {
+    "contourpy": Stated(
+        "BSD 3-Clause License …; BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"
+    ),
+    "cycler": Stated(
+        "Copyright (c) 2015, matplotlib project …; BSD License",
+        "BSD-3-Clause",
+        "`LICENSE` in its wheel is that text",
+    ),
+    "kiwisolver": Stated(
+        "========================= …; BSD License", "BSD-3-Clause", "`LICENSE` in its wheel: Modified BSD"
+    ),
+    "matplotlib": Stated(
+        "License agreement for matplotlib versions 1.3.0 and later …; Python Software Foundation License",
+        "PSF-2.0",
+        "`LICENSE` in its wheel is the PSF's text with its own name in it",
+    ),
+    "opencv-python-headless": Stated(
+        "Apache 2.0; Apache Software License",
+        "Apache-2.0 AND MIT",
+        "OpenCV is Apache-2.0, the packaging around it MIT (`LICENSE.txt`)",
+    ),
+    "pycairo": Stated("LGPL-2.1-only OR MPL-1.1", "LGPL-2.1-only OR MPL-1.1", "its metadata"),
+    "pygobject": Stated(
+        "GNU Lesser General Public License v2.1 (LGPLv2.1); "
+        "GNU Lesser General Public License v2 or later (LGPLv2+)",
+        "LGPL-2.1-or-later",
+        "its description and the heads of its sources say LGPL-2.1 or later",
+        requires=("pycairo",),
+    ),
+    "pyserial": Stated("BSD; BSD License", "BSD-3-Clause", "its sources name BSD-3-Clause in their heads"),
+}
+
+POSITIONS = {
+    "gpiod": Position(
+        frozenset({"LGPL-2.1-or-later"}),
+        "imported, unchanged, from files of its own, in whose place another build of it may stand",
+    ),
+    "pycairo": Position(
+        frozenset({"LGPL-2.1-only"}),
+        "needed by PyGObject where that is compiled for tests; altd does not import it, no release has it",
+    ),
+    "pygobject": Position(
+        frozenset({"LGPL-2.1-or-later"}),
+        "imported, unchanged; a unit has it from Debian (`python3-gi`), no release has it",
+    ),
+}
+
+_OWN_FILE = "a library in a file of its own, unchanged, which can be replaced"
+_EXCEPTION = "GCC's exception: what is compiled with it may have any licence"
+PARTS = (
+    Part("numpy", "OpenBLAS", "BSD-3-Clause", ("numpy.libs/libscipy_openblas*",), "OpenBLAS"),
+    Part("numpy", "LAPACK, in OpenBLAS", "BSD-3-Clause-Open-MPI", (), "LAPACK"),
+    Part(
+        "numpy",
+        "libgfortran",
+        "GPL-3.0-or-later WITH GCC-exception-3.1",
+        ("numpy.libs/libgfortran*",),
+        "GCC runtime library",
+        why=_EXCEPTION,
+    ),
+    Part(
+        "numpy",
+        "libquadmath",
+        "LGPL-2.1-or-later",
+        ("numpy.libs/libquadmath*",),
+        "libquadmath",
+        why=_OWN_FILE,
+    ),
+    Part(
+        "opencv-python-headless",
+        "FFmpeg",
+        "LGPL-2.1-or-later",
+        tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("avcodec", "avformat", "avutil"))
+        + tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("swresample", "swscale")),
+        why=f"{_OWN_FILE}; built without its GPL parts; altd reads no films",
+    ),
+    Part("opencv-python-headless", "OpenBLAS", "BSD-3-Clause", ("opencv_python_headless.libs/libopenblas*",)),
+    Part(
+        "opencv-python-headless",
+        "libgfortran",
+        "GPL-3.0-or-later WITH GCC-exception-3.1",
+        ("opencv_python_headless.libs/libgfortran*",),
+        why=_EXCEPTION,
+    ),
+    Part(
+        "opencv-python-headless",
+        "libquadmath",
+        "LGPL-2.1-or-later",
+        ("opencv_python_headless.libs/libquadmath*",),
+        why=_OWN_FILE,
+    ),
+    Part(
+        "opencv-python-headless",
+        "OpenSSL 1.1.1",
+        "OpenSSL",
+        ("opencv_python_headless.libs/libcrypto-*", "opencv_python_headless.libs/libssl-*"),
+        why="FFmpeg's alone",
+    ),
+    Part("opencv-python-headless", "libaom", "BSD-2-Clause", ("opencv_python_headless.libs/libaom-*",)),
+    Part("opencv-python-headless", "libavif", "BSD-2-Clause", ("opencv_python_headless.libs/libavif-*",)),
+    Part("opencv-python-headless", "libdrm", "MIT", ("opencv_python_headless.libs/libdrm-*",)),
+    Part("opencv-python-headless", "libpng", "libpng-2.0", ("opencv_python_headless.libs/libpng16-*",)),
+    Part("opencv-python-headless", "libvpx", "BSD-3-Clause", ("opencv_python_headless.libs/libvpx-*",)),
+    Part(
+        "matplotlib",
+        "BaKoMa fonts",
+        "LicenseRef-BaKoMa",
+        component="BaKoMa Fonts",
+        why="may be passed on with its notice",
+    ),
+    Part(
+        "matplotlib",
+        "Yorick colour maps",
+        "LicenseRef-Yorick",
+        component="Yorick Colormaps",
+        why="BSD in its own words",
+    ),
+    Part("pillow", "brotli", "MIT", ("pillow.libs/libbrotli*",)),
+    Part("pillow", "FreeType", "FTL", ("pillow.libs/libfreetype-*",), "FreeType"),
+    Part(
+        "pillow",
+        "FriBiDi",
+        "LGPL-2.1-or-later",
+        component="FriBiDi",
+        why="not in its wheel; used where the computer has it, for text that altd does not write",
+        is_there=False,
+    ),
+    Part("pillow", "HarfBuzz", "MIT-Modern-Variant", ("pillow.libs/libharfbuzz-*",)),
+    Part("pillow", "libavif", "BSD-2-Clause", ("pillow.libs/libavif-*",), "libavif"),
+    Part(
+        "pillow",
+        "libimagequant",
+        "GPL-3.0-or-later",
+        component="libimagequant",
+        why="not in its wheel, which is built without it",
+        is_there=False,
+    ),
+    Part("pillow", "libjpeg-turbo", "IJG AND BSD-3-Clause", ("pillow.libs/libjpeg-*",)),
+    Part("pillow", "liblzma", "0BSD", ("pillow.libs/liblzma-*",)),
+    Part("pillow", "libpng", "libpng-2.0", ("pillow.libs/libpng16-*",)),
+    Part("pillow", "libtiff", "libtiff", ("pillow.libs/libtiff-*",), "libtiff"),
+    Part(
+        "pillow", "libwebp", "BSD-3-Clause", ("pillow.libs/libwebp*", "pillow.libs/libsharpyuv-*"), "libwebp"
+    ),
+    Part("pillow", "Little CMS", "MIT", ("pillow.libs/liblcms2-*",), "Little CMS 2"),
+    Part("pillow", "OpenJPEG", "BSD-2-Clause", ("pillow.libs/libopenjp2-*",), "OpenJPEG"),
+    Part("pillow", "X11 libraries", "X11", ("pillow.libs/libxcb-*", "pillow.libs/libXau-*"), "libxcb"),
+    Part("pillow", "Zstandard", "BSD-3-Clause OR GPL-2.0-only", ("pillow.libs/libzstd-*",)),
+)
+"""What the wheels on PyPI for x86_64 bring along, where a file or a licence needs a word; other parts are in
+the wheels' own lists, which are read too."""
+
+TEXTS = {
+    ("gpiod", "LGPL"): "its own",
+    ("numpy", "GPL"): "libgfortran's, with GCC's exception",
+    ("opencv-python-headless", "LGPL"): "FFmpeg's; another is of Qt, which only wheels with windows have",
+    ("opencv-python-headless", "MPL"): "libsrt's, which only the wheels for macOS have",
+}
+"""Whole texts of such licences in a package's licence files, and whose they are."""

@@ -1,0 +1,114 @@
+"""Which packages, and which parts that they bring along, do not go with Apache-2.0."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Iterator
+from fnmatch import fnmatch
+
+from tools.licences.accepted import ACCEPTED, PARTS, POSITIONS, PURPOSES, STATED, TEXTS
+from tools.licences.installed import Component, Package
+from tools.licences.spdx import canonical, goes, is_own_text, names
+
+_CLASSIFIERS = {
+    "Apache Software License": {"Apache-2.0"},
+    "BSD License": {"BSD-2-Clause", "BSD-3-Clause"},
+    "MIT License": {"MIT"},
+    "Python Software Foundation License": {"PSF-2.0"},
+}
+"""What a classifier can stand for; the first three leave versions or variants open."""
+_EXACT = ("MIT License",)
+
+
+def licence_of(package: Package) -> str | None:
+    """The SPDX expression of a package; None when what it says is no expression, or not of one mind.
+
+    It comes from the metadata: the expression, else the field when that is one, else a classifier that has
+    but one meaning. Where classifiers stand beside it, each must fit. For a package in ``STATED`` that is the
+    answer, as long as its metadata say what they said.
+    """
+    if package.name in STATED:
+        stated = STATED[package.name]
+        return stated.licence if package.says == stated.says else None
+    said = canonical(package.expression or package.line or "")
+    if said is None and not package.expression and not package.line and len(package.classifiers) == 1:
+        said = next((next(iter(_CLASSIFIERS[one])) for one in package.classifiers if one in _EXACT), None)
+    if said is None:
+        return None
+    fits = all(_CLASSIFIERS.get(one, set()) & names(said) for one in package.classifiers)
+    return said if fits else None
+
+
+def faults(packages: Iterable[Package]) -> Iterator[str]:
+    """One line for each thing that is wrong."""
+    for package in packages:
+        yield from _own(package)
+        if package.is_installed:
+            yield from _brought_along(package)
+            yield from _out_of_date(package)
+
+
+def _own(package: Package) -> Iterator[str]:
+    named = f"{package.name} {package.version}"
+    licence = licence_of(package)
+    if licence is None and package.name in STATED:
+        yield f"{named} says {package.says!r}, no longer {STATED[package.name].says!r}: read it again"
+    elif licence is None:
+        yield f"{named} does not say its licence as one SPDX expression: {package.says or 'nothing'!r}"
+    elif not goes(licence, _accepted_for(package.name)):
+        yield f"{named} is {licence}, which does not go with Apache-2.0 (needed by {_by(package)})"
+    if "altd" in package.needed_by and package.name not in PURPOSES:
+        yield f"{named}: nothing says what altd needs it for"
+
+
+def _by(package: Package) -> str:
+    return ", ".join(sorted(package.needed_by))
+
+
+def _accepted_for(name: str) -> frozenset[str]:
+    return ACCEPTED | (POSITIONS[name].licences if name in POSITIONS else frozenset())
+
+
+def _brought_along(package: Package) -> Iterator[str]:
+    parts = [part for part in PARTS if part.package == package.name]
+    for part in parts:
+        if not part.why and not goes(part.licence, ACCEPTED):
+            yield f"{package.name} brings {part.name} along, {part.licence}: nothing says why that goes"
+    for library in package.libraries:
+        if not any(fnmatch(library, pattern) for part in parts for pattern in part.files):
+            yield f"{package.name} {package.version} brings {library} along, whose licence nobody has read"
+    known = {part.component: part.licence for part in parts if part.component}
+    for component in package.components:
+        yield from _component(package, component, known)
+    for kind in sorted(package.texts):
+        if (package.name, kind) not in TEXTS:
+            yield f"{package.name} {package.version} has a whole licence text, {kind}, whose nobody knows"
+
+
+def _component(package: Package, component: Component, known: dict[str, str]) -> Iterator[str]:
+    named = f"{component.name} in {package.name} {package.version}"
+    if component.name not in known:
+        if not goes(component.licence, ACCEPTED):
+            licence = component.licence or "of no stated licence"
+            yield f"{named} is {licence}, which does not go with Apache-2.0"
+    elif not _is(known[component.name], component.licence):
+        yield f"{named} is {component.licence}, no longer {known[component.name]}: read it again"
+
+
+def _is(known: str, said: str) -> bool:
+    """Whether it is the licence it was, where SPDX has a name for it."""
+    return is_own_text(known) or canonical(said) == known
+
+
+def _out_of_date(package: Package) -> Iterator[str]:
+    """What is said of a package and is no longer so, by the wheels for x86_64."""
+    if platform.machine() != "x86_64":
+        return
+    there = {component.name for component in package.components}
+    for part in (part for part in PARTS if part.package == package.name):
+        missing = [one for one in part.files if not any(fnmatch(path, one) for path in package.libraries)]
+        if missing or (part.component and part.component not in there):
+            yield f"{package.name} {package.version} does not bring {part.name} along any more"
+    for name, kind in TEXTS:
+        if name == package.name and kind not in package.texts:
+            yield f"{package.name} {package.version} does not have the text of its {kind} any more"

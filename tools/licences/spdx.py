@@ -1,0 +1,65 @@
+"""SPDX licence expressions (ISO/IEC 5962, annex D), as far as the question whether one is accepted goes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container
+
+from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+
+def canonical(text: str) -> str | None:
+    """An expression in its one spelling; None when the text is none."""
+    try:
+        return canonicalize_license_expression(text)
+    except InvalidLicenseExpression:
+        return None
+
+
+def goes(expression: str, accepted: Container[str]) -> bool:
+    """Whether accepted licences fulfil it: each part of an AND, one of an OR. False where it is none."""
+    spelled = canonical(expression)
+    if spelled is None:
+        return False
+    return _one_of(re.findall(r"[()]|[^\s()]+", spelled)[::-1], accepted)
+
+
+def is_own_text(expression: str) -> bool:
+    """Whether it stands for a text that SPDX has no name for."""
+    return expression.startswith("LicenseRef-")
+
+
+def names(expression: str) -> set[str]:
+    """The licences in an expression, each with its exception."""
+    joined = canonicalize_license_expression(expression).replace(" WITH ", "_WITH_")
+    words = set(re.findall(r"[^\s()]+", joined)) - {"AND", "OR"}
+    return {word.replace("_WITH_", " WITH ") for word in words}
+
+
+def _one_of(words: list[str], accepted: Container[str]) -> bool:
+    """The words, of which the next is the last, up to a bracket's end; AND binds more strongly than OR."""
+    goes_with = _all_of(words, accepted)
+    while words and words[-1] == "OR":
+        words.pop()
+        goes_with = _all_of(words, accepted) or goes_with
+    return goes_with
+
+
+def _all_of(words: list[str], accepted: Container[str]) -> bool:
+    goes_with = _single(words, accepted)
+    while words and words[-1] == "AND":
+        words.pop()
+        goes_with = _single(words, accepted) and goes_with
+    return goes_with
+
+
+def _single(words: list[str], accepted: Container[str]) -> bool:
+    word = words.pop()
+    if word == "(":
+        goes_with = _one_of(words, accepted)
+        words.pop()
+        return goes_with
+    if words and words[-1] == "WITH":
+        words.pop()
+        word = f"{word} WITH {words.pop()}"
+    return word in accepted
