@@ -15,7 +15,7 @@ from altd.errors import BadInputError, bare
 from altd.parts import calibration_of, cameras_of, indicators_of, lamps_of, setters_of, stage_of
 from altd.ports import Camera, Clock, Indicators, Lamps
 from altd.recording import Kind, UnitHeader, refuse_used_folder
-from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.records import CameraIdentity, Fault, Frame, NoSpot, Spot, origin_faults
 from altd.service.board import Board
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
@@ -56,7 +56,7 @@ class Daemon:
         self.health.facts |= {
             "version": __version__,
             "serial": config.unit.serial,
-            "calibration": f"{calibration.created:%Y-%m-%d}, {calibration.recording_note}".rstrip(", "),
+            "calibration": _about(calibration),
         }
         self.lamps: FrameLamps | None = None
         if lamps is not None:
@@ -72,7 +72,7 @@ class Daemon:
             calibration,
             config.measuring,
             config.installation,
-            lambda: (camera.origin for camera in self._cameras.values()),
+            self._origin_faults,
             self.clock.utc,
             self._watch,
             lambda camera: self._cameras[camera].identity,
@@ -137,6 +137,11 @@ class Daemon:
             for name, lights in (("lamps", self.lamps), ("indicators", self._indicators)):
                 if lights is not None:
                     tasks.create_task(lights.run(), name=name)
+
+    def _origin_faults(self) -> tuple[Fault, ...]:
+        cameras = self._cameras.values()
+        played = [camera.name for camera in cameras if camera.playback]
+        return origin_faults({camera.name: camera.origin for camera in cameras}, played)
 
     def _camera_health(self, name: str) -> Component:
         return self.health.component(f"camera {name}")
@@ -223,6 +228,11 @@ def scanner_of(
     lamps = lamps_of(config, cameras, place) if lamps is None else lamps
     clock, setters = SystemClock(), setters_of(config)
     return Scanner(config, folder, list(cameras.values()), stage, lamps, clock, teller, setters)
+
+
+def _about(calibration: Calibration) -> str:
+    made, note = f"{calibration.created:%Y-%m-%d}", calibration.recording_note
+    return ", ".join(filter(None, (made, note, "from SIMULATED frames" if calibration.simulated else "")))
 
 
 async def _all_of(tried: Sequence[asyncio.Event]) -> None:

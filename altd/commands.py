@@ -139,6 +139,8 @@ def _print_result(result: CalibrationResult) -> None:
     for line in result.doubts:
         complain(f"altd calibrate: doubtful: {line}")
     print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+    if result.calibration.simulated:
+        print("made from SIMULATED frames: every measurement with it says `simulated`")
     print(
         "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
         "   cross-check    apart / bound px"
@@ -350,8 +352,9 @@ def _check_config(options: argparse.Namespace) -> int:
     from altd.parts import calibration_of, cameras_of
 
     config = load_config(options.config)
-    calibration_of(config, cameras_of(config, options.config))
-    print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets")
+    calibration = calibration_of(config, cameras_of(config, options.config))
+    simulated = ", calibrated from SIMULATED frames" if calibration.simulated else ""
+    print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
     return 0
 
 

@@ -65,10 +65,14 @@ class Camera(Protocol):
 
     @property
     def origin(self) -> Origin:
-        """Where the frames come from; what is not a camera is marked in every output.
+        """How the frames came to be; what is simulated is marked in every output.
 
         A camera may find out only when it is opened.
         """
+
+    @property
+    def playback(self) -> bool:
+        """Whether the frames are those of a recording, of whatever origin; every output says so."""
 
     @property
     def identity(self) -> CameraIdentity | None:

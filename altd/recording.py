@@ -20,12 +20,14 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
+from altd import __version__
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
 from altd.measurement_json import utc_text
-from altd.records import CameraIdentity, Frame
+from altd.ports import Camera
+from altd.records import CameraIdentity, Frame, Origin
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
@@ -38,6 +40,8 @@ _LARGEST_HEADER_BYTES = 1 << 20
 _LARGEST_TABLE_BYTES = _LARGEST_FILE_BYTES = 1 << 28
 """A day of two cameras at 20 a second takes 210 MB."""
 
+
+MADE_BY = f"altd {__version__}"
 
 MAX_T_S = 1e9
 """Thirty years: the times of a recording count from its start."""
@@ -71,6 +75,11 @@ class CameraHeader(_Header):
     """What its maker calls it."""
     driver: str | None = None
     """The driver that named it: ``driver`` of the config."""
+    origin: Origin = Origin.CAMERA
+    """How its frames came to be."""
+    exposure_ms: float | None = None
+    """As the first frame was exposed, where the driver tells; a recording keeps to it."""
+    gain_db: float | None = None
     mirrored: bool | None = None
     """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
 
@@ -80,9 +89,9 @@ class CameraHeader(_Header):
         return CameraIdentity(self.serial, self.model, self.driver)
 
 
-def camera_header(frame: Frame, camera: CameraIdentity | None) -> CameraHeader:
-    """The header of a camera that delivers such frames."""
-    known = camera or CameraIdentity()
+def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
+    """The header of a camera that is open and delivers such frames."""
+    known = (camera.identity if camera else None) or CameraIdentity()
     rows, columns = frame.pixels.shape
     return CameraHeader(
         width=columns,
@@ -91,7 +100,15 @@ def camera_header(frame: Frame, camera: CameraIdentity | None) -> CameraHeader:
         serial=known.serial,
         model=known.model,
         driver=known.driver,
+        origin=camera.origin if camera else Origin.CAMERA,
+        exposure_ms=frame.exposure_ms,
+        gain_db=frame.gain_db,
     )
+
+
+def note_of(command: str, cameras: Iterable[Camera]) -> str:
+    """The note of what a command records: its name, and that it recorded a recording."""
+    return f"{command}, playback" if any(camera.playback for camera in cameras) else command
 
 
 class UnitHeader(_Header):
@@ -125,6 +142,8 @@ class RecordingHeader(_Header):
     cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
     unit: UnitHeader
     note: str = ""
+    made_by: str | None = None
+    """The program that wrote it, with its version."""
     start: Annotated[datetime, AfterValidator(_in_our_time)] | None = None
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
@@ -298,6 +317,12 @@ def refuse_used_folder(path: Path) -> None:
         raise BadInputError(path, error.strerror or "cannot be read") from error
 
 
+def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
+    """The cameras without what may differ between two parts of a recording."""
+    free = {"exposure_ms": None, "gain_db": None}
+    return {name: camera.model_copy(update=free) for name, camera in header.cameras.items()}
+
+
 class RecordingWriter:
     """Writes a recording frame by frame; what is on disk is readable after each frame.
 
@@ -331,7 +356,7 @@ class RecordingWriter:
 
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = _read_header(self._path / HEADER_FILE)
-        if (there.cameras, there.unit) != (header.cameras, header.unit):
+        if (_comparable(there), there.unit) != (_comparable(header), header.unit):
             raise BadInputError(
                 self._path / HEADER_FILE,
                 "is of another unit, of other cameras, or of cameras of another size",

@@ -6,7 +6,7 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
@@ -25,10 +25,12 @@ PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 
 class Origin(StrEnum):
-    """Where frames come from; anything but a camera is said in every output."""
+    """How frames came to be: light fell on a camera, or a simulator computed them.
+
+    It travels with them: into recordings and calibrations, and what comes of simulated frames says so.
+    """
 
     CAMERA = "camera"
-    PLAYBACK = "playback"
     SIMULATED = "simulated"
 
 
@@ -121,6 +123,22 @@ class Fault:
     def __str__(self) -> str:
         """The code that travels on the wires, such as ``front_spot_missing``."""
         return f"{self.target}_{self.reason}" if self.target else str(self.reason)
+
+
+def origin_faults(origins: Mapping[str, Origin], played: Iterable[str] = ()) -> tuple[Fault, ...]:
+    """The warnings that frames of these cameras bring into each measurement; ``played`` play a recording."""
+    by_reason = {
+        Reason.PLAYBACK: ("a recording is played", sorted(played)),
+        Reason.SIMULATED: (
+            "simulated frames",
+            sorted(name for name, origin in origins.items() if origin is Origin.SIMULATED),
+        ),
+    }
+    return tuple(
+        Fault(reason, detail=f"{what}: {', '.join(names)}")
+        for reason, (what, names) in by_reason.items()
+        if names
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

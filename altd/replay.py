@@ -11,6 +11,7 @@ from altd.config import Installation, Measuring
 from altd.errors import BadInputError
 from altd.measurement_json import as_line
 from altd.recording import open_recording
+from altd.records import origin_faults
 from altd.service.chain import MeasuringChain, View
 
 _SILENT_AFTER_EXPOSURES = 8
@@ -31,11 +32,13 @@ def replay(recording_path: Path, calibration_path: Path, window: int, every: int
     if missing:
         raise BadInputError(recording_path, f"has no camera {missing[0]!r}")
     silent_after_s = max(0.4, _SILENT_AFTER_EXPOSURES / header.fps)
+    origins = {name: header.cameras[name].origin for name in calibration.target_names}
     chain = MeasuringChain(
         [View(name, name) for name in calibration.target_names],
         calibration,
         Measuring(window=window, every=every).model_copy(update={"silent_after_s": silent_after_s}),
         Installation(),
+        lambda: origin_faults(origins),
         utc=lambda t_ns: _utc(header.start, t_ns),
     )
 

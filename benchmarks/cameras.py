@@ -55,6 +55,7 @@ class MemoryCamera:
 
     waits = False
     origin = Origin.SIMULATED
+    playback = False
     exposure_range = None
     identity = None
 

@@ -19,7 +19,7 @@ from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.freshness import FreshnessCheck
 from altd.pairing import Pairer
-from altd.records import Exposure, Frame, MeanSpots, Origin, Spot, TargetPoint
+from altd.records import Exposure, Fault, Frame, MeanSpots, Reason, Spot, TargetPoint
 from altd.service.chain import MeasuringChain, View
 from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate, spot_in
@@ -135,7 +135,7 @@ def _chain(material: Material) -> MeasuringChain:
     config = make_config()
     views = [View(target.name, target.camera) for target in config.targets]
     return MeasuringChain(
-        views, material.calibration, config.measuring, config.installation, lambda: [Origin.SIMULATED]
+        views, material.calibration, config.measuring, config.installation, lambda: [Fault(Reason.SIMULATED)]
     )
 
 

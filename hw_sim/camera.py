@@ -73,6 +73,11 @@ class SimulatedCamera:
         return Origin.SIMULATED
 
     @property
+    def playback(self) -> bool:
+        """Computed now, not played."""
+        return False
+
+    @property
     def identity(self) -> CameraIdentity:
         """One camera of one simulated unit."""
         return CameraIdentity(f"{self._unit.config.serial}-{self._name}", "simulated", "hw_sim")

@@ -110,7 +110,7 @@ def _about(unit: Unit, kind: str) -> dict[str, object]:
     note = f"hw_sim, seed {config.seed}"
     if unit.faults:
         note += f", faults {', '.join(sorted(unit.faults))}"
-    size = {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": config.bits}
+    size = {"width": WIDTH_PX, "height": HEIGHT_PX, "bits": config.bits, "origin": "simulated"}
     return {
         "format": "altd-recording/1",
         "kind": kind,

@@ -19,7 +19,7 @@ from support.guest import run_in_guest
 
 from altd.calibration.file import load_calibration
 from altd.config import Installation, Measuring
-from altd.records import Frame, Measurement, Origin
+from altd.records import Fault, Frame, Measurement, Reason
 from altd.service.chain import MeasuringChain, View
 from hw_sim.unit import CAMERAS
 
@@ -74,7 +74,7 @@ def in_process(unit: FedUnit) -> list[Measurement]:
         load_calibration(unit.calibration),
         Measuring(pair_by="time"),
         Installation(),
-        lambda: [Origin.SIMULATED],
+        lambda: [Fault(Reason.SIMULATED)],
         lambda _: None,
     )
     exposures = np.load(unit.frames)

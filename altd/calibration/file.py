@@ -26,7 +26,7 @@ from altd.files.writing import write_file
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
 from altd.measurement_json import utc_text
-from altd.records import CameraIdentity, FloatArray
+from altd.records import CameraIdentity, FloatArray, Origin
 from altd.vision.flat import Flat, Source
 from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings
@@ -104,6 +104,7 @@ class _Localiser(_Table):
 
 class _Flat(_Table):
     source: Source
+    origin: Origin = Origin.CAMERA
     png: str
 
 
@@ -126,6 +127,7 @@ class _Target(_Table):
     camera_serial: str | None
     camera_model: str | None = None
     camera_driver: str | None = None
+    origin: Origin = Origin.CAMERA
     width: Side
     height: Side
     localiser: _Localiser
@@ -235,6 +237,7 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "camera_serial": target.camera.serial,
         "camera_model": target.camera.model,
         "camera_driver": target.camera.driver,
+        "origin": target.origin,
         "width": target.width,
         "height": target.height,
         "localiser": asdict(target.localiser),
@@ -264,7 +267,7 @@ def _flat_document(flat: Flat | None) -> dict[str, str] | None:
     if flat is None:
         return None
     png = cv2.imencode(".png", flat.levels)[1].tobytes()
-    return {"source": flat.source, "png": base64.b64encode(png).decode("ascii")}
+    return {"source": flat.source, "origin": flat.origin, "png": base64.b64encode(png).decode("ascii")}
 
 
 def _map_document(fitted: TensorMap) -> dict[str, Any]:
@@ -320,6 +323,7 @@ def _from_target(target: _Target) -> TargetCalibration:
         leds_px=np.array(target.leds_px).reshape(-1, 2),
         spot=UNKNOWN_SPOT if target.spot is None else _from_spot(target.spot),
         camera=CameraIdentity(target.camera_serial, target.camera_model, target.camera_driver),
+        origin=target.origin,
         fingerprint=from_table(place, target.fingerprint, target.width, target.height, flat),
     )
 
@@ -338,7 +342,7 @@ def _from_flat(target: _Target) -> Flat | None:
         levels = decode_png(png, target.width, target.height, bits=8)
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from error
-    return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source)
+    return Flat(np.asarray(levels, dtype=np.uint8), target.flat.source, target.flat.origin)
 
 
 def _from_map(place: str, content: _Map) -> TensorMap:

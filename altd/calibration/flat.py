@@ -108,7 +108,7 @@ def _flat(recording: Recording, header: CameraHeader, rows: Sequence[Row], progr
         raise ValueError(
             f"too uneven to be a flat: half the picture gets {evenness:.0%} of the light or less"
         )
-    return Flat.of(np.where(usable, light, 0.0), "recording")
+    return Flat.of(np.where(usable, light, 0.0), "recording", header.origin)
 
 
 def _lit_and_dark(

@@ -11,7 +11,7 @@ import numpy as np
 from altd.calibration.cross_check import CrossCheck
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.records import CameraIdentity, FloatArray, TargetPoint
+from altd.records import CameraIdentity, FloatArray, Origin, TargetPoint
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.reference import UNKNOWN_SPOT, SpotReference
@@ -27,7 +27,8 @@ class TargetCalibration:
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
     are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
-    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known.
+    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known. ``origin`` is that of
+    the frames it was calibrated with, a recorded flat's aside: see ``simulated``.
     """
 
     name: str
@@ -47,6 +48,13 @@ class TargetCalibration:
     spot: SpotReference = UNKNOWN_SPOT
     camera: CameraIdentity = field(default_factory=CameraIdentity)
     fingerprint: Fingerprint | None = None
+    origin: Origin = Origin.CAMERA
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any frame that this rests on was simulated."""
+        frames = self.origin, self.origin if self.flat is None else self.flat.origin
+        return Origin.SIMULATED in frames
 
     @cached_property
     def inverse(self) -> InverseMap:
@@ -82,6 +90,11 @@ class Calibration:
     recording_note: str
     recording_sha256: str
     targets: tuple[TargetCalibration, ...]
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any frame that this rests on was simulated."""
+        return any(target.simulated for target in self.targets)
 
     @property
     def target_names(self) -> tuple[str, ...]:

@@ -172,6 +172,7 @@ def _target(
         repeatability_px=_pooled(scatter_px),
         leds_px=np.empty((0, 2)),
         camera=camera.identity,
+        origin=camera.origin,
         fingerprint=hot_pixels_of(recording, rows),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]

@@ -142,13 +142,14 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
 
 
 def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str]:
-    """The target with its camera's identity and fingerprint, and what is doubtful about that."""
+    """The target with its camera's identity, origin and fingerprint, and what is doubtful about that."""
     target = made.target
     fingerprint, doubt = fingerprint_of(
         job.recording, job.rows, target.localiser, target.flat, made.must_agree and target.flat is None
     )
-    camera = job.recording.header.cameras[job.name].identity
-    return replace(target, camera=camera, fingerprint=fingerprint), doubt and f"{job.name}: {doubt}"
+    camera = job.recording.header.cameras[job.name]
+    known = replace(target, camera=camera.identity, origin=camera.origin, fingerprint=fingerprint)
+    return known, doubt and f"{job.name}: {doubt}"
 
 
 def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
@@ -170,7 +171,8 @@ def _doubts_of_flat(likeness: float, name: str) -> tuple[str, ...]:
 
 def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
     """A target through the model of its print; the print also guides the map unless it is bent itself."""
-    job = replace(job, localiser=_PROFILE, flat=found.flat)
+    flat = replace(found.flat, origin=job.recording.header.cameras[job.name].origin)
+    job = replace(job, localiser=_PROFILE, flat=flat)
     seen = look(job, progress)
     alone, guided = (_fit_target(job, seen, marks) for marks in (None, found.marks))
     remark = f"{job.name}: print of {found.lattice.pitch_mm:.3f} mm pitch found and modelled"

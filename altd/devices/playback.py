@@ -9,7 +9,7 @@ from dataclasses import replace
 from altd.errors import BadInputError
 from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError
 from altd.recording import Recording, Row
-from altd.records import Frame, Origin
+from altd.records import Frame
 
 _OVERDUE_S = 0.5
 """In real time a frame that nobody fetched for so long is left out, as a camera would have lost it."""
@@ -69,7 +69,8 @@ class PlaybackCamera:
         if not rows:
             raise BadInputError(playback.recording.path, f"has no frames of camera {name!r}")
         self.name = name
-        self.origin = Origin.PLAYBACK
+        self.origin = playback.recording.header.cameras[name].origin
+        self.playback = True
         self.waits = not playback.realtime
         self.exposure_range = None
         self.identity = playback.recording.header.cameras[name].identity

@@ -77,7 +77,12 @@ def calibration(config: Config, place: Path) -> Iterator[Finding]:
         mend = f"altd calibrate SCAN -o {path}   # or copy the unit's own there, or correct {place}"
         yield wrong("calibration", str(error), mend)
     else:
-        yield good("calibration", f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}")
+        says = f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}"
+        if found.simulated:
+            mend = f"altd calibrate SCAN -o {path}   # with a scan of the unit itself, made by altd scan"
+            yield better("calibration", f"{says}, of SIMULATED frames: for trying out only", mend)
+        else:
+            yield good("calibration", says)
 
 
 def now() -> datetime:

@@ -26,7 +26,6 @@ from altd.records import (
     MeanSpots,
     Measurement,
     NoSpot,
-    Origin,
     Reason,
     Spot,
     TargetPoint,
@@ -62,7 +61,8 @@ class View:
 class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
-    ``origins`` tells where the frames come from: what is not a camera is said in every measurement.
+    ``origins`` tells what every measurement has to say of where the frames come from; that the calibration
+    is of simulated frames is said as well.
     ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
     camera stands behind a name, ``expected`` which should, beside the one that was calibrated.
     """
@@ -73,7 +73,7 @@ class MeasuringChain:
         calibration: Calibration,
         measuring: Measuring,
         installation: Installation,
-        origins: Callable[[], Iterable[Origin]] = tuple,
+        origins: Callable[[], Iterable[Fault]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
         watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
         identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
@@ -93,6 +93,7 @@ class MeasuringChain:
         )
         self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
         self._origins = origins
+        self._calibration_origin = calibration_faults(calibration)
         self._utc = utc
         self._watch = watch
         self._identity = identity
@@ -292,7 +293,16 @@ class MeasuringChain:
         )
 
     def _origin_faults(self) -> tuple[Fault, ...]:
-        return tuple(Fault(Reason(o)) for o in sorted(set(self._origins()) - {Origin.CAMERA}))
+        """One fault a reason: of the frames first, else of the calibration."""
+        faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._origins())}
+        return tuple(faults[reason] for reason in sorted(faults))
+
+
+def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
+    """What a calibration of simulated frames brings into each measurement."""
+    if not calibration.simulated:
+        return ()
+    return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)
 
 
 def _worst_sigmas(beam: Beam) -> tuple[float, float]:

@@ -11,8 +11,17 @@ from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.pairing import Pair, Pairer
 from altd.ports import Camera
-from altd.recording import Kind, RecordingHeader, RecordingWriter, UnitHeader, camera_header
-from altd.records import Frame, Origin
+from altd.recording import (
+    MADE_BY,
+    CameraHeader,
+    Kind,
+    RecordingHeader,
+    RecordingWriter,
+    UnitHeader,
+    camera_header,
+    note_of,
+)
+from altd.records import Frame
 from altd.service.exposing import ExposureSetter
 from altd.service.grabbing import grab
 from altd.service.health import Health
@@ -84,10 +93,10 @@ class _Sink:
         self._kind: Kind = kind
         self._fps = fps
         self._utc = utc
-        origins = sorted({camera.origin for camera in cameras} - {Origin.CAMERA})
-        self._note = f"altd record, {', '.join(origins)}" if origins else "altd record"
+        self._note = note_of("altd record", cameras)
         self._cameras = {camera.name: camera for camera in cameras}
         self._writer: RecordingWriter | None = None
+        self._headers: dict[str, CameraHeader] = {}
         self._first_ns = 0
         self._first_sequence = 0
         self._last: tuple[int, float] = (-1, -1.0)
@@ -100,7 +109,11 @@ class _Sink:
             if len(pair.items) < len(self._cameras):
                 return
             self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
-            self._writer = RecordingWriter(self._path, self._header(pair))
+            self._headers = {
+                name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
+            }
+            self._writer = RecordingWriter(self._path, self._header())
+        self._see_that_cameras_stay()
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last
         if t_s <= last_s:
@@ -117,17 +130,28 @@ class _Sink:
         self.exposures += 1
         self.length_s = t_s + 1 / self._fps
 
+    def _see_that_cameras_stay(self) -> None:
+        """A camera that was changed for another would have its frames taken for those of the first."""
+        for name, header in self._headers.items():
+            camera = self._cameras[name]
+            difference = (camera.identity or header.identity).difference_from(header.identity)
+            if camera.origin is not header.origin:
+                difference = f"its frames are {camera.origin} now, they were {header.origin}"
+            if difference:
+                raise BadInputError(self._path, f"camera {name} is another than at the start: {difference}")
+
     def close(self) -> None:
         if self._writer is not None:
             self._writer.close()
 
-    def _header(self, pair: Pair[Frame]) -> RecordingHeader:
+    def _header(self) -> RecordingHeader:
         return RecordingHeader(
             format="altd-recording/1",
             kind=self._kind,
             fps=self._fps,
-            cameras={name: camera_header(f, self._cameras[name].identity) for name, f in pair.items.items()},
+            cameras=self._headers,
             unit=self._unit,
             note=self._note,
+            made_by=MADE_BY,
             start=self._utc(self._first_ns),
         )

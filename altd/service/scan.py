@@ -15,8 +15,8 @@ from altd.errors import BadInputError
 from altd.mapping.grid import Block
 from altd.pairing import Pair
 from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
-from altd.recording import UnitHeader
-from altd.records import Frame, Origin
+from altd.recording import UnitHeader, note_of
+from altd.records import Frame
 from altd.service.exposing import ExposureSetter
 from altd.service.exposures import Exposures
 from altd.service.health import Health
@@ -79,13 +79,12 @@ class Scanner:
         self._nodes = nodes_of(config.scan)
         places_mm = [target.z_mm for target in config.targets]
         self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
-        origins = ", ".join(sorted({camera.origin for camera in cameras} - {Origin.CAMERA}))
-        self._note = f"altd scan, {origins}" if origins else "altd scan"
+        self._note = note_of("altd scan", cameras)
         self._folder = ScanFolder(
             output,
-            fingerprint(config) | {"origin": origins or "camera"},
+            fingerprint(config),
             clock.utc,
-            lambda: {camera.name: camera.identity for camera in cameras},
+            cameras,
         )
         self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
         self._doing = "getting ready"

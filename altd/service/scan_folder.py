@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -21,8 +21,10 @@ from altd.files.documents import parse_json
 from altd.files.reading import read_file, read_head
 from altd.files.writing import replace_file
 from altd.pairing import Pair
+from altd.ports import Camera
 from altd.recording import (
     FRAMES_FILE,
+    MADE_BY,
     RecordingHeader,
     RecordingWriter,
     UnitHeader,
@@ -30,7 +32,7 @@ from altd.recording import (
     open_recording,
     refuse_used_folder,
 )
-from altd.records import CameraIdentity, Frame
+from altd.records import Frame
 from altd.service.scan_plan import Facts
 
 STATE_FILE = "scan.json"
@@ -74,12 +76,12 @@ class ScanFolder:
         output: Path,
         facts: Facts,
         utc: Callable[[int], datetime | None],
-        identities: Callable[[], Mapping[str, CameraIdentity | None]] = dict,
+        cameras: Sequence[Camera] = (),
     ) -> None:
         self._output = output.resolve()
         self.path = self._output.with_name(f"{self._output.name}.unfinished")
         self._utc = utc
-        self._identities = identities
+        self._cameras = {camera.name: camera for camera in cameras}
         self._writer: RecordingWriter | None = None
         self._first_ns: int | None = None
         self._first_s = 0.0
@@ -160,9 +162,12 @@ class ScanFolder:
             format="altd-recording/1",
             kind="scan",
             fps=FPS,
-            cameras={name: camera_header(f, self._identities().get(name)) for name, f in first.items.items()},
+            cameras={
+                name: camera_header(frame, self._cameras.get(name)) for name, frame in first.items.items()
+            },
             unit=unit,
             note=note,
+            made_by=MADE_BY,
             start=start,
         )
         self._first_ns = first.t_ns

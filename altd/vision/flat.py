@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import FloatArray
+from altd.records import FloatArray, Origin
 
 Image = npt.NDArray[np.float32]
 Source = Literal["recording", "print"]
@@ -28,18 +28,19 @@ class Flat:
 
     Kept as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as a calibration file keeps it:
     the steps are far below what grain does. A pixel of 0 does not count. ``source`` says where it comes from:
-    a recording of the evenly lit target, or a model of its print.
+    a recording of the evenly lit target, or a model of its print; ``origin`` is that of their frames.
     """
 
     levels: npt.NDArray[np.uint8]
     source: Source
+    origin: Origin = Origin.CAMERA
 
     @classmethod
-    def of(cls, response: npt.NDArray[np.floating], source: Source) -> Self:
+    def of(cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA) -> Self:
         """The flat of a response (rows, columns) in any unit; negative values are 0."""
         brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
         levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL).astype(np.uint8)
-        return cls(levels, source)
+        return cls(levels, source, origin)
 
     @cached_property
     def response(self) -> Image:

@@ -13,7 +13,7 @@ from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
 from altd.mapping.tensor_map import TensorMap
 from altd.recording import open_recording
-from altd.records import Frame, Measurement, NoSpot, Origin, Spot
+from altd.records import Fault, Frame, Measurement, NoSpot, Reason, Spot
 from altd.service.chain import MeasuringChain, View
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
@@ -25,13 +25,13 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     return calibrate_scan(scan).calibration
 
 
-def chain(calibration: Calibration, origin: Origin = Origin.CAMERA, **installation: float) -> MeasuringChain:
+def chain(calibration: Calibration, *origins: Reason, **installation: float) -> MeasuringChain:
     return MeasuringChain(
         VIEWS,
         calibration,
         Measuring(window=4),
         Installation.model_validate(installation),
-        lambda: [origin, origin],
+        lambda: map(Fault, origins),
     )
 
 
@@ -73,7 +73,7 @@ def test_a_far_reference_plane_moves_the_displacement_and_widens_its_sigma(calib
 
 
 def test_frames_that_are_not_live_are_said_to_be_so_valid_or_not(calibration: Calibration) -> None:
-    measured = chain(calibration, Origin.PLAYBACK)
+    measured = chain(calibration, Reason.PLAYBACK)
     frames = shots([(10.0, 5.0)] * 4)
     statuses = [[str(f) for f in m.status] for frame in frames for m in measured.push(frame)]
     assert statuses == [["warming_up", "playback"], ["playback"], ["playback"], ["playback"]]

@@ -23,6 +23,7 @@ class Camera:
     """Exposures of a whole period, back to back: number k lasts from k - 1/2 to k + 1/2 periods."""
 
     origin = Origin.CAMERA
+    playback = False
     waits = True
     exposure_range = None
     identity = None

@@ -46,6 +46,7 @@ class ScriptedCamera:
 
     name = "front"
     origin = Origin.CAMERA
+    playback = False
     waits = False
     exposure_range = None
     identity = None

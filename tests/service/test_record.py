@@ -23,6 +23,7 @@ class Source:
     """Delivers a number of frames and then fails, or is at its end."""
 
     origin = Origin.CAMERA
+    playback = False
     identity: CameraIdentity | None = None
     waits = True
 

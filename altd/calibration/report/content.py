@@ -9,14 +9,14 @@ import matplotlib
 import numpy as np
 
 from altd import __version__
-from altd.calibration.model import TargetCalibration
+from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
 from altd.calibration.report.prediction import Prediction, predict
 from altd.calibration.report.source import Source
-from altd.calibration.report.verdict import Verdict, judge
+from altd.calibration.report.verdict import Level, Verdict, judge
 from altd.measurement_json import utc_text
 
 
@@ -25,6 +25,7 @@ def report_on(source: Source) -> Document:
     prediction = predict(source.calibration)
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
+        *_origin(source.calibration),
         *_verdict(verdict, prediction),
         *beam_section(prediction, source),
         *residuals(source),
@@ -38,8 +39,23 @@ def report_on(source: Source) -> Document:
     serial = source.calibration.unit_serial
     made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
     return Document(
-        f"Calibration of unit {serial}", f"{source.calibration.recording_note} · {made}", tuple(blocks)
+        f"Calibration of unit {serial}",
+        f"{source.calibration.recording_note} · {made}",
+        tuple(blocks),
+        "SIMULATED" if source.calibration.simulated else "",
     )
+
+
+def _origin(calibration: Calibration) -> list[Block]:
+    """Nobody may take the report of a simulated unit for that of a real one."""
+    if not calibration.simulated:
+        return []
+    names = " and ".join(target.name for target in calibration.targets if target.simulated)
+    lines = (
+        f"No camera took the frames of {names}. What follows tells of the simulator's unit, and of no other.",
+        "A measurement with this calibration says “simulated”.",
+    )
+    return [Banner(Level.BAD, "Made from SIMULATED frames: not for a real unit.", lines)]
 
 
 def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:

@@ -74,8 +74,9 @@ Block = Heading | Words | Banner | Table | Row
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The whole report."""
+    """The whole report. ``mark`` stands across every sheet; empty: nothing does."""
 
     title: str
     subtitle: str
     blocks: tuple[Block, ...]
+    mark: str = ""

@@ -38,11 +38,15 @@ h2 { font-size: 1.2rem; margin: 2.4rem 0 .6rem; padding-top: .7rem; border-top: 
 .subtitle { color: #5f6670; margin: 0 0 1.2rem; overflow-wrap: anywhere; }
 .verdict { border-left: .5rem solid; padding: .8rem 1.1rem; border-radius: .3rem; print-color-adjust: exact;
   -webkit-print-color-adjust: exact; }
+.verdict + .verdict { margin-top: .6rem; }
 .verdict p { margin: .5rem 0 0; }
 .verdict .headline { font-size: 1.3rem; font-weight: 650; line-height: 1.3; margin: 0; }
 .verdict.good { border-color: #0072b2; background: #eaf4fa; }
 .verdict.usable { border-color: #e69f00; background: #fdf5e3; }
 .verdict.bad { border-color: #d55e00; background: #fcece3; }
+.mark { position: fixed; inset: 0; display: grid; place-items: center; pointer-events: none; z-index: 1;
+  font-size: min(17vw, 20vh); font-weight: 700; color: #d55e00; opacity: .13; rotate: -38deg;
+  print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 .wide { overflow-x: auto; margin-top: .8rem; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; font-variant-numeric: tabular-nums; }
 th, td { text-align: left; vertical-align: top; padding: .32rem .8rem .32rem 0;
@@ -83,6 +87,7 @@ def html_page(document: Document) -> bytes:
     with look():
         body = "\n".join(_block(block) for block in document.blocks)
     title, subtitle = escape(document.title), escape(document.subtitle)
+    mark = f'<div class="mark" aria-hidden="true">{escape(document.mark)}</div>\n' if document.mark else ""
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -93,7 +98,7 @@ def html_page(document: Document) -> bytes:
 <style>{_CSS}</style>
 </head>
 <body>
-<h1>{title}</h1>
+{mark}<h1>{title}</h1>
 <p class="subtitle">{subtitle}</p>
 {body}
 </body>

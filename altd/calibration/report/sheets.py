@@ -6,6 +6,7 @@ import io
 from collections.abc import Sequence
 from datetime import datetime
 from functools import lru_cache
+from typing import Any
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
@@ -52,7 +53,7 @@ def pdf_sheets(document: Document, created: datetime) -> bytes:
         for index, block in enumerate(document.blocks):
             following = document.blocks[index + 1] if index + 1 < len(document.blocks) else None
             setter.block(block, following)
-        return setter.bound(document.title, created)
+        return setter.bound(document.title, document.mark, created)
 
 
 class _Setter:
@@ -63,8 +64,8 @@ class _Setter:
         self._y_in = 0.0
         self._new_sheet()
 
-    def bound(self, title: str, created: datetime) -> bytes:
-        """All sheets, numbered."""
+    def bound(self, title: str, mark: str, created: datetime) -> bytes:
+        """All sheets, numbered and marked."""
         file = io.BytesIO()
         about = {"Title": title, "CreationDate": created, "Creator": "altd", "Producer": None}
         with PdfPages(file, metadata=about) as pdf:
@@ -73,6 +74,7 @@ class _Setter:
                 sheet.text(_MARGIN_IN / _WIDTH_IN, foot, title, size=7, color=QUIET)
                 words = f"{number} / {len(self._sheets)}"
                 sheet.text(1 - _MARGIN_IN / _WIDTH_IN, foot, words, size=7, color=QUIET, ha="right")
+                _mark(sheet, mark)
                 pdf.savefig(sheet)
         return file.getvalue()
 
@@ -151,7 +153,7 @@ class _Setter:
             for line in lines:
                 self._put(line, _MARGIN_IN + 0.25, size, bold, INK)
                 self._y_in -= _height_in(size)
-        self.gap(0.1)
+        self.gap(0.2)
 
     def _table(self, table: Table) -> None:
         self._need(_height_of_few_in(table))
@@ -214,6 +216,14 @@ class _Setter:
             height_ratios=(_HEIGHT_IN - self._y_in, picture.height_in, below_in),
         )  # fmt: skip
         picture.draw(Canvas(self._sheets[-1].add_subfigure(grid[1, 1]), WIDTH_IN, picture.height_in))
+
+
+def _mark(sheet: Figure, mark: str) -> None:
+    """Large and pale across the sheet, over whatever is drawn there; small and dark at its head."""
+    _, edge, dark = _FILLS[Level.BAD]
+    middle: dict[str, Any] = {"ha": "center", "va": "center", "fontweight": "bold"}
+    sheet.text(0.5, 0.5, mark, size=96, rotation=54, color=edge, alpha=0.14, zorder=1000, **middle)
+    sheet.text(0.5, 1 - 0.36 / _HEIGHT_IN, mark, size=9, color=dark, **middle)
 
 
 def _height_of_few_in(table: Table) -> float:

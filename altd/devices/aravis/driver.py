@@ -60,6 +60,7 @@ class AravisCamera:
     def __init__(self, name: str, settings: Settings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
+        self.playback = False
         self.identity: CameraIdentity | None = None
         self._settings = settings
         self._period_ns = round(1e9 / settings.fps)

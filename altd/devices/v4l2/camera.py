@@ -56,6 +56,7 @@ class V4l2Camera:
     def __init__(self, name: str, settings: Settings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
+        self.playback = False
         self.identity: CameraIdentity | None = None
         self.waits = False
         self._settings = settings

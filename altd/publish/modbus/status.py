@@ -67,7 +67,7 @@ STATUS_BITS = (
     StatusBit(10, "front camera silent", "no frames come from it", _only(Reason.CAMERA_SILENT), "front"),
     StatusBit(11, "rear camera silent", "no frames come from it", _only(Reason.CAMERA_SILENT), "rear"),
     StatusBit(12, "playback", "warning: not live, a recording is played", _only(Reason.PLAYBACK)),
-    StatusBit(13, "simulated", "warning: not live, a simulator makes the frames", _only(Reason.SIMULATED)),
+    StatusBit(13, "simulated", "warning: frames or calibration are simulated", _only(Reason.SIMULATED)),
     StatusBit(14, "implausible", "two maps of a target contradict each other", _only(Reason.IMPLAUSIBLE)),
     StatusBit(15, "not trusted", "a camera, its frames or the numbers did not pass a check", _NOT_TRUSTED),
 )

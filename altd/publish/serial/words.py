@@ -33,7 +33,7 @@ ADVICE: dict[Reason, tuple[str, str]] = {
     Reason.CHECK_FAILED: ("numbers that cannot be", "restart the unit, check its config and calibration"),
     Reason.EXPOSURES_LOST: ("exposures were lost", "if it stays, check the cameras' cables"),
     Reason.PLAYBACK: ("a recording is played, this is NOT LIVE", "do not steer by it"),
-    Reason.SIMULATED: ("the input is simulated, this is NOT LIVE", "do not steer by it"),
+    Reason.SIMULATED: ("frames or calibration are simulated, this is NOT LIVE", "do not steer by it"),
 }
 """What a reason means and what to do about it."""
 

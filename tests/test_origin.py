@@ -1,0 +1,338 @@
+"""Simulated frames are known as such at the end of every way that data can take.
+
+The ways: a camera or the simulator's own recorders, a recording, its playback, a recording of the playback, a
+scan, a flat or a plate, a calibration, its report, and what is measured, on each face.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+import tty
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from support.cli import altd, write_config
+from support.foreign import need_program
+from support.own_network import inside
+from support.plates import View, plate_light, write_plate
+from support.played_unit import free_port
+from support.recordings import header, write_beams, write_scan
+
+from altd.app import scanner_of
+from altd.config import Config, Scan
+from benchmarks.live.parts import write_config as write_live_config
+from benchmarks.live.unit import FRONT, REAR, both_cameras
+from hw_sim.beam import BeamPose
+from hw_sim.camera import make_cameras
+from hw_sim.flat import record_flat
+from hw_sim.grbl_table import GrblTable
+from hw_sim.measure import record_measurement
+from hw_sim.plate import Plate, record_plate, with_plate
+from hw_sim.scan import STAGE_STREAM, record_scan
+from hw_sim.stage import Stage
+from hw_sim.staged_scan import SimulatedLamps, scan_config
+from hw_sim.unit import Unit, UnitConfig
+
+BEAMS = [(10.0, 5.0, 0.02, -0.03)] * 3
+CAMERAS = ("front", "rear")
+
+
+def said_to_be(recording: Path, *origins: str) -> Path:
+    """The recording, its cameras' origins written into its header."""
+    about = json.loads((recording / "recording.json").read_text())
+    about["cameras"] = {
+        name: {**about["cameras"][name], "origin": origin}
+        for name, origin in zip(CAMERAS, origins, strict=True)
+    }
+    (recording / "recording.json").write_text(json.dumps(about))
+    return recording
+
+
+def origins(recording: Path) -> list[str | None]:
+    cameras = json.loads((recording / "recording.json").read_text())["cameras"]
+    return [cameras[name].get("origin") for name in CAMERAS]
+
+
+def calibrated(recording: Path, output: Path, *more: object) -> dict[str, Any]:
+    outcome = altd("calibrate", recording, "-o", output, *more)
+    assert outcome.status == 0, outcome.err
+    document: dict[str, Any] = json.loads(output.read_text())
+    simulated = "simulated" in {
+        entry["origin"] for target in document["targets"] for entry in (target, target["flat"] or target)
+    }
+    assert ("made from SIMULATED frames" in outcome.out) == simulated
+    return document
+
+
+def target_origins(calibration: dict[str, Any]) -> list[str]:
+    return [target["origin"] for target in calibration["targets"]]
+
+
+@dataclass(frozen=True)
+class Files:
+    """Recordings of two units that show the same, one real and one simulated, and their calibrations."""
+
+    folder: Path
+    real_calibration: Path = field(init=False)
+    simulated_calibration: Path = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name, origin in (("real", "camera"), ("simulated", "simulated")):
+            said_to_be(write_scan(self.folder / name / "scan"), origin, origin)
+            said_to_be(write_beams(self.folder / name / "beams", BEAMS), origin, origin)
+            output = self.folder / f"{name}.json"
+            assert target_origins(calibrated(self.folder / name / "scan", output)) == [origin, origin]
+            object.__setattr__(self, f"{name}_calibration", output)
+
+    def beams(self, name: str) -> Path:
+        return self.folder / name / "beams"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Files:
+    return Files(tmp_path_factory.mktemp("origin"))
+
+
+class TestReplay:
+    @pytest.mark.parametrize("frames", ["real", "simulated"])
+    @pytest.mark.parametrize("calibration", ["real", "simulated"])
+    def test_says_simulated_when_frames_or_calibration_are(
+        self, files: Files, frames: str, calibration: str
+    ) -> None:
+        fitted = files.folder / f"{calibration}.json"
+        lines = altd("replay", files.beams(frames), "--calibration", fitted, "--window", "4").objects
+        assert any(line["valid"] for line in lines)
+        assert any(not line["valid"] for line in lines)
+        expected = "simulated" in (frames, calibration)
+        assert {"simulated" in line["status"] for line in lines} == {expected}
+
+    def test_of_one_simulated_camera_says_so(self, files: Files, tmp_path: Path) -> None:
+        beams = said_to_be(write_beams(tmp_path / "beams", BEAMS), "camera", "simulated")
+        lines = altd("replay", beams, "--calibration", files.real_calibration).objects
+        assert all("simulated" in line["status"] for line in lines)
+
+    def test_of_a_recording_that_says_nothing_counts_as_cameras(self, files: Files, tmp_path: Path) -> None:
+        beams = write_beams(tmp_path / "beams", BEAMS)
+        assert origins(beams) == [None, None]
+        lines = altd("replay", beams, "--calibration", files.real_calibration, "--window", "4").objects
+        assert {code for line in lines for code in line["status"]} == {"warming_up"}
+
+    def test_of_an_unknown_origin_is_refused(self, files: Files, tmp_path: Path) -> None:
+        beams = said_to_be(write_beams(tmp_path / "beams", BEAMS), "camera", "dreamt")
+        outcome = altd("replay", beams, "--calibration", files.real_calibration)
+        assert outcome.status == 2
+        assert "recording.json: cameras.rear.origin: " in outcome.err
+
+
+class TestCalibration:
+    def test_of_one_simulated_camera_marks_that_target(self, tmp_path: Path) -> None:
+        scan = said_to_be(write_scan(tmp_path / "scan"), "simulated", "camera")
+        assert target_origins(calibrated(scan, tmp_path / "cal.json")) == ["simulated", "camera"]
+
+    def test_through_a_simulated_flat_is_simulated(self, files: Files, tmp_path: Path) -> None:
+        flat = tmp_path / "flat"
+        flat.mkdir()
+        (flat / "recording.json").write_text(json.dumps(header("flat")))
+        rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm"]
+        for name in CAMERAS:
+            grain = np.random.default_rng(1).normal(120, 4, (480, 752))
+            cv2.imwrite(str(flat / f"{name}.png"), np.clip(grain, 0, 255).astype(np.uint8))
+            rows.append(f"0,0.0,{name},{name}.png,on,,")
+        (flat / "frames.csv").write_text("\n".join(rows) + "\n")
+        said_to_be(flat, "simulated", "camera")
+        scan, output = files.folder / "real" / "scan", tmp_path / "cal.json"
+        targets = calibrated(scan, output, "--flat", flat)["targets"]
+        assert [(t["origin"], t["flat"]["origin"]) for t in targets] == [
+            ("camera", "simulated"),
+            ("camera", "camera"),
+        ]
+        lines = altd("replay", files.beams("real"), "--calibration", output).objects
+        assert all("simulated" in line["status"] for line in lines)
+
+    def test_of_a_plate_has_its_origin(self, tmp_path: Path) -> None:
+        lights = [plate_light(View(800.0, 250.0, mirrored=mirrored)) for mirrored in (True, False)]
+        plate = said_to_be(write_plate(tmp_path / "plate", *lights), "simulated", "simulated")
+        assert target_origins(calibrated(plate, tmp_path / "cal.json")) == ["simulated", "simulated"]
+
+    def test_bears_it_across_every_sheet_of_its_report(self, files: Files, tmp_path: Path) -> None:
+        for name, marks in (("real", False), ("simulated", True)):
+            folder = tmp_path / name
+            calibrated(files.folder / name / "scan", tmp_path / f"{name}.json", "--report", folder)
+            (pdf,), (html,) = folder.glob("*.pdf"), folder.glob("*.html")
+            read = [need_program("pdftotext", "poppler-utils"), "-layout", str(pdf), "-"]
+            sheets = subprocess.run(read, capture_output=True, text=True, check=True).stdout.split("\f")[:-1]
+            assert len(sheets) > 2
+            assert {"SIMULATED" in sheet for sheet in sheets} == {marks}
+            page = html.read_text()
+            assert ('<div class="mark" aria-hidden="true">SIMULATED</div>' in page) == marks
+            assert ("Made from SIMULATED frames" in page) == marks
+
+
+@contextlib.contextmanager
+def line_to(device_of: Callable[[str], None]) -> Iterator[int]:
+    """The far end of a serial line; ``device_of`` is told the name of the near one."""
+    far, near = os.openpty()
+    tty.setraw(near)
+    device_of(os.ttyname(near))
+    try:
+        yield far
+    finally:
+        os.close(far)
+        os.close(near)
+
+
+def read_until(descriptor: int, pattern: str, timeout_s: float = 10.0) -> str:
+    os.set_blocking(descriptor, False)
+    text, deadline = "", time.monotonic() + timeout_s
+    while re.search(pattern, text) is None:
+        assert time.monotonic() < deadline, text
+        with contextlib.suppress(BlockingIOError):
+            text += os.read(descriptor, 4096).decode()
+        time.sleep(0.01)
+    return text
+
+
+@pytest.mark.parametrize(("frames", "calibration"), [("simulated", "real"), ("real", "simulated")])
+def test_every_face_of_the_daemon_says_it(
+    files: Files, tmp_path: Path, frames: str, calibration: str
+) -> None:
+    """Played: what is marked as simulated stays so, beside being played."""
+    devices: list[str] = []
+    http, modbus = free_port(), free_port()
+    with line_to(devices.append) as telegram, line_to(devices.append) as console:
+        faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n'
+        faces += f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+        for device, speaks in zip(devices, ("telegram", "console"), strict=True):
+            faces += f'[[serial]]\ndevice = "{device}"\nspeaks = "{speaks}"\nbaud = 115200\n'
+        fitted, beams = files.folder / f"{calibration}.json", files.beams(frames)
+        config = write_config(tmp_path / "altd.toml", fitted, beams, faces)
+        checked, examined = altd("check-config", config).out, altd("doctor", "--config", config).out
+        assert ("SIMULATED" in checked) == (calibration == "simulated")
+        assert ("SIMULATED" in examined) == (calibration == "simulated")
+        command = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+        daemon = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            assert re.search(r"^\$PALT[^\n]*,S,", read_until(telegram, r"\$PALT[^\n]*,S,[^\n]*\n"), re.M)
+            measured = _valid(http)
+            assert {"playback", "simulated"} <= set(measured["status"])
+            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/stream", timeout=5) as stream:
+                event = next(line for line in stream if line.startswith(b"data:"))
+            assert "simulated" in json.loads(event.removeprefix(b"data:"))["status"]
+            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/status", timeout=5) as page:
+                fact = json.load(page)["calibration"]
+            assert ("SIMULATED" in fact) == (calibration == "simulated")
+            os.write(console, b"status\r")
+            assert "simulated" in read_until(console, "simulated")
+            assert _status_word(modbus) >> 12 & 0b11 == 0b11
+        finally:
+            daemon.kill()
+            daemon.wait()
+
+
+def _valid(http: int) -> dict[str, Any]:
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        with (
+            contextlib.suppress(OSError),
+            urllib.request.urlopen(f"http://127.0.0.1:{http}/api/measurement", timeout=2) as page,
+        ):
+            answer: dict[str, Any] = json.load(page)
+            if answer["valid"]:
+                return answer
+        time.sleep(0.05)
+    raise AssertionError("never valid")
+
+
+def _status_word(port: int) -> int:
+    """Input register 0 of unit 1, asked by hand (Modbus TCP, function 4)."""
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as line:
+        line.sendall(bytes.fromhex("0001 0000 0006 01 04 0000 0001"))
+        answer = line.recv(256)
+    assert answer[7] == 4, answer.hex()
+    return int.from_bytes(answer[9:11], "big")
+
+
+class TestRecord:
+    def test_of_a_playback_keeps_the_recordings_own_origin(self, files: Files, tmp_path: Path) -> None:
+        for name, origin in (("real", "camera"), ("simulated", "simulated")):
+            config = write_config(tmp_path / f"{name}.toml", files.real_calibration, files.beams(name))
+            copy = tmp_path / name
+            assert altd("record", "--config", config, "-o", copy, "--seconds", "0.3").status == 0
+            assert origins(copy) == [origin, origin]
+            about = json.loads((copy / "recording.json").read_text())
+            assert about["note"] == "altd record, playback"
+            assert about["made_by"].startswith("altd ")
+
+    @pytest.mark.own_network
+    def test_of_simulated_gige_cameras_is_simulated_to_its_last_measurement(self, tmp_path: Path) -> None:
+        if not inside():
+            return
+        unit = Unit(UnitConfig(seed=1))
+        scan, fitted = tmp_path / "scan", tmp_path / "cal.json"
+        record_scan(scan, unit, Stage(np.random.default_rng([1, STAGE_STREAM])), 1, quiet)
+        said_to_be(scan, "camera", "camera")
+        calibrated(scan, fitted)
+        config = write_live_config(tmp_path / "altd.toml", "SIM-1", fitted, (FRONT, REAR), 8080, 5020, "")
+        with both_cameras(tmp_path):
+            outcome = altd("record", "--config", config, "-o", tmp_path / "kept", "--seconds", "1")
+        assert outcome.status == 0
+        assert re.fullmatch(rf"\d+ exposures in {tmp_path / 'kept'}\n", outcome.err)
+        assert origins(tmp_path / "kept") == ["simulated", "simulated"]
+        about = json.loads((tmp_path / "kept" / "recording.json").read_text())["cameras"]["front"]
+        assert about["driver"] == "aravis"
+        assert about["exposure_ms"] > 0
+        lines = altd("replay", tmp_path / "kept", "--calibration", fitted, "--window", "4").objects
+        assert lines
+        assert all("simulated" in line["status"] for line in lines)
+
+
+async def test_a_scan_with_simulated_cameras_is_simulated(tmp_path: Path) -> None:
+    unit = Unit(UnitConfig(seed=11, fps=50.0))
+    with GrblTable(unit) as table:
+        table.controller.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
+        scan = Scan(columns=4, rows=4, pitch_mm=25.0, exposures=1, settle_s=0.02, led_pairs=0)
+        config = scan_config(unit, table.device, scan)
+        assert config.stage is not None
+        stage = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0})
+        config = Config.model_validate(config.model_dump() | {"stage": stage.model_dump()})
+        cameras = {camera.name: camera for camera in make_cameras(unit)}
+        output = tmp_path / "scan"
+        await scanner_of(config, output, output, Silent(), cameras, SimulatedLamps(unit)).run()
+    assert origins(output) == ["simulated", "simulated"]
+
+
+class Silent:
+    """Tells nothing."""
+
+    def say(self, line: str) -> None:
+        pass
+
+    def progress(self, done: int, total: int, doing: str) -> None:
+        pass
+
+
+def quiet(_done: int, _planned: int) -> None:
+    """No progress."""
+
+
+def test_all_that_the_simulator_records_is_simulated(tmp_path: Path) -> None:
+    unit, plate = Unit(UnitConfig(seed=1)), Plate()
+    record_flat(tmp_path / "flat", unit, 1, quiet)
+    record_scan(tmp_path / "scan", unit, Stage(np.random.default_rng([1, STAGE_STREAM])), 1, quiet)
+    record_measurement(tmp_path / "measurement", unit, [BeamPose(0.0, 0.0)], 1, quiet)
+    record_plate(tmp_path / "plate", with_plate(unit, plate), plate, 1, quiet)
+    for folder in tmp_path.iterdir():
+        assert origins(folder) == ["simulated", "simulated"], folder.name
