@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -191,8 +191,18 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     return daemon
 
 
-async def record_of(config: Config, place: Path, folder: Path, seconds: float, kind: Kind) -> int:
-    """Record from the config's cameras into ``folder``; returns the number of exposures."""
+async def record_of(
+    config: Config,
+    place: Path,
+    folder: Path,
+    seconds: float,
+    kind: Kind,
+    progress: Callable[[int, int], None] = lambda done, planned: None,
+) -> int:
+    """Record from the config's cameras into ``folder``; returns the number of exposures.
+
+    ``progress`` is told after each of them how many of how many there are.
+    """
     refuse_used_folder(folder)
     cameras = cameras_of(config, place)
     clock = SystemClock()
@@ -208,6 +218,7 @@ async def record_of(config: Config, place: Path, folder: Path, seconds: float, k
         seconds,
         kind,
         setters=setters_of(config),
+        progress=progress,
     )
 
 

@@ -9,22 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from altd import __version__
-from altd.errors import BadInputError
-from altd.standard_streams import complain, forget_unwritten, output_failure, prepare_streams
+from altd.endings import run_to_end
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse and run; the return value is the process' exit status."""
-    prepare_streams()
-    try:
-        return _main(arguments)
-    finally:
-        forget_unwritten()
-
-
-def _main(arguments: Sequence[str] | None) -> int:
     name = "altd"
-    try:
+
+    def work() -> int:
+        nonlocal name
         options = _parser().parse_args(arguments)
         name = f"altd {options.command}"
         # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait
@@ -34,23 +27,9 @@ def _main(arguments: Sequence[str] | None) -> int:
         os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))
         from altd import commands
 
-        status = commands.run(options)
-    except BadInputError as error:
-        complain(f"{name}: {error}")
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    except SystemExit as end:  # argparse has said what there was to say
-        status = end.code if isinstance(end.code, int) else 1
-    except OSError:
-        if output_failure() is None:
-            raise
-        status = 1
-    if (failure := output_failure()) is not None:
-        status = status or 1
-        if not isinstance(failure, BrokenPipeError):  # the reader of our output went away: nobody to tell
-            complain(f"{name}: standard output: {failure.strerror}")
-    return status
+        return commands.run(options)
+
+    return run_to_end(work, lambda: name)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,13 +11,14 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import cv2
 
+from altd.endings import EndedBySignal, until_signal
 from altd.errors import BadInputError
 from altd.logs import logging_to_stderr
 from altd.records import Frame, Spot
@@ -28,8 +29,6 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.recording import Recording
     from altd.scan_screen import ScanScreen
     from altd.service.scan import Scanner
-
-Result = TypeVar("Result")
 
 log = logging.getLogger("altd")
 
@@ -70,31 +69,12 @@ def _run(options: argparse.Namespace) -> int:
             asyncio.run(until_signal(daemon.run()))
         except BadInputError:
             raise
+        except EndedBySignal:
+            return 0  # how a service ends
         except Exception:
             log.critical("a defect ended the daemon", exc_info=True)
             return 1
     return 0
-
-
-async def until_signal(work: Coroutine[None, None, Result]) -> Result | None:
-    """Run until done or until a signal that asks to end; returns its result, None when cancelled.
-
-    SIGHUP, the terminal that went away, ends it like SIGTERM, unless it is ignored (nohup(1)).
-    """
-    loop = asyncio.get_running_loop()
-    task = asyncio.ensure_future(work)
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
-    for number in numbers:
-        loop.add_signal_handler(number, task.cancel)
-    try:
-        return await task
-    except asyncio.CancelledError:
-        return None
-    finally:
-        for number in numbers:
-            loop.remove_signal_handler(number)
 
 
 def _calibrate(options: argparse.Namespace) -> int:
@@ -194,11 +174,25 @@ def _record(options: argparse.Namespace) -> int:
     from altd.config import load_config
 
     config = load_config(options.config)
+    show, kept = _progress("exposures"), 0
+
+    def progress(done: int, planned: int) -> None:
+        nonlocal kept
+        kept = done
+        show(done, planned)
+
     with logging_to_stderr(logging.WARNING):
-        work = record_of(config, options.config, options.output, options.seconds, options.kind)
-        exposures = asyncio.run(until_signal(work))
-    if exposures is not None:
-        complain(f"{exposures} exposures in {options.output}")
+        work = record_of(config, options.config, options.output, options.seconds, options.kind, progress)
+        try:
+            exposures = asyncio.run(until_signal(work))
+        except EndedBySignal:
+            complain(
+                f"altd record: interrupted: {kept} exposures in {options.output}"
+                if kept
+                else "altd record: interrupted before the first exposure"
+            )
+            raise
+    complain(f"{exposures} exposures in {options.output}")
     return 0
 
 
@@ -223,11 +217,11 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
     except ScanStoppedError as error:
         screen.say(f"stopped: {error}; {again}")
         return 1
+    except EndedBySignal:
+        screen.say(f"interrupted; {again}")
+        raise
     finally:
         screen.clear()
-    if result is None:
-        screen.say(f"interrupted; {again}")
-        return 130
     for line in result.refused:
         screen.say(f"without {line}")
     screen.say(f"{result.exposures} exposures in {output}")
@@ -259,19 +253,20 @@ def _lamps(options: argparse.Namespace) -> int:
         "test": by_hand.light_in_turn,
         "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
     }
-    interrupted = threading.Event()
+    interrupted, interrupts = threading.Event(), list[EndedBySignal]()
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         """What is lit gets dark on the way out; a library's callback swallows what is raised in it."""
+        interrupts.append(EndedBySignal(number))
         interrupted.set()
-        raise KeyboardInterrupt
+        raise interrupts[0]
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupt)
     try:
         looks[options.look]()
-        if interrupted.is_set():
-            return 130
+        if interrupts:
+            raise interrupts[0]
     except LampsError as error:
         complain(f"altd lamps: {error}")
         return 1

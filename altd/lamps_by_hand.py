@@ -66,7 +66,7 @@ class LampsByHand:
                 time.sleep(LIT_S)
 
     def light_until(self, interrupted: Callable[[], object]) -> None:
-        """All lit; dark again once ``interrupted`` returns, or KeyboardInterrupt comes."""
+        """All lit; dark again once ``interrupted`` returns, or a signal is raised."""
         with self._opened():
             if self._indicators is not None:
                 self._indicators.show(frozenset(Indicator))

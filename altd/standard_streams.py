@@ -52,14 +52,32 @@ def prepare_streams() -> None:
 
 
 def complain(line: str) -> None:
-    """A line on standard error, unless it takes none for a second."""
+    """A line on standard error, over a counter that stands there, unless it takes none for a second."""
+    _put(f"{_clearing()}{line}\n")
+
+
+def clear_counter() -> None:
+    """Take away what a counter left in the last line of a terminal."""
+    if clearing := _clearing():
+        _put(clearing)
+
+
+def _clearing() -> str:
+    try:
+        return "\r\033[K" if sys.stderr.isatty() else ""
+    except ValueError:  # it is closed
+        return ""
+
+
+def _put(text: str) -> None:
     try:
         descriptor = sys.stderr.fileno()
     except (OSError, ValueError):  # what stands for it has none, or it is closed
         descriptor = None
     with contextlib.suppress(OSError, ValueError):
         if descriptor is None or _takes_output(descriptor):
-            print(line, file=sys.stderr, flush=True)  # noqa: T201
+            sys.stderr.write(text)
+            sys.stderr.flush()
 
 
 def output_failure() -> OSError | None:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from altd.errors import BadInputError
+from altd.endings import run_to_end
 from hw_sim import demo, flat, measure, plate, scan
 from hw_sim.gige import command as gige
 from hw_sim.study import command as study
@@ -39,13 +39,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = commands.add_parser(name, help=summary, description=summary)
         module.add_arguments(command)
         command.set_defaults(run=module.run)
-    arguments = parser.parse_args(argv)
-    try:
+
+    def work() -> int:
+        arguments = parser.parse_args(argv)
         status: int = arguments.run(arguments)
-    except BadInputError as error:
-        print(f"hw_sim: {error}", file=sys.stderr)
-        return 2
-    return status
+        return status
+
+    return run_to_end(work, lambda: "hw_sim")
 
 
 if __name__ == "__main__":

@@ -61,8 +61,7 @@ class Recorder:
             t_ns = self.t_ns + self._unit.lag_ns(camera)
             frame = self._unit.expose(camera, self._sequence, t_ns, exact=True)
             file = f"{camera}/{self._sequence:06d}.png"
-            if not cv2.imwrite(str(self._folder / file), frame.pixels):
-                raise BadInputError(self._folder / file, "cannot be written")
+            (self._folder / file).write_bytes(cv2.imencode(".png", frame.pixels)[1].tobytes())
             leds = "on" if frame.leds_on or even_mw_per_mm2 > 0.0 else "off"
             self.rows.append((str(self._sequence), f"{t_ns * 1e-9:.6f}", camera, file, leds, *at))
         self._sequence += 1

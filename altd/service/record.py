@@ -39,12 +39,14 @@ async def record(
     kind: Kind = "measurement",
     fps: float = 20.0,
     setters: Mapping[str, ExposureSetter] | None = None,
+    progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
     """Write a recording of a kind; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
     written until then is whole. Exposure is set by ``setters`` when a camera is opened, and holds still; what
-    was exposed while it was being set is not kept. Raises BadInputError when the folder cannot be used, and
+    was exposed while it was being set is not kept. ``progress`` is told after each exposure how many of how
+    many are kept. Raises BadInputError when the folder cannot be used, and
     a driver's own failure; a camera that is merely lost is waited for.
     """
     names = tuple(camera.name for camera in cameras)
@@ -67,6 +69,7 @@ async def record(
                     changing = any(taken.changing for taken in pair.items.values())
                     if sink.length_s < seconds and not changing:
                         sink.write(pair)
+                        progress(sink.exposures, round(seconds * fps))
         if sources.done():
             sources.result()  # a source that failed, not one at its end
         return sink.exposures

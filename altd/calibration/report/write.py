@@ -7,6 +7,7 @@ import logging
 import os
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from altd.errors import BadInputError
@@ -59,7 +60,7 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
     written: dict[str, Path] = {}
     kept: dict[str, bytes | None] = {}
     try:
-        _made(folder)
+        is_new = _made(folder)
         try:
             for name, content in files.items():
                 written[name] = write_beside(folder / name, content)
@@ -73,6 +74,9 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
         finally:
             for temporary in written.values():
                 temporary.unlink(missing_ok=True)
+            if is_new:
+                with suppress(OSError):  # it holds the report
+                    folder.rmdir()
     except OSError as error:
         raise BadInputError(folder, error.strerror or "cannot be written") from error
 
