@@ -76,12 +76,14 @@ campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
 	@exec $(python) -m hw_sim study -o docs/studies
 
-docs: venv ## write the generated pages of docs/
+docs: venv ## write the generated pages and pictures of docs/
 	@for page in $(pages); do
 		file=docs/$${page%:*}.md
 		$(python) -m "$${page#*:}" >"$$file.new" || { rm -f "$$file.new"; exit 1; }
 		mv "$$file.new" "$$file"
 	done
+	.ci/programs must tmux chromium pdftoppm=poppler-utils
+	$(python) -m tools.pictures
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock

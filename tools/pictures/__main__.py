@@ -1,0 +1,74 @@
+"""Record the demo and its page, and draw the report: demo.svg, page.png, report.png."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tools.pictures.browser import photograph
+from tools.pictures.film import Shot, film
+from tools.pictures.terminal import Terminal, terminal
+
+_COLUMNS, _ROWS = 84, 16
+_SHOWN_S = 0.5
+_FOLDER = Path("docs")
+_TITLE = (
+    "make demo: measured x, y, yaw and pitch beside the truth; the beam is blocked, the measurement is not "
+    "valid, and valid again when the beam is back"
+)
+
+
+def main() -> int:
+    """Make all pictures; raises CalledProcessError and TimeoutError when a program does not do its part."""
+    with (
+        tempfile.TemporaryDirectory(prefix="altd-pictures-") as folder,
+        terminal(f"{sys.executable} -m hw_sim demo", _COLUMNS, 32) as demo,
+    ):
+        demo.await_text("VALID, mean of 20", within_s=180.0)
+        shots = list(_story(demo))
+        (_FOLDER / "demo.svg").write_text(film(shots, _COLUMNS, _ROWS, _TITLE))
+        (address,) = re.findall(r"http://127\.0\.0\.1:\d+/", demo.text().split("browser")[1].split("\n")[0])
+        photograph(address, _FOLDER / "page.png", Path(folder, "browser"), 560, 480, after_s=4.0)
+        demo.press("q")
+        _draw_report(Path(folder), _FOLDER / "report.png")
+    return 0
+
+
+def _story(demo: Terminal) -> Iterator[Shot]:
+    """The beam moves, is blocked, and is back."""
+    for key, seconds in (("", 5.0), ("b", 4.0), ("c", 7.0)):
+        if key:
+            demo.press(key)
+        for _ in range(round(seconds / _SHOWN_S)):
+            began_s = time.monotonic()
+            yield Shot(demo.screen()[:_ROWS], _SHOWN_S)
+            time.sleep(max(began_s + _SHOWN_S - time.monotonic(), 0.0))
+
+
+def _draw_report(folder: Path, picture: Path) -> None:
+    """The first two sheets of the report on a simulated unit with a flat, beside each other."""
+    simulator, altd = [sys.executable, "-m", "hw_sim"], [sys.executable, "-m", "altd.cli"]
+    scan, flat, report = folder / "scan", folder / "flat", folder / "report"
+    _run([*simulator, "scan", "-o", scan, "--seed", "1"])
+    _run([*simulator, "flat", "-o", flat, "--seed", "1"])
+    _run([*altd, "calibrate", scan, "--flat", flat, "-o", folder / "calibration.json", "--report", report])
+    _run(["pdftoppm", "-r", "70", "-l", "2", "-png", report / "calibration.pdf", folder / "sheet"])
+    sheets = [np.asarray(cv2.imread(str(path))) for path in sorted(folder.glob("sheet*.png"))]
+    edge = np.full((sheets[0].shape[0], 8, 3), 200, np.uint8)
+    cv2.imwrite(str(picture), np.hstack([sheets[0], edge, sheets[1]]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def _run(command: Sequence[str | Path]) -> None:
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+
+
+if __name__ == "__main__":
+    sys.exit(main())

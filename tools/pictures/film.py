@@ -1,0 +1,96 @@
+"""Screens of a terminal, one after the other, as an animated SVG: sharp at any size, small, no script."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from tools.pictures.terminal import Run, Screen
+
+_LETTER_WIDTH, _LINE_HEIGHT, _MARGIN = 7.2, 16, 12
+"""px, of a monospaced font of 12 px."""
+_COLOURS = {"31": "#f47067", "32": "#57ab5a"}
+_INK, _DIM, _GROUND = "#d6dde6", "#8b949e", "#161b22"
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """A screen, and how long it stands."""
+
+    screen: Screen
+    seconds: float
+
+
+def film(shots: Sequence[Shot], columns: int, rows: int, title: str) -> str:
+    """The SVG; it begins anew at its end. Lines that stay are drawn once, over the time that they stay."""
+    whole_s = sum(shot.seconds for shot in shots)
+    width = columns * _LETTER_WIDTH + 2 * _MARGIN
+    height = rows * _LINE_HEIGHT + 2 * _MARGIN
+    drawn: list[str] = []
+    rules: list[str] = []
+    for row in range(rows):
+        for runs, begin_s, end_s in _stays(shots, row):
+            if not runs:
+                continue
+            if (begin_s, end_s) == (0.0, whole_s):
+                drawn.append(f"<g>{_line(runs, row)}</g>")
+                continue
+            name = f"a{len(rules)}"
+            begin, end = (100 * moment_s / whole_s for moment_s in (begin_s, end_s))
+            rules.append(_rule(name, begin, end))
+            drawn.append(f'<g class="t" style="animation-name:{name}">{_line(runs, row)}</g>')
+    style = (
+        f"text{{font:12px ui-monospace,'DejaVu Sans Mono',Menlo,Consolas,monospace;fill:{_INK};"
+        f"white-space:pre}}.b{{font-weight:700}}.d{{fill:{_DIM}}}"
+        f".t{{visibility:hidden;animation:{whole_s:.2f}s step-end infinite}}"
+    )
+    style += "".join(f".c{code}{{fill:{colour}}}" for code, colour in _COLOURS.items())
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
+        f'width="{width:.0f}" height="{height:.0f}" role="img"><title>{escape(title)}</title>\n'
+        f"<style>{style}\n{''.join(rules)}</style>\n"
+        f'<rect width="100%" height="100%" rx="8" fill="{_GROUND}"/>\n' + "\n".join(drawn) + "\n</svg>\n"
+    )
+
+
+def _stays(shots: Sequence[Shot], row: int) -> list[tuple[tuple[Run, ...], float, float]]:
+    """What stands in a row, and from when to when, s."""
+    stays: list[tuple[tuple[Run, ...], float, float]] = []
+    at_s = 0.0
+    for shot in shots:
+        runs = shot.screen[row] if row < len(shot.screen) else ()
+        if stays and stays[-1][0] == runs:
+            stays[-1] = runs, stays[-1][1], at_s + shot.seconds
+        else:
+            stays.append((runs, at_s, at_s + shot.seconds))
+        at_s += shot.seconds
+    return stays
+
+
+def _rule(name: str, begin: float, end: float) -> str:
+    """Seen from ``begin`` to ``end``, per cent of the whole."""
+    steps = [f"{begin:.2f}%{{visibility:visible}}"]
+    if begin > 0:
+        steps.insert(0, "0%{visibility:hidden}")
+    if end < 99.995:
+        steps.append(f"{end:.2f}%{{visibility:hidden}}")
+    return f"@keyframes {name}{{{''.join(steps)}}}\n"
+
+
+def _line(runs: Sequence[Run], row: int) -> str:
+    y = _MARGIN + (row + 0.78) * _LINE_HEIGHT
+    return "".join(
+        f'<text x="{_MARGIN + run.column * _LETTER_WIDTH:.1f}" y="{y:.1f}" '
+        f'textLength="{len(run.text) * _LETTER_WIDTH:.1f}"{_class(run)}>{escape(run.text)}</text>'
+        for run in runs
+    )
+
+
+def _class(run: Run) -> str:
+    names = [
+        {"1": "b", "2": "d"}.get(code) or (f"c{code}" if code in _COLOURS else "")
+        for code in sorted(run.style)
+    ]
+    names = [name for name in names if name]
+    return f' class="{" ".join(names)}"' if names else ""

@@ -1,0 +1,111 @@
+"""A program in a real terminal (tmux), watched: what its screen shows, and keys for it."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import secrets
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+_SGR = re.compile(r"\x1b\[([0-9;]*)m")
+"""Select graphic rendition (ECMA-48, 8.3.117)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Letters that look alike, from a column on; ``style`` holds the parameters of SGR."""
+
+    column: int
+    text: str
+    style: frozenset[str]
+
+
+Screen = tuple[tuple[Run, ...], ...]
+"""The lines of a screen."""
+
+
+class Terminal:
+    """A terminal of so many columns and rows that runs a program."""
+
+    def __init__(self, socket: str) -> None:
+        self._socket = socket
+
+    def press(self, key: str) -> None:
+        """Type one key."""
+        self._tmux("send-keys", key)
+
+    def text(self) -> str:
+        """What stands on the screen now."""
+        return self._tmux("capture-pane", "-p")
+
+    def screen(self) -> Screen:
+        """The same with its looks."""
+        return parsed(self._tmux("capture-pane", "-p", "-e"))
+
+    def await_text(self, wanted: str, within_s: float) -> None:
+        """Wait until the screen shows it; raises TimeoutError with what it shows instead."""
+        deadline_s = time.monotonic() + within_s
+        while wanted not in (shown := self.text()):
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"{wanted!r} is not on the screen:\n{shown}")
+            time.sleep(0.2)
+
+    def _tmux(self, *command: str) -> str:
+        return tmux(self._socket, *command)
+
+
+def tmux(socket: str, *command: str) -> str:
+    """A command to the server behind a socket's name; raises CalledProcessError."""
+    whole = ["tmux", "-L", socket, "-f", "/dev/null", *command]
+    return subprocess.run(whole, check=True, capture_output=True, text=True).stdout  # noqa: S603
+
+
+@contextlib.contextmanager
+def terminal(command: str, columns: int, rows: int) -> Iterator[Terminal]:
+    """A program in a terminal of its own, that is gone at the end."""
+    socket = f"altd-{secrets.token_hex(4)}"
+    tmux(socket, "new-session", "-d", "-x", str(columns), "-y", str(rows), command)
+    try:
+        yield Terminal(socket)
+    finally:
+        with contextlib.suppress(
+            subprocess.CalledProcessError
+        ):  # the program has ended, and with it the server
+            tmux(socket, "kill-server")
+
+
+def parsed(text: str) -> Screen:
+    """Lines of text with control sequences SGR between the letters, and no others."""
+    lines, style = [], frozenset[str]()
+    for line in text.split("\n"):
+        runs, style = _runs(line, style)
+        lines.append(runs)
+    return tuple(lines)
+
+
+def _runs(line: str, style: frozenset[str]) -> tuple[tuple[Run, ...], frozenset[str]]:
+    """A line's runs of letters, and the looks that the next line begins with."""
+    runs, column, at = [], 0, 0
+    for match in [*_SGR.finditer(line), None]:
+        text = line[at : match.start() if match else len(line)]
+        if text.strip():
+            indent = len(text) - len(text.lstrip())
+            runs.append(Run(column + indent, text.strip(), style))
+        column += len(text)
+        if match:
+            style = _styled(style, match[1].split(";"))
+            at = match.end()
+    return tuple(runs), style
+
+
+def _styled(style: frozenset[str], parameters: Sequence[str]) -> frozenset[str]:
+    for parameter in parameters:
+        style = frozenset() if parameter in ("", "0") else style | {parameter}
+        if parameter == "39":  # the usual colour
+            style = frozenset(each for each in style if not each.startswith("3"))
+        if parameter == "22":  # neither bold nor dim
+            style -= {"1", "2", "22"}
+    return style
