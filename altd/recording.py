@@ -10,7 +10,7 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -106,9 +106,11 @@ def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
     )
 
 
-def note_of(command: str, cameras: Iterable[Camera]) -> str:
-    """The note of what a command records: its name, and that it recorded a recording."""
-    return f"{command}, playback" if any(camera.playback for camera in cameras) else command
+def note_of(command: str, cameras: Collection[Camera]) -> str:
+    """The note of what a command records of cameras that are open: its name, and what is not live."""
+    played = any(camera.playback for camera in cameras)
+    simulated = any(camera.origin is Origin.SIMULATED for camera in cameras)
+    return f"{command}{', playback' * played}{', simulated' * simulated}"
 
 
 class UnitHeader(_Header):

@@ -273,7 +273,7 @@ class TestRecord:
             assert altd("record", "--config", config, "-o", copy, "--seconds", "0.3").status == 0
             assert origins(copy) == [origin, origin]
             about = json.loads((copy / "recording.json").read_text())
-            assert about["note"] == "altd record, playback"
+            assert about["note"] == "altd record, playback" + ", simulated" * (name == "simulated")
             assert about["made_by"].startswith("altd ")
 
     @pytest.mark.own_network

@@ -96,7 +96,6 @@ class _Sink:
         self._kind: Kind = kind
         self._fps = fps
         self._utc = utc
-        self._note = note_of("altd record", cameras)
         self._cameras = {camera.name: camera for camera in cameras}
         self._writer: RecordingWriter | None = None
         self._headers: dict[str, CameraHeader] = {}
@@ -154,7 +153,7 @@ class _Sink:
             fps=self._fps,
             cameras=self._headers,
             unit=self._unit,
-            note=self._note,
+            note=note_of("altd record", self._cameras.values()),
             made_by=MADE_BY,
             start=self._utc(self._first_ns),
         )

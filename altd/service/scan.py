@@ -79,7 +79,7 @@ class Scanner:
         self._nodes = nodes_of(config.scan)
         places_mm = [target.z_mm for target in config.targets]
         self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
-        self._note = note_of("altd scan", cameras)
+        self._cameras = cameras
         self._folder = ScanFolder(
             output,
             fingerprint(config),
@@ -161,7 +161,7 @@ class Scanner:
             exposures = await self._settled(self._config.exposures)
             seen = judge(exposures)
             if not isinstance(seen, str):
-                self._folder.keep(exposures, self._unit, self._note, position_mm)
+                self._folder.keep(exposures, self._unit, note_of("altd scan", self._cameras), position_mm)
                 state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=dict(seen))
                 state.refused.pop(_key(node), None)
                 self._folder.commit()
@@ -194,7 +194,7 @@ class Scanner:
                 kept.append(replace(pair, items=lit))
         finally:
             await asyncio.shield(asyncio.to_thread(lamps.switch, False))
-        self._folder.keep(kept, self._unit, self._note, None)
+        self._folder.keep(kept, self._unit, note_of("altd scan", self._cameras), None)
         state.led_pairs.append(when)
         self._folder.commit()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -11,10 +12,11 @@ import pytest
 from support.cli import altd, refusal, write_config
 from support.foreign import need_program
 
-from altd.calibration.file import load_calibration
+from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
 from altd.doctor import checks, system
 from altd.doctor.finding import Verdict, better, good, in_lines, wrong
+from altd.records import Origin
 
 from .conftest import Configured, Tree, says
 
@@ -88,19 +90,33 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def examined(unit: Path, replace: str, by: str) -> list[system.Finding]:
+def examined(unit: Path, old: str, by: str) -> list[system.Finding]:
     place = unit / "changed.toml"
     text = (unit / "altd.toml").read_text()
-    assert replace in text
-    place.write_text(text.replace(replace, by))
+    assert old in text
+    place.write_text(text.replace(old, by))
     return list(system.calibration(load_config(place), place))
 
 
 class TestCalibration:
     def test_that_of_the_unit(self, unit: Path) -> None:
-        (finding,) = examined(unit, "window", "window")
+        known = load_calibration(unit / "cal.json")
+        real = tuple(
+            replace(
+                target, origin=Origin.CAMERA, flat=target.flat and replace(target.flat, origin=Origin.CAMERA)
+            )
+            for target in known.targets
+        )
+        save_calibration(replace(known, targets=real), unit / "real.json")
+        (finding,) = examined(unit, "cal.json", "real.json")
         assert finding.verdict is Verdict.GOOD
+        assert "real.json fits" in finding.says
+
+    def test_that_of_a_simulated_unit(self, unit: Path) -> None:
+        (finding,) = examined(unit, "window", "window")
+        assert finding.verdict is Verdict.BETTER
         assert "cal.json fits" in finding.says
+        assert "SIMULATED" in finding.says
 
     def test_that_of_another_unit(self, unit: Path) -> None:
         (finding,) = examined(unit, 'serial = "', 'serial = "OTHER-')
