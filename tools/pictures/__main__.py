@@ -17,7 +17,7 @@ from tools.pictures.browser import photograph
 from tools.pictures.film import Shot, film
 from tools.pictures.terminal import Terminal, terminal
 
-_COLUMNS, _ROWS = 84, 16
+_COLUMNS, _ROWS = 84, 14
 _SHOWN_S = 0.5
 _FOLDER = Path("docs")
 _TITLE = (
