@@ -1,0 +1,106 @@
+"""The tables below ``[cameras]``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from altd.config.table import ControlValue, Table
+
+
+class RecordingCamera(Table):
+    """A camera that plays a recording; every output then says ``playback``."""
+
+    driver: Literal["recording"]
+    path: Path
+    """The recording's folder, relative to the config file."""
+    pace: Literal["realtime", "fast"] = "realtime"
+    """``realtime`` keeps the recording's times, ``fast`` delivers as soon as a frame was taken."""
+    repeat: bool = False
+    """Start again at the end."""
+
+
+class ExposureControl(Table):
+    """Exposure and gain of one camera."""
+
+    control: Literal["auto", "fixed", "camera"] = "auto"
+    """``auto`` keeps the spot's peak in a band between starvation and saturation; ``fixed`` sets
+    ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
+    to set is left alone, and its health says so."""
+    exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
+    """Where ``auto`` begins, or what is ``fixed``. `altd record` and `altd scan` hold it in both cases."""
+    gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
+    """The same for the gain."""
+    shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
+    """``auto`` goes no lower, nor lower than the camera can."""
+    longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
+    """``auto`` goes no higher, nor to more than nine tenths of the time between two frames. A long exposure
+    smears vibration."""
+    largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
+    """``auto`` adds gain only once ``longest_ms`` does not suffice, and no more than this."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.shortest_ms <= self.exposure_ms <= self.longest_ms and self.control == "auto":
+            raise ValueError("exposure_ms: not between shortest_ms and longest_ms")
+        if self.gain_db > self.largest_gain_db and self.control == "auto":
+            raise ValueError("gain_db: larger than largest_gain_db")
+        return self
+
+
+class LiveCamera(Table):
+    """What every camera that is no recording has."""
+
+    width: Annotated[int, Field(ge=64, le=16384)] = 752
+    """Columns of a frame; the calibration must have been made with the same."""
+    height: Annotated[int, Field(ge=64, le=16384)] = 480
+    """Rows of a frame."""
+    fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
+    """Frames a second."""
+    exposure: ExposureControl = ExposureControl()
+    """A table of its own, see below."""
+    serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
+    """The camera's serial number, as `altd devices` shows it: another one in its place is
+    ``wrong_camera``. The serial number in the calibration counts as well."""
+
+
+class V4l2Camera(LiveCamera):
+    """A USB or MIPI camera through the kernel's Video4Linux."""
+
+    driver: Literal["v4l2"]
+    device: Path
+    """The camera's device, best by its stable name, such as /dev/v4l/by-path/…: `altd devices` shows it."""
+    pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
+    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    controls: dict[str, ControlValue] = Field(default={})
+    """Controls of this camera to set when it is opened, by the names that `altd devices` shows: a trigger
+    input, for instance, which every maker calls something else."""
+
+
+class AravisCamera(LiveCamera):
+    """A GigE Vision camera through Aravis."""
+
+    driver: Literal["aravis"]
+    device: Annotated[str, Field(min_length=1, max_length=128)]
+    """The camera's serial number, IP address, id or user-defined name, as `altd devices` shows it."""
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
+    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
+    """First column of the sensor that is read. The calibration holds for one offset only."""
+    offset_y_px: Annotated[int, Field(ge=0, le=16384)] = 0
+    trigger: Literal["free", "software", "line"] = "free"
+    """``free``: the camera's own rate; ``software``: altd triggers all such cameras at the same instants;
+    ``line``: an electrical signal at ``trigger_line``."""
+    trigger_line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
+    """The camera's own name of its trigger input."""
+    packet_bytes: Annotated[int, Field(ge=0, le=16384)] = 0
+    """Size of a network packet; 0 finds the largest that gets through."""
+    resend: bool = True
+    """Ask the camera again for packets that were lost."""
+    features: dict[str, bool | ControlValue | float | str] = Field(default={})
+    """GenICam features of this camera to set when it is opened, in this order."""
+
+
+CameraTable = Annotated[RecordingCamera | V4l2Camera | AravisCamera, Field(discriminator="driver")]

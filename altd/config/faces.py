@@ -1,0 +1,78 @@
+"""The faces to the outside: what listens on the network, what speaks on serial ports."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from altd.config.table import Table, TcpPort
+
+
+def _address(host: str) -> str:
+    """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
+    if host != "localhost":
+        try:
+            ipaddress.ip_address(host)
+        except ValueError as error:
+            every = "every address of the unit is 0.0.0.0"
+            raise ValueError(f"{host!r} is no IP address ({every})") from error
+    return host
+
+
+Host = Annotated[str, AfterValidator(_address)]
+
+
+class ModbusTcp(Table):
+    """Modbus TCP server."""
+
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    port: TcpPort = 502
+    """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus unit identifier; 0 and 255 are answered too."""
+
+
+class Http(Table):
+    """HTTP server: measurement, status and a stream."""
+
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    port: TcpPort = 8080
+    """TCP port."""
+
+
+class Rs485(Table):
+    """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
+
+    For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
+    """
+
+    rts_while_sending: Literal["high", "low"] = "high"
+    """The level of RTS while the unit sends."""
+    delay_before_ms: Annotated[int, Field(ge=0, le=100)] = 0
+    """Time from switching to sending until the first bit."""
+    delay_after_ms: Annotated[int, Field(ge=0, le=100)] = 0
+    """Time from the last bit until switching back."""
+
+
+class SerialPort(Table):
+    """One serial port and what it speaks."""
+
+    device: Path
+    """The port, best by its stable name, such as /dev/serial/by-id/…"""
+    speaks: Literal["telegram", "console", "modbus_rtu"]
+    """What travels on it."""
+    baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
+    """Bits per second."""
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    rs485: Rs485 | None = None
+    """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
+    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    """Modbus RTU only."""
+    interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
+    """Telegram only: time from one telegram to the next."""

@@ -1,0 +1,47 @@
+"""Which unit this is, what its beam meets, and how its controller wants the numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from altd.config.table import Millimetres, Name, OffsetDegrees, Table
+
+
+class Unit(Table):
+    """Which unit this is."""
+
+    serial: Annotated[str, Field(min_length=1, max_length=64)]
+    """Serial number; the calibration file must carry the same."""
+    calibration: Path
+    """The calibration file, relative to the config file."""
+
+
+class Target(Table):
+    """One target that the beam meets, in beam order."""
+
+    name: Name
+    """The name in the calibration file and in all outputs; small letters, digits and _."""
+    z_mm: Millimetres
+    """Distance from the front target's printed face along the beam."""
+    camera: Name
+    """The camera that looks at it: a name under ``[cameras]``."""
+
+
+class Installation(Table):
+    """How the controller wants the numbers: sign first, then offset."""
+
+    reference_plane_mm: Millimetres = 0.0
+    """The plane z in which the displacement is given."""
+    sign_x: Literal[-1, 1] = 1
+    """-1 turns the axis round."""
+    sign_y: Literal[-1, 1] = 1
+    sign_yaw: Literal[-1, 1] = 1
+    sign_pitch: Literal[-1, 1] = 1
+    offset_x_mm: Millimetres = 0.0
+    """Added after the sign."""
+    offset_y_mm: Millimetres = 0.0
+    offset_yaw_deg: OffsetDegrees = 0.0
+    offset_pitch_deg: OffsetDegrees = 0.0
