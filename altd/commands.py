@@ -60,11 +60,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from altd.app import daemon_of
-    from altd.config import load_config
+    from altd.settings import load_settings
 
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
     with logging_to_stderr(logging.INFO, prefix):
-        daemon = daemon_of(load_config(options.config), options.config)
+        daemon = daemon_of(load_settings(options.config), options.config)
         try:
             asyncio.run(until_signal(daemon.run()))
         except BadInputError:
@@ -171,9 +171,9 @@ def _replay(options: argparse.Namespace) -> int:
 
 def _record(options: argparse.Namespace) -> int:
     from altd.app import record_of
-    from altd.config import load_config
+    from altd.settings import load_settings
 
-    config = load_config(options.config)
+    config = load_settings(options.config)
     show, kept = _progress("exposures"), 0
 
     def progress(done: int, planned: int) -> None:
@@ -198,12 +198,12 @@ def _record(options: argparse.Namespace) -> int:
 
 def _scan(options: argparse.Namespace) -> int:
     from altd.app import scanner_of
-    from altd.config import load_config
     from altd.scan_screen import ScanScreen
+    from altd.settings import load_settings
 
     screen = ScanScreen()
     with logging_to_stderr(logging.ERROR):
-        scanner = scanner_of(load_config(options.config), options.config, options.output, screen)
+        scanner = scanner_of(load_settings(options.config), options.config, options.output, screen)
         return run_scan(scanner, options.output, screen)
 
 
@@ -229,12 +229,13 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
 
 
 def _lamps(options: argparse.Namespace) -> int:
-    from altd.config import CameraLamps, load_config
+    from altd.config import CameraLamps
     from altd.lamps_by_hand import LampsByHand
     from altd.parts import cameras_of, indicators_of, lamps_of
     from altd.ports import Indicator, LampsError
+    from altd.settings import load_settings
 
-    config, place = load_config(options.config), options.config
+    config, place = load_settings(options.config), options.config
     stopped = options.look == "stopped"
     if stopped and isinstance(config.lamps, CameraLamps):
         config = config.model_copy(
@@ -343,13 +344,19 @@ def _lines_of_input() -> Iterator[bytes]:
 
 
 def _check_config(options: argparse.Namespace) -> int:
-    from altd.config import load_config
-    from altd.parts import calibration_of, cameras_of
+    from altd.parts import check_files, missing_files
+    from altd.settings import load_settings
 
-    config = load_config(options.config)
-    calibration = calibration_of(config, cameras_of(config, options.config))
-    simulated = ", calibrated from SIMULATED frames" if calibration.simulated else ""
+    config = load_settings(options.config)
+    calibration, errors = check_files(config)
+    for error in errors:
+        complain(f"altd check-config: {error}")
+    if errors:
+        return 2
+    simulated = ", calibrated from SIMULATED frames" if calibration and calibration.simulated else ""
     print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
+    for missing in missing_files(config):
+        print(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
     return 0
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, get_args
 
 from pydantic.fields import FieldInfo
 
@@ -29,6 +28,7 @@ from altd.config import (
     Unit,
     V4l2Camera,
 )
+from altd.config.fields import expected
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
@@ -106,25 +106,7 @@ def _default(field: FieldInfo) -> str:
 
 def _value(field: FieldInfo) -> str:
     """The type in TOML's words, with its limits."""
-    annotation = field.annotation
-    if get_origin(annotation) is Literal:
-        return " or ".join(f"`{value}`" for value in get_args(annotation))
-    if get_origin(annotation) in (Union, UnionType):
-        annotation = get_args(annotation)[0]
-    if get_origin(annotation) in (tuple, dict):
-        return "list" if get_origin(annotation) is tuple else "table"
-    if isinstance(annotation, type) and issubclass(annotation, Table):
-        return "table"
-    words = {bool: "true or false", int: "whole number", float: "number", str: "text"}
-    word = words.get(annotation, "path") if isinstance(annotation, type) else "text"
-    limits = {type(limit).__name__: limit for limit in field.metadata}
-    low = _limit(limits, "Ge", "from {}") or _limit(limits, "Gt", "above {}")
-    high = _limit(limits, "Le", "to {}")
-    return " ".join(part for part in (word, low, high) if part)
-
-
-def _limit(limits: dict[str, Any], kind: str, form: str) -> str:
-    return form.format(getattr(limits[kind], kind.lower())) if kind in limits else ""
+    return expected(field.annotation, field.metadata, lambda value: f"`{value}`")
 
 
 if __name__ == "__main__":

@@ -1,21 +1,37 @@
-"""What a person did wrong, said in one line that names the place."""
+"""What a person did wrong, said in lines of which each names the place."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 
 class BadInputError(Exception):
     """A file, a setting or an argument that cannot be used; the command line ends with status 2.
 
-    ``place`` names the file and, where there is one, the row, key or field in it.
+    ``place`` names the file and, where there is one, the row, key or field in it. ``more`` is what else is
+    wrong at the same place: the error's own text is the first complaint, ``lines`` are all of them.
     """
 
-    def __init__(self, place: object, message: str) -> None:
-        super().__init__(_one_line(f"{place}: {message}"))
+    def __init__(self, place: object, message: str, *more: str) -> None:
+        self.lines = tuple(_one_line(f"{place}: {text}") for text in (message, *more))
+        super().__init__(self.lines[0])
         self.place = str(place)
         self.message = message
 
 
 _LONGEST = 2000
+_LONGEST_WORD = 60
+_ALIKE = 0.6
+"""How alike two words must be (difflib) before one is taken for a slip of the other."""
+
+
+def did_you_mean(word: object, possible: Iterable[str]) -> str:
+    """A question for who made a slip, as the end of a sentence; nothing where no word is alike."""
+    import difflib  # most commands are called without a slip
+
+    folded = {name.casefold(): name for name in possible}
+    near = difflib.get_close_matches(str(word)[:_LONGEST_WORD].casefold(), folded, n=1, cutoff=_ALIKE)
+    return f"; did you mean `{folded[near[0]]}`?" if near else ""
 
 
 def _one_line(text: str) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from altd.calibration.file import check_camera, check_image_size, load_calibration
@@ -11,27 +13,80 @@ from altd.config import AravisCamera, CameraLamps, Config, LiveCamera, Recording
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.ports import Camera, Indicators, Lamps, Stage, SwitchingCamera
-from altd.recording import Recording, open_recording
+from altd.recording import open_recording
 from altd.service.exposing import ExposureSetter
+
+
+@dataclass(frozen=True, slots=True)
+class MissingFile:
+    """A file or folder that a config names and that is not there, and the command that makes it."""
+
+    keys: str
+    path: Path
+    maker: str
+
+
+def missing_files(config: Config) -> list[MissingFile]:
+    """What `altd run` will not find."""
+    played: dict[Path, list[str]] = {}
+    for name, camera in config.cameras.items():
+        if isinstance(camera, RecordingCamera):
+            played.setdefault(camera.path, []).append(f"cameras.{name}.path")
+    named = [MissingFile("unit.calibration", config.unit.calibration, "altd calibrate")]
+    named += [MissingFile(", ".join(keys), path, "altd record") for path, keys in played.items()]
+    return [file for file in named if not os.path.lexists(file.path)]
+
+
+def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]]:
+    """The calibration, and what is wrong with those files of a config that are there: damaged, or not its own."""
+    missing = {file.path for file in missing_files(config)}
+    cameras: dict[str, Camera] = {}
+    errors: dict[str, BadInputError] = {}
+    playbacks = _Playbacks()
+    for name, settings in config.cameras.items():
+        if isinstance(settings, RecordingCamera) and settings.path not in missing:
+            try:
+                cameras[name] = playbacks.camera(name, settings)
+            except BadInputError as error:
+                errors.setdefault(str(error), error)
+    calibration = None
+    if config.unit.calibration not in missing:
+        try:
+            calibration = calibration_of(config, cameras)
+        except BadInputError as error:
+            errors.setdefault(str(error), error)
+    return calibration, list(errors.values())
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
     """The cameras that a config asks for; raises BadInputError that names ``place`` or the recording."""
     if not config.cameras:
         raise BadInputError(place, "cameras: no [cameras.…] table")
-    recordings: dict[Path, tuple[Recording, Playback]] = {}
+    playbacks = _Playbacks()
     cameras: dict[str, Camera] = {}
     for name in (target.camera for target in config.targets):
         settings = config.cameras[name]
         if isinstance(settings, RecordingCamera):
-            if settings.path not in recordings:
-                recording = open_recording(settings.path)
-                playback = Playback(recording, settings.pace == "realtime", settings.repeat)
-                recordings[settings.path] = recording, playback
-            cameras[name] = PlaybackCamera(name, recordings[settings.path][1])
+            cameras[name] = playbacks.camera(name, settings)
         else:
             cameras[name] = live_camera(name, settings)
     return cameras
+
+
+class _Playbacks:
+    """Recordings that are played, one for all cameras of it."""
+
+    def __init__(self) -> None:
+        self._playbacks: dict[Path, Playback] = {}
+
+    def camera(self, name: str, settings: RecordingCamera) -> PlaybackCamera:
+        """A camera of a recording; raises BadInputError that names the recording."""
+        playback = self._playbacks.get(settings.path)
+        if playback is None:
+            recording = open_recording(settings.path)
+            playback = Playback(recording, settings.pace == "realtime", settings.repeat)
+            self._playbacks[settings.path] = playback
+        return PlaybackCamera(name, playback)
 
 
 def live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:

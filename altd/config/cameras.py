@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+import ipaddress
+import re
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from altd.config.table import ControlValue, Table
+from altd.config.addresses import is_nobodys
+from altd.config.complaints import complaint, shown
+from altd.config.table import ControlValue, Device, Table
+
+
+def _camera_name(name: str) -> str:
+    """A GigE Vision camera by whatever it is called; what looks like an IP address must be one."""
+    if re.fullmatch(r"[0-9]+(\.[0-9]+){3}", name):
+        try:
+            address = ipaddress.IPv4Address(name)
+        except ValueError as error:
+            raise complaint(((), f"{shown(name)} is no IP address")) from error
+        if address.is_multicast or address.is_unspecified or is_nobodys(address):
+            raise complaint(((), f"{shown(name)} is an address that no camera has"))
+    return name
 
 
 class RecordingCamera(Table):
@@ -43,10 +59,19 @@ class ExposureControl(Table):
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        if not self.shortest_ms <= self.exposure_ms <= self.longest_ms and self.control == "auto":
-            raise ValueError("exposure_ms: not between shortest_ms and longest_ms")
-        if self.gain_db > self.largest_gain_db and self.control == "auto":
-            raise ValueError("gain_db: larger than largest_gain_db")
+        if self.control != "auto":
+            return self
+        faults: list[tuple[tuple[str], str]] = []
+        if not self.shortest_ms <= self.exposure_ms <= self.longest_ms:
+            limits = f"from shortest_ms {self.shortest_ms:g} to longest_ms {self.longest_ms:g}"
+            faults.append(
+                (("exposure_ms",), f"{self.exposure_ms:g} is not where auto may begin; possible: {limits}")
+            )
+        if self.gain_db > self.largest_gain_db:
+            limits = f"up to largest_gain_db {self.largest_gain_db:g}"
+            faults.append((("gain_db",), f"{self.gain_db:g} is not where auto may begin; possible: {limits}"))
+        if faults:
+            raise complaint(*faults)
         return self
 
 
@@ -70,7 +95,7 @@ class V4l2Camera(LiveCamera):
     """A USB or MIPI camera through the kernel's Video4Linux."""
 
     driver: Literal["v4l2"]
-    device: Path
+    device: Device
     """The camera's device, best by its stable name, such as /dev/v4l/by-path/…: `altd devices` shows it."""
     pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
     """What the camera sends: 8, 10, 12 or 16 bits of grey."""
@@ -83,7 +108,7 @@ class AravisCamera(LiveCamera):
     """A GigE Vision camera through Aravis."""
 
     driver: Literal["aravis"]
-    device: Annotated[str, Field(min_length=1, max_length=128)]
+    device: Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_camera_name)]
     """The camera's serial number, IP address, id or user-defined name, as `altd devices` shows it."""
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
     """What the camera sends: 8, 10, 12 or 16 bits of grey."""

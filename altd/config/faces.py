@@ -3,23 +3,42 @@
 from __future__ import annotations
 
 import ipaddress
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from altd.config.table import Table, TcpPort
+from altd.config.addresses import is_nobodys
+from altd.config.complaints import complaint, shown
+from altd.config.table import Device, Table, TcpPort
 
 
 def _address(host: str) -> str:
     """An address to listen on. No other name: to look it up could hold the unit up for seconds."""
-    if host != "localhost":
-        try:
-            ipaddress.ip_address(host)
-        except ValueError as error:
-            every = "every address of the unit is 0.0.0.0"
-            raise ValueError(f"{host!r} is no IP address ({every})") from error
+    if host == "localhost":
+        return host
+    possible = (
+        "possible: an IP address of the unit, localhost, 0.0.0.0 for every address, :: for every IPv6 one"
+    )
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError as error:
+        raise complaint(((), f"{shown(host)} is no IP address; {possible}")) from error
+    if why := _never_ours(address):
+        raise complaint(((), f"{shown(host)} {why}; {possible}"))
     return host
+
+
+def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
+    """Why no computer can listen on an address; empty: one may."""
+    if address.is_multicast:
+        return "is an address of groups, which nobody can connect to"
+    if isinstance(address, ipaddress.IPv6Address):
+        if address.ipv4_mapped is not None:
+            return f"is IPv4 written as IPv6: write {address.ipv4_mapped}"
+        if address.is_link_local and not address.scope_id:
+            return "is an address of one wire only: name its interface, as in fe80::1%eth0"
+        return ""
+    return "is an address that no computer has" if is_nobodys(address) else ""
 
 
 Host = Annotated[str, AfterValidator(_address)]
@@ -62,7 +81,7 @@ class Rs485(Table):
 class SerialPort(Table):
     """One serial port and what it speaks."""
 
-    device: Path
+    device: Device
     """The port, best by its stable name, such as /dev/serial/by-id/…"""
     speaks: Literal["telegram", "console", "modbus_rtu"]
     """What travels on it."""

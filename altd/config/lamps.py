@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from altd.config.complaints import complaint
 from altd.config.table import GpioLineName, Name, Table
 
 
@@ -60,5 +61,5 @@ class IndicatorLamps(Table):
     @model_validator(mode="after")
     def _has_a_line(self) -> Self:
         if not self.lines:
-            raise ValueError("no line: give data, error, power or ok, or leave the table out")
+            raise complaint(((), "no lamp has a line; possible: data, error, power, ok, or no table at all"))
         return self

@@ -1,39 +1,75 @@
-"""Reading ``altd.toml``."""
+"""Reading ``altd.toml``: all of its faults at once, each with its place and its key."""
 
 from __future__ import annotations
 
+import copy
+import itertools
+import tomllib
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
+from altd.config.draft import draft_of, draft_without
+from altd.config.places import Place, Places
+from altd.config.rules import RULES, Rule
 from altd.config.whole import Config
-from altd.config.wording import first_fault
+from altd.config.wording import Fault, faults_of, truths_as_numbers
 from altd.errors import BadInputError
-from altd.files.documents import parse_toml
+from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import read_file
 
 _LARGEST_BYTES = 1 << 16
+_MOST_FAULTS = 100
 
 
-def load_config(path: Path) -> Config:
+def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
     """Read and check a config file; paths in it become relative to its folder.
 
-    Raises BadInputError that names the file and the key.
+    ``further`` are rules beside those of the settings alone. Raises BadInputError that names the file and,
+    fault by fault, line, column and key.
     """
     content = read_file(path, _LARGEST_BYTES)
     try:
-        document = _anchored(parse_toml(content), path.parent)
-    except ValueError as error:
-        raise BadInputError(path, str(error)) from error
+        document = parse_toml(content)
+    except TomlError as error:
+        if error.keys:
+            raise _refusal(path, [Fault(error.keys, str(error))], content) from error
+        place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
+        raise BadInputError(path, f"{place}{error}") from error
+    found = list(truths_as_numbers(document))
+    document = _anchored(document, path.parent)
+    config = None
     try:
-        return Config.model_validate(document)
+        config = Config.model_validate(document)
     except ValidationError as error:
-        raise BadInputError(path, first_fault(error, document)) from error
+        known = {fault.keys for fault in found}
+        found += [fault for fault in faults_of(error, document) if fault.keys not in known]
+    faulty = [fault.keys for fault in found]
+    draft = draft_without(document, faulty) if config is None else draft_of(config)
+    unfit = itertools.chain.from_iterable(rule(draft) for rule in (*RULES, *further))
+    found += [fault for fault in unfit if not fault.rests_on(faulty)]
+    if found or config is None:
+        raise _refusal(path, found, content)
+    return config
+
+
+def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputError:
+    """The faults in the order of the file; those that have no place come first."""
+    text = content.decode()
+    places = Places(text, tomllib.loads(text))
+    placed = [(fault.place(places), ".".join(map(str, fault.keys)), fault.text) for fault in faults]
+    placed.sort(key=lambda fault: (0, 0) if fault[0] is None else (fault[0].line, fault[0].column))
+    lines = [f"{f'{place}: ' if place else ''}{keys}: {said}" for place, keys, said in placed[:_MOST_FAULTS]]
+    if len(placed) > _MOST_FAULTS:
+        lines.append(f"and {len(placed) - _MOST_FAULTS} faults more")
+    return BadInputError(path, *lines)
 
 
 def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The document with the paths of its files relative to ``folder``; wrong types are left to the models."""
+    document = copy.deepcopy(document)
     tables: list[tuple[Any, str]] = [(document.get("unit"), "calibration")]
     cameras = document.get("cameras")
     if isinstance(cameras, dict):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from altd.config.table import StageMillimetres, Table
+from altd.config.table import Device, StageMillimetres, Table
 
 
 class GrblStage(Table):
@@ -18,7 +17,7 @@ class GrblStage(Table):
 
     driver: Literal["grbl"]
     """The only driver of this release."""
-    device: Path
+    device: Device
     """The port, best by its stable name, such as /dev/serial/by-id/…"""
     baud: Literal[9600, 19200, 38400, 57600, 115200, 230400] = 115200
     """Bits per second."""

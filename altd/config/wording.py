@@ -1,40 +1,220 @@
-"""What is wrong with a config, in one line."""
+"""What is wrong with a config: pydantic's errors in our own words, each with the key that it is about."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from altd.config.complaints import FAULTS, shown
+from altd.config.fields import drivers_at, expected, field_at, tables_at
+from altd.config.places import Keys, Place, Places
+from altd.config.whole import Config
+from altd.errors import did_you_mean
 
 
-def first_fault(error: ValidationError, document: dict[str, Any]) -> str:
-    """The first of the faults, with its key."""
-    faults = error.errors(include_url=False)
-    first = faults[0]
-    keys = _keys(first["loc"], document)
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "extra_forbidden":
-        message = "unknown key"
-    elif first["type"] == "union_tag_invalid":
-        keys.append("driver")
-        message = f"{first['ctx']['tag']!r} is none of {first['ctx']['expected_tags']}"
-    elif first["type"] == "union_tag_not_found":
-        keys.append("driver")
-        message = "Field required"
-    elif isinstance(first["input"], int | float):
-        message += f", not {first['input']}"
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return f"{'.'.join(keys)}: {message}{more}" if keys else f"{message}{more}"
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault: the key that it is about, and what is wrong and possible.
+
+    ``about`` are other keys that it rests on: where one of these is wrong itself, the fault may be none.
+    """
+
+    keys: Keys
+    text: str
+    at: Literal["value", "key", "table"] = "value"
+    """What of the key stands at the wrong place: its value, itself, or, where it is missing, its table."""
+    about: tuple[Keys, ...] = ()
+
+    def place(self, places: Places) -> Place | None:
+        """Where it is in the file."""
+        match self.at:
+            case "value":
+                others = (places.key(keys) or places.nearest(keys) for keys in self.about)
+                return places.value(self.keys) or places.nearest(self.keys) or next(others, None)
+            case "key":
+                return places.key(self.keys)
+            case "table":
+                return places.nearest(self.keys)
+
+    def rests_on(self, faulty: Iterable[Keys]) -> bool:
+        """Whether one of these keys, or a table that it lies in, is among those that it is about."""
+        mine = (self.keys, *self.about)
+        return any(keys[: len(other)] == other for keys in mine for other in faulty)
 
 
-def _keys(location: tuple[int | str, ...], document: Any) -> list[str]:
-    """Where in the file; pydantic puts the driver's name, which is no key, between a table and its key."""
-    keys: list[str] = []
-    for part in location[:-1]:
-        table = document if isinstance(document, dict) else {}
-        if part in table or isinstance(document, list):
-            document = document[part]
-        elif part == table.get("driver"):
+WHY = {
+    "string_type": "is no text, which stands in quotes",
+    "string_unicode": "has letters that are none",
+    "string_too_short": "is too short",
+    "string_too_long": "is too long",
+    "string_pattern_mismatch": "has letters that it may not have",
+    "int_type": "is no whole number",
+    "int_parsing": "is no whole number",
+    "int_from_float": "is no whole number",
+    "int_parsing_size": "has too many digits",
+    "float_type": "is no number",
+    "float_parsing": "is no number",
+    "bool_as_number": "is no number",
+    "finite_number": "is no number that can be reckoned with",
+    "greater_than": "is too small",
+    "greater_than_equal": "is too small",
+    "less_than": "is too large",
+    "less_than_equal": "is too large",
+    "literal_error": "is not possible",
+    "bool_type": "is neither true nor false",
+    "bool_parsing": "is neither true nor false",
+    "tuple_type": "is no list, which stands in [ ]",
+    "too_short": "has too few elements",
+    "too_long": "has too many elements",
+    "dict_type": "is no table",
+    "model_type": "is no table",
+    "model_attributes_type": "is no table",
+    "path_type": "is no path, which stands in quotes",
+    "path_from_text": "is no path",
+    "union_tag_invalid": "is not possible",
+}
+"""What is said of a value, by the type of pydantic's error."""
+
+_OTHERWISE = "cannot be used"
+
+
+def truths_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
+    """Where true or false stands for a number: to Python, and so to pydantic, true is 1."""
+    nodes: list[tuple[Keys, Any]] = [((), document)]
+    while nodes:
+        keys, node = nodes.pop()
+        if isinstance(node, dict | list):
+            pairs = node.items() if isinstance(node, dict) else enumerate(node)
+            nodes += [((*keys, key), below) for key, below in pairs]
+        elif isinstance(node, bool) and (found := field_at(keys, document, Config)) is not None:
+            takes = expected(*found, shown)
+            if ("number" in takes and "true" not in takes) or "1" in takes.split(" or "):
+                yield Fault(keys, f"{shown(node)} {WHY['bool_as_number']}; possible: {takes}")
+
+
+def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:
+    """All that pydantic found, one fault a key."""
+    found: dict[tuple[Keys, str], Fault] = {}
+    for detail in error.errors(include_url=False):
+        counted = detail.get("ctx", {}).get("min_length", 0)
+        if detail["type"] == "too_short" and len(detail["input"]) >= counted:
+            continue  # pydantic counts only the elements that are good
+        for fault in _in_words(detail, document):
+            text = "" if detail["type"] == FAULTS else "one"  # of a union each member complains
+            found.setdefault((fault.keys, text or fault.text), fault)
+    return list(found.values())
+
+
+def _in_words(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
+    keys, what = _keys(detail, document)
+    kind, value = detail["type"], detail["input"]
+    context = detail.get("ctx", {})
+    if kind == FAULTS:
+        for more, text in context["faults"]:
+            yield Fault((*keys, *more), text)
+    elif kind == "extra_forbidden":
+        yield _unknown(keys, document)
+    elif kind in ("missing", "union_tag_not_found"):
+        keys = keys if kind == "missing" else (*keys, "driver")
+        kind_of_it = "table" if len(keys) == 1 else "key"
+        yield Fault(keys, f"this {kind_of_it} is missing{_possible(keys, document)}", "table")
+    elif kind == "union_tag_invalid":
+        value = value.get("driver") if isinstance(value, dict) else value
+        drivers = _drivers(keys, document)
+        slip = did_you_mean(value, drivers)
+        choice = " or ".join(map(shown, drivers))
+        yield Fault((*keys, "driver"), f"{shown(value)} {WHY[kind]}; possible: {choice}{slip}")
+    elif what == "key":
+        takes = expected(*_key_type(keys), shown)
+        yield Fault(keys, f"a name {WHY.get(kind, _OTHERWISE)}; possible: {takes}", "key")
+    else:
+        why = _OTHERWISE if what == "member" else WHY.get(kind, _OTHERWISE)
+        slip = _slip(kind, value, context)
+        yield Fault(keys, f"{shown(value)} {why}{_possible(keys, document)}{slip}")
+
+
+def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:
+    """The keys in the file, and what of the last is wrong: its value, also for one of a union, or itself.
+
+    pydantic puts in more: between a table and its key the driver's name, behind a key which member of a union
+    complains, or ``[key]``.
+    """
+    keys: list[str | int] = []
+    table, last = document, len(detail["loc"]) - 1
+    tagged = False
+    for number, part in enumerate(detail["loc"]):
+        if part == "[key]" and number == last:
+            return tuple(keys), "key"
+        if tagged and isinstance(table, dict) and part == table.get("driver"):
+            tagged = False
             continue
-        keys.append(str(part))
-    return [*keys, *map(str, location[-1:])]
+        there = isinstance(table, dict) and part in table
+        there |= isinstance(table, list) and isinstance(part, int) and part < len(table)
+        if not there and not (detail["type"] == "missing" and number == last):
+            return tuple(keys), "member"
+        keys.append(part)
+        table = table[part] if there else None
+        tagged = len(tables_at(_type(tuple(keys), document), None)) > 1
+    return tuple(keys), "value"
+
+
+def _unknown(keys: Keys, document: dict[str, Any]) -> Fault:
+    """A key that no model has: what there is instead, and which it may have been meant to be."""
+    above, name = keys[:-1], keys[-1]
+    table: Any = document
+    for key in above:
+        table = table[key]
+    annotation = _type(above, document)
+    models = tables_at(annotation, table)
+    possible = sorted({key for model in models for key in model.model_fields})
+    what = "table" if not above and isinstance(table[name], dict | list) else "key"
+    slip = did_you_mean(name, [key for key in possible if key not in table] or possible)
+    if not slip and (homes := _homes(name)):
+        slip = f"; it is a {what} of {' and of '.join(homes)}"
+    return Fault(keys, f"there is no such {what}; possible: {', '.join(possible)}{slip}", "key")
+
+
+def _homes(name: str | int) -> list[str]:
+    """The tables that have such a key."""
+    homes = []
+    for table, field in Config.model_fields.items():
+        inner = field.annotation
+        if get_origin(inner) in (dict, tuple):
+            inner = get_args(inner)[-1 if get_origin(inner) is dict else 0]
+        if any(name in model.model_fields for model in tables_at(inner, None)):
+            homes.append(f"[{table}.NAME]" if table == "cameras" else f"[{table}]")
+    return homes
+
+
+def _slip(kind: str, value: object, context: dict[str, Any]) -> str:
+    if kind != "literal_error" or not isinstance(value, str):
+        return ""
+    return did_you_mean(
+        value, str(context.get("expected", "")).replace(" or ", ", ").replace("'", "").split(", ")
+    )
+
+
+def _possible(keys: Keys, document: dict[str, Any]) -> str:
+    """What the key takes, as the end of a sentence."""
+    found = field_at(keys, document, Config)
+    return "" if found is None else f"; possible: {expected(*found, shown)}"
+
+
+def _type(keys: Keys, document: dict[str, Any]) -> Any:
+    found = field_at(keys, document, Config)
+    return None if found is None else found[0]
+
+
+def _key_type(keys: Keys) -> tuple[Any, list[Any]]:
+    """The type of the keys of a table whose keys are free."""
+    found = field_at(keys[:-1], {}, Config)
+    return (str, []) if found is None else (get_args(found[0])[0], [])
+
+
+def _drivers(keys: Keys, document: dict[str, Any]) -> list[str]:
+    annotation = _type(keys, document)
+    return [] if annotation is None else drivers_at(annotation)

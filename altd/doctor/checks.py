@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from altd.config import Config, load_config
+from altd.config import Config
 from altd.doctor import devices, network, system
 from altd.doctor.finding import Finding, better
 from altd.doctor.machine import Machine
+from altd.settings import load_settings
 
 Check = Callable[[], Iterator[Finding]]
 
@@ -16,7 +17,7 @@ Check = Callable[[], Iterator[Finding]]
 def examine(place: Path | None, machine: Machine | None = None) -> list[Finding]:
     """What is good and what is not, for the config file or in general; raises BadInputError for the file."""
     machine = machine or Machine()
-    config = None if place is None else load_config(place)
+    config = None if place is None else load_settings(place)
     findings: list[Finding] = []
     for name, check in _checks(config, place, machine).items():
         try:

@@ -33,37 +33,107 @@ def parse_json(content: bytes) -> Any:
         raise ValueError(f"is not JSON: {error}") from error
 
 
+class TomlError(ValueError):
+    """A text that is no TOML, or that TOML itself forbids.
+
+    ``line`` and ``column`` count from 1; None: it has no place, or ``keys`` are the way to it.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        line: int | None = None,
+        column: int | None = None,
+        keys: tuple[str | int, ...] = (),
+    ) -> None:
+        super().__init__(message)
+        self.line = line
+        self.column = column
+        self.keys = keys
+
+
 def parse_toml(content: bytes) -> dict[str, Any]:
-    """A TOML document; raises ValueError that says what is wrong with it."""
+    """A TOML document; raises TomlError that says what is wrong with it."""
     try:
         text = content.decode()
-        if dotted := _DOTTED.search(text):
-            line = text.count("\n", 0, dotted.start()) + 1
-            raise ValueError(f"more than {_MOST_DOTS} dots (at line {line})")
-        document = tomllib.loads(text)
     except UnicodeDecodeError as error:
-        raise ValueError("is not UTF-8 text") from error
+        before = content[: error.start]
+        column = len(before[before.rfind(b"\n") + 1 :].decode()) + 1
+        raise TomlError("is not UTF-8 text", before.count(b"\n") + 1, column) from error
+    if dotted := _DOTTED.search(text):
+        raise TomlError(f"more than {_MOST_DOTS} dots in a line", text.count("\n", 0, dotted.start()) + 1, 1)
+    try:
+        document = tomllib.loads(text)
     except RecursionError as error:
-        raise ValueError("is nested too deeply") from error
+        raise TomlError("is nested too deeply") from error
     except ValueError as error:  # also of numbers with more digits than Python reads
-        raise ValueError(f"not TOML: {error}") from error
+        raise _syntax_error(text, str(error)) from error
     _check_values(document)
     return document
 
 
+_WHERE = re.compile(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
+_TWICE = "stands twice"
+_WORDS = (
+    ("Exceeds the limit", "a number with too many digits"),
+    ("Invalid statement", "neither a key nor the [name] of a table"),
+    ("Expected newline", "the line should end here"),
+    ("Illegal character '\\n'", "the text in quotes does not end on its line"),
+    ("Illegal character '\\r'", "the text in quotes does not end on its line"),
+    ("Illegal character", "a character that must not stand here"),
+    ("Found invalid character", "a character that must not stand here"),
+    ("Cannot declare", f"this table {_TWICE}"),
+    ("Cannot overwrite", f"this key {_TWICE}"),
+    ("Duplicate inline table key", f"this key {_TWICE}"),
+    ("Cannot mutate", "this table ended further up: nothing can be added to it here"),
+    ("Cannot redefine", "this table ended further up: nothing can be added to it here"),
+    ("Expected ']' at", "the ] after the name of a table is missing"),
+    ("Expected ']]' at", "the ]] after the name of a table is missing"),
+    ("Expected '=' after", "the = after a key is missing"),
+    ("Invalid initial character for a key", "the name of a key is missing"),
+    ("Unclosed array", "a comma or ] is missing in a list"),
+    ("Unclosed inline table", "a comma or } is missing in a table"),
+    (
+        "Unescaped",
+        "a backslash in text in double quotes: write two of them, or put the text in single quotes",
+    ),
+    ("Invalid hex value", "a character's number after \\u or \\U is wrong"),
+    ("Escaped character", "a character's number after \\u or \\U is wrong"),
+    ("Unterminated string", "the text in quotes does not end"),
+    ("Expected", "the text in quotes does not end"),
+    ("Invalid date", "there is no such date or time"),
+    ("Invalid value", "no value: text stands in quotes, true and false in small letters"),
+)
+"""How tomllib begins, and what a person is told."""
+
+
+def _syntax_error(text: str, said: str) -> TomlError:
+    """What tomllib said, in plain words and with its place."""
+    where = _WHERE.fullmatch(said)
+    message = said if where is None else where[1]
+    words = next((words for begin, words in _WORDS if message.startswith(begin)), message)
+    if where is None:
+        return TomlError(f"not TOML: {words}")
+    lines = text.replace("\r\n", "\n").split("\n")
+    line, column = (int(where[2]), int(where[3])) if where[2] else (len(lines), len(lines[-1]) + 1)
+    if words.endswith(_TWICE):  # tomllib has read on to the end of the value
+        column = len(lines[line - 1]) - len(lines[line - 1].lstrip(" \t")) + 1
+    return TomlError(f"not TOML: {words}", line, column)
+
+
 def _check_values(document: dict[str, Any]) -> None:
     """No text has a NUL, which no name and no path has, and whole numbers have 64 bits (TOML 1.0)."""
-    nodes: list[tuple[str, Any]] = list(document.items())
+    nodes: list[tuple[tuple[str | int, ...], Any]] = [((key,), node) for key, node in document.items()]
     while nodes:
-        key, node = nodes.pop()
+        keys, node = nodes.pop()
         if isinstance(node, dict):
-            nodes += [(f"{key}.{name}", below) for name, below in node.items()]
+            nodes += [((*keys, name), below) for name, below in node.items()]
         elif isinstance(node, list):
-            nodes += [(f"{key}.{number}", below) for number, below in enumerate(node)]
+            nodes += [((*keys, number), below) for number, below in enumerate(node)]
         elif isinstance(node, str) and "\0" in node:
-            raise ValueError(f"{key}: has a NUL")
+            raise TomlError("has a NUL", keys=keys)
         elif isinstance(node, int) and not -(2**63) <= node < 2**63:
-            raise ValueError(f"{key}: has more than 64 bits")
+            raise TomlError("has more than 64 bits", keys=keys)
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ def page() -> str:
     too_large = _row(
         DOES_NOT_FIT, "a number is too large for its field", "check the offsets in `[installation]`"
     )
-    seconds = seconds_on_line(SerialPort(device=Path("any"), speaks="telegram"), LONGEST_TELEGRAM)
+    seconds = seconds_on_line(SerialPort(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM)
     warnings = ", ".join(f"`{reason}`" for reason in Reason if reason.is_warning)
     return f"""# The serial telegram
 

@@ -1,0 +1,25 @@
+"""IP addresses: which of them nobody has, and which two cannot both be listened on."""
+
+from __future__ import annotations
+
+import ipaddress
+
+_FIRST_OF_HOSTS = ipaddress.IPv4Address("1.0.0.0")
+_RESERVED_FROM = ipaddress.IPv4Address("240.0.0.0")
+
+
+def is_nobodys(address: ipaddress.IPv4Address) -> bool:
+    """Whether no computer can have the address (RFC 1122, 3.2.1.3); 0.0.0.0, which stands for all, aside."""
+    return address >= _RESERVED_FROM or 0 < int(address) < int(_FIRST_OF_HOSTS)
+
+
+def overlap(one: str, other: str) -> bool:
+    """Whether two listeners on these hosts cannot have the same port.
+
+    0.0.0.0 is every IPv4 address and :: every IPv6 one, each without the other kind: so altd opens sockets.
+    """
+    hosts = ("127.0.0.1" if host == "localhost" else host for host in (one, other))
+    first, second = map(ipaddress.ip_address, hosts)
+    if first.version != second.version:
+        return False
+    return first == second or first.is_unspecified or second.is_unspecified

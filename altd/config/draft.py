@@ -1,0 +1,91 @@
+"""A config that is only partly good: what of it can be judged all the same."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pydantic import TypeAdapter, ValidationError
+
+from altd.config.cameras import CameraTable, LiveCamera, RecordingCamera
+from altd.config.faces import Http, ModbusTcp, SerialPort
+from altd.config.lamps import CameraLamps, GpiodLamps, IndicatorLamps
+from altd.config.measuring import Measuring
+from altd.config.places import Keys
+from altd.config.stage import GrblStage
+from altd.config.unit import Target
+from altd.config.whole import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """The tables of a config that rules look at. None: not there, or faulty."""
+
+    targets: tuple[Target | None, ...]
+    cameras: Mapping[str, RecordingCamera | LiveCamera | None]
+    measuring: Measuring | None
+    modbus_tcp: ModbusTcp | None
+    http: Http | None
+    serial: tuple[SerialPort | None, ...]
+    lamps: GpiodLamps | CameraLamps | None
+    indicators: IndicatorLamps | None
+    stage: GrblStage | None
+
+    def live(self) -> dict[str, LiveCamera]:
+        """The cameras that are no recordings and that a target names."""
+        named = {target.camera for target in self.targets if target is not None}
+        cameras = self.cameras.items()
+        return {name: camera for name, camera in cameras if isinstance(camera, LiveCamera) and name in named}
+
+
+def draft_of(config: Config) -> Draft:
+    """A config that is good as far as its models see."""
+    return Draft(**{name: getattr(config, name) for name in Draft.__dataclass_fields__})
+
+
+def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
+    """What is left of a document when the keys that are faulty are taken out."""
+    document = copy.deepcopy(document)
+    for keys in sorted(faulty, key=len, reverse=True):
+        _take_out(document, keys)
+
+    def table(name: str) -> Any:
+        field = Config.model_fields[name]
+        default = None if field.is_required() else field.default
+        return _valid(field.annotation, document[name], default) if name in document else default
+
+    def rows(name: str) -> tuple[Any, ...]:
+        kind, listed = get_args(Config.model_fields[name].annotation)[0], document.get(name)
+        return tuple(_valid(kind, row) for row in listed) if isinstance(listed, list) else ()
+
+    cameras = document.get("cameras")
+    named = cameras.items() if isinstance(cameras, dict) else ()
+    return Draft(
+        targets=rows("targets"),
+        cameras={name: _valid(CameraTable, camera) for name, camera in named},
+        serial=rows("serial"),
+        **{name: table(name) for name in ("measuring", "modbus_tcp", "http", "lamps", "indicators", "stage")},
+    )
+
+
+def _valid(kind: Any, value: Any, otherwise: Any = None) -> Any:
+    try:
+        return TypeAdapter(kind).validate_python(value)
+    except ValidationError:
+        return otherwise
+
+
+def _take_out(document: Any, keys: Keys) -> None:
+    """Take a key out; an element of a list leaves its place, so that those behind it keep their numbers."""
+    *above, last = keys or (None,)
+    for key in above:
+        try:
+            document = document[key]
+        except (KeyError, IndexError, TypeError):
+            return
+    if isinstance(document, dict):
+        document.pop(last, None)
+    elif isinstance(document, list) and isinstance(last, int) and last < len(document):
+        document[last] = None

@@ -1,0 +1,119 @@
+"""What a key of ``altd.toml`` takes, from the models: for the page of settings and for complaints."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from altd.config.places import Keys
+from altd.config.table import NAME_PATTERN, Table
+
+_WORDS = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+
+
+def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], str]) -> str:
+    """A type in TOML's words, with its limits; ``quoted`` is how a value of a choice is written."""
+    annotation, metadata = _plain(annotation, metadata)
+    if get_origin(annotation) is Literal:
+        return " or ".join(quoted(value) for value in get_args(annotation))
+    limits = {type(limit).__name__: limit for part in metadata for limit in _parts(part)}
+    if get_origin(annotation) is dict or (isinstance(annotation, type) and issubclass(annotation, Table)):
+        return "table"
+    shortest, longest = (_size(limits, kind) for kind in ("MinLen", "MaxLen"))
+    if get_origin(annotation) is tuple:
+        return f"list of {shortest} or more" if shortest else "list"
+    word = _WORDS.get(annotation, "path") if isinstance(annotation, type) else "number, text, true or false"
+    if any(getattr(limit, "pattern", None) == NAME_PATTERN for limit in limits.values()):
+        word += " of small letters, digits and _, a letter first"
+    if longest:
+        word += f", {shortest or 0} to {longest} characters"
+    low = _limit(limits, "Ge", "from {}") or _limit(limits, "Gt", "above {}")
+    high = _limit(limits, "Le", "to {}")
+    return " ".join(part for part in (word, low, high) if part)
+
+
+def field_at(keys: Keys, document: Any, annotation: Any) -> tuple[Any, list[Any]] | None:
+    """The type and the limits of a key of a document that is of type ``annotation``; None: no such key."""
+    metadata: list[Any] = []
+    for key in keys:
+        step = _step(annotation, key, document)
+        if step is None:
+            return None
+        annotation, metadata = step
+        try:
+            document = document[key]
+        except (KeyError, IndexError, TypeError):
+            document = None
+    return annotation, metadata
+
+
+def tables_at(annotation: Any, table: Any) -> list[type[Table]]:
+    """The models that a table may be of: where its driver is known, the one of that driver."""
+    models = [option for option, _ in _options(annotation) if _is_table(option)]
+    driver = table.get("driver") if isinstance(table, dict) else None
+    fitting = [model for model in models if driver in _drivers(model)]
+    return fitting or models
+
+
+def drivers_at(annotation: Any) -> list[str]:
+    """The drivers that a table may name."""
+    return [driver for model in tables_at(annotation, None) for driver in _drivers(model)]
+
+
+def _step(annotation: Any, key: str | int, node: Any) -> tuple[Any, list[Any]] | None:
+    for model in tables_at(annotation, node):
+        if key in model.model_fields:
+            field: FieldInfo = model.model_fields[str(key)]
+            return field.annotation, field.metadata
+    for option, _ in _options(annotation):
+        if get_origin(option) is tuple and isinstance(key, int):
+            return get_args(option)[0], []
+        if get_origin(option) is dict and isinstance(key, str):
+            return get_args(option)[1], []
+    return None
+
+
+def _options(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    """The types behind ``Annotated`` and unions, without None."""
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        yield from _options(inner, (*metadata, *more))
+    elif get_origin(annotation) in (Union, types.UnionType):
+        for option in get_args(annotation):
+            yield from _options(option, metadata)
+    elif annotation is not types.NoneType:
+        yield annotation, metadata
+
+
+def _plain(annotation: Any, metadata: list[Any]) -> tuple[Any, list[Any]]:
+    """The one type behind ``Annotated`` and ``| None``; of several the union."""
+    options = list(_options(annotation))
+    if len(options) == 1 or (options and all(_is_table(option) for option, _ in options)):
+        return options[0][0], [*metadata, *options[0][1]]
+    return annotation, metadata
+
+
+def _is_table(option: Any) -> bool:
+    return isinstance(option, type) and issubclass(option, Table)
+
+
+def _drivers(model: type[Table]) -> tuple[str, ...]:
+    field = model.model_fields.get("driver")
+    return () if field is None else get_args(field.annotation)
+
+
+def _parts(limit: Any) -> list[Any]:
+    """What ``Field(…)`` inside of ``Annotated`` holds, or the limit itself."""
+    return limit.metadata if isinstance(limit, FieldInfo) else [limit]
+
+
+def _size(limits: dict[str, Any], kind: str) -> int | None:
+    names = {"MinLen": "min_length", "MaxLen": "max_length"}
+    return getattr(limits[kind], names[kind]) if kind in limits else None
+
+
+def _limit(limits: dict[str, Any], kind: str, form: str) -> str:
+    return form.format(getattr(limits[kind], kind.lower())) if kind in limits else ""

@@ -1,0 +1,225 @@
+"""What must fit between the tables of a config: each rule yields what does not.
+
+These are faults that are in the file, whatever computer it is on: what the daemon would refuse at its start,
+try for ever, or do so that nothing came of it. What only the computer can tell is for ``altd.doctor``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterator
+
+from altd.config.addresses import overlap
+from altd.config.cameras import AravisCamera, RecordingCamera, V4l2Camera
+from altd.config.complaints import shown
+from altd.config.draft import Draft
+from altd.config.lamps import CameraLamps, GpiodLamps
+from altd.config.places import Keys
+from altd.config.wording import Fault
+from altd.errors import did_you_mean
+
+Rule = Callable[[Draft], Iterator[Fault]]
+
+
+def _targets(draft: Draft) -> Iterator[Fault]:
+    """Each target has its own name, camera and place, in beam order."""
+    there = [(number, target) for number, target in enumerate(draft.targets) if target is not None]
+    for key in ("name", "camera"):
+        first: dict[str, int] = {}
+        for number, target in there:
+            value = getattr(target, key)
+            if (other := first.setdefault(value, number)) != number:
+                about: Keys = ("targets", other, key)
+                text = f"{shown(value)} is the {key} of targets.{other} too; possible: one of its own"
+                yield Fault(("targets", number, key), text, about=(about,))
+    for (before, nearer), (number, target) in itertools.pairwise(there):
+        if target.z_mm <= nearer.z_mm:
+            text = f"{target.z_mm:g} is not behind targets.{before}; possible: above {nearer.z_mm:g}"
+            yield Fault(("targets", number, "z_mm"), text, about=(("targets", before, "z_mm"),))
+
+
+def _cameras(draft: Draft) -> Iterator[Fault]:
+    """Each target's camera has a table, and each table a target."""
+    if not draft.cameras:
+        yield Fault(
+            ("cameras",), "there is no table [cameras.NAME]; possible: one for each target's camera", "table"
+        )
+        return
+    named = {target.camera for target in draft.targets if target is not None}
+    for number, target in enumerate(draft.targets):
+        if target is not None and target.camera not in draft.cameras:
+            slip = did_you_mean(target.camera, draft.cameras)
+            possible = ", ".join(map(shown, draft.cameras))
+            text = f"there is no table [cameras.{target.camera}]{slip}; possible: {possible}"
+            yield Fault(("targets", number, "camera"), text)
+    if None not in draft.targets and named <= draft.cameras.keys():
+        for name in draft.cameras.keys() - named:
+            text = "no target has this camera: it is never opened; possible: a target for it, or no table"
+            yield Fault(("cameras", name), text, "key")
+
+
+def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:
+    """Either all play one recording in step, or all are live and paired by time."""
+    live = draft.live()
+    measuring = draft.measuring
+    playing = [(name, table) for name, table in draft.cameras.items() if isinstance(table, RecordingCamera)]
+    for name, recording in playing:
+        if live:
+            other = next(iter(live))
+            text = f'"recording" does not go with the live camera {shown(other)}; possible: all or none'
+            yield Fault(("cameras", name, "driver"), text, about=(("cameras", other, "driver"),))
+        first, leader = playing[0]
+        for key in ("path", "pace", "repeat"):
+            mine, its = getattr(recording, key), getattr(leader, key)
+            if mine != its:
+                value = "true" if its is True else "false" if its is False else shown(str(its))
+                text = f"differs from that of camera {shown(first)}, and they play as one; possible: {value}"
+                yield Fault(("cameras", name, key), text, about=(("cameras", first, key),))
+    if live and not playing and measuring is not None and measuring.pair_by == "sequence":
+        text = (
+            '"sequence" is for recordings; possible: "time", for live cameras count each from its own start'
+        )
+        yield Fault(("measuring", "pair_by"), text, about=tuple(("cameras", name, "driver") for name in live))
+
+
+def _rates(draft: Draft) -> Iterator[Fault]:
+    """All live cameras have one rate, which leaves time to expose, and is known for silence and age."""
+    live = draft.live()
+    if not live:
+        return
+    first, leader = next(iter(live.items()))
+    rates: tuple[Keys, ...] = tuple(("cameras", name, "fps") for name in live)
+    for name, camera in live.items():
+        rate: Keys = ("cameras", name, "fps")
+        if camera.fps != leader.fps:
+            text = f"{camera.fps:g} is not the rate of camera {shown(first)}; possible: {leader.fps:g}"
+            yield Fault(rate, text, about=(("cameras", first, "fps"),))
+        period_ms, exposure = 1000 / camera.fps, camera.exposure
+        if exposure.control == "fixed" and exposure.exposure_ms > period_ms:
+            text = (
+                f"{exposure.exposure_ms:g} is longer than from frame to frame; possible: up to {period_ms:g}"
+            )
+            yield Fault(("cameras", name, "exposure", "exposure_ms"), text, about=(rate,))
+        if exposure.control == "auto" and exposure.shortest_ms > period_ms:
+            text = (
+                f"{exposure.shortest_ms:g} is longer than from frame to frame; possible: up to {period_ms:g}"
+            )
+            yield Fault(("cameras", name, "exposure", "shortest_ms"), text, about=(rate,))
+    measuring, fps = draft.measuring, min(camera.fps for camera in live.values())
+    if measuring is None:
+        return
+    if measuring.silent_after_s <= 1 / fps:
+        text = (
+            f"{measuring.silent_after_s:g} is over before the next frame comes; possible: above {1 / fps:g}"
+        )
+        yield Fault(("measuring", "silent_after_s"), text, about=rates)
+    if measuring.stale_after_s <= measuring.every / fps:
+        next_s = measuring.every / fps
+        text = f"{measuring.stale_after_s:g} is over before the next value comes; possible: above {next_s:g}"
+        yield Fault(("measuring", "stale_after_s"), text, about=(("measuring", "every"), *rates))
+
+
+def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
+    """No two tables are of one camera."""
+    first: dict[tuple[str, str], str] = {}
+    for name, camera in draft.live().items():
+        if isinstance(camera, V4l2Camera):
+            device = os.path.normpath(camera.device)
+        elif isinstance(camera, AravisCamera):
+            device = camera.device
+        else:
+            continue
+        for key, value in (("device", device), ("serial", camera.serial)):
+            if value is not None and (other := first.setdefault((key, value), name)) != name:
+                text = f"{shown(value)} is the {key} of camera {shown(other)} too; possible: another camera"
+                yield Fault(("cameras", name, key), text, about=(("cameras", other, key),))
+
+
+def _listeners(draft: Draft) -> Iterator[Fault]:
+    """No two faces listen on one port of one address; port 0 is any that is free."""
+    if draft.modbus_tcp is None or draft.http is None:
+        return
+    port = draft.http.port
+    if port and port == draft.modbus_tcp.port and overlap(draft.http.host, draft.modbus_tcp.host):
+        about: tuple[Keys, ...] = (("modbus_tcp", "port"), ("modbus_tcp", "host"), ("http", "host"))
+        yield Fault(
+            ("http", "port"), f"{port} is the port of [modbus_tcp] too; possible: another one", about=about
+        )
+
+
+def _serial_ports(draft: Draft) -> Iterator[Fault]:
+    """A serial port is given out once."""
+    first: dict[str, Keys] = {}
+    places: list[tuple[Keys, str]] = [
+        (("serial", number, "device"), os.path.normpath(port.device))
+        for number, port in enumerate(draft.serial)
+        if port is not None
+    ]
+    if draft.stage is not None:
+        places.append((("stage", "device"), os.path.normpath(draft.stage.device)))
+    for keys, device in places:
+        if (other := first.setdefault(device, keys)) != keys:
+            text = (
+                f"{shown(device)} is the port of {'.'.join(map(str, other[:-1]))} too; possible: another port"
+            )
+            yield Fault(keys, text, about=(other,))
+
+
+def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
+    """Lamps hang on outputs of GigE Vision cameras that measure."""
+    if not isinstance(draft.lamps, CameraLamps):
+        return
+    named = {target.camera for target in draft.targets if target is not None}
+    for number, name in enumerate(draft.lamps.cameras):
+        keys: Keys = ("lamps", "cameras", number)
+        camera = draft.cameras.get(name)
+        table: Keys = ("cameras", name)
+        if name not in draft.cameras:
+            slip = did_you_mean(name, draft.cameras)
+            yield Fault(keys, f"there is no table [cameras.{name}]{slip}")
+        elif camera is not None and not isinstance(camera, AravisCamera):
+            yield Fault(
+                keys, f'{shown(name)} has no output; possible: a camera with driver "aravis"', about=(table,)
+            )
+        elif name not in named and None not in draft.targets:
+            yield Fault(keys, f"{shown(name)} has no target and is not opened; possible: a target's camera")
+        elif name in draft.lamps.cameras[:number]:
+            yield Fault(keys, f"{shown(name)} stands in the list twice; possible: each camera once")
+        elif (
+            isinstance(camera, AravisCamera)
+            and camera.trigger == "line"
+            and camera.trigger_line == draft.lamps.line
+        ):
+            text = f"{shown(draft.lamps.line)} triggers camera {shown(name)}; possible: another line"
+            yield Fault(("lamps", "line"), text, about=((*table, "trigger_line"), (*table, "trigger")))
+
+
+def _gpio_lines(draft: Draft) -> Iterator[Fault]:
+    """A GPIO line has one lamp."""
+    places: list[tuple[Keys, str, str]] = []
+    if isinstance(draft.lamps, GpiodLamps):
+        places += [
+            (("lamps", "lines", n), draft.lamps.chip, line) for n, line in enumerate(draft.lamps.lines)
+        ]
+    if (indicators := draft.indicators) is not None:
+        places += [(("indicators", lamp), indicators.chip, line) for lamp, line in indicators.lines.items()]
+    first: dict[tuple[str, str], Keys] = {}
+    for keys, chip, line in places:
+        if (other := first.setdefault((chip.removeprefix("/dev/"), line), keys)) != keys:
+            where = ".".join(map(str, other))
+            text = f"{shown(line)} is the line of {where} too; possible: another line"
+            yield Fault(keys, text, about=(other, ("lamps", "chip"), ("indicators", "chip")))
+
+
+RULES: tuple[Rule, ...] = (
+    _targets,
+    _cameras,
+    _cameras_of_one_kind,
+    _rates,
+    _one_camera_twice,
+    _listeners,
+    _serial_ports,
+    _lamps_on_cameras,
+    _gpio_lines,
+)

@@ -1,0 +1,34 @@
+"""``altd.toml`` as the daemon reads it: with the rules that other rooms have for the settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from altd.config import Config, load_config
+from altd.config.draft import Draft
+from altd.config.wording import Fault
+from altd.publish.serial.telegram import LONGEST_TELEGRAM
+from altd.serial_port.port import seconds_on_line
+
+
+def load_settings(path: Path) -> Config:
+    """Read and check a config file; raises BadInputError that names the file and each fault's place."""
+    return load_config(path, (telegrams_fit_their_lines,))
+
+
+def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
+    """The longest telegram is through before the next one is due."""
+    for number, port in enumerate(draft.serial):
+        if port is None or port.speaks != "telegram":
+            continue
+        takes_s = seconds_on_line(port, LONGEST_TELEGRAM)
+        if port.rs485 is not None:
+            takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
+        if takes_s > port.interval_s:
+            least_s = math.ceil(takes_s * 100) / 100
+            text = f"{port.interval_s:g} is too short at {port.baud} baud; possible: from {least_s:g}"
+            keys = ("baud", "parity", "stop_bits", "rs485")
+            about = tuple(("serial", number, key) for key in keys)
+            yield Fault(("serial", number, "interval_s"), text, about=about)
