@@ -9,7 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from altd import __version__
+from altd.arguments import Parser
 from altd.endings import run_to_end
+
+DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
+"""Where the service has its settings (docs/install.md)."""
+
+_FIRST_STEPS = """first steps:
+  altd doctor             what this computer lacks, and what mends it
+  altd devices            which cameras, GPIO lines and serial ports are connected
+  altd check-config FILE  whether settings can be used, and where not
+  altd COMMAND --help     what a command takes
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -18,8 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         nonlocal name
-        options = _parser().parse_args(arguments)
+        parser = _parser()
+        options = parser.parse_command(arguments)
+        if options is None:
+            return 2
         name = f"altd {options.command}"
+        _choose_config(parser, options)
         # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait
         # for each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -32,15 +47,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run_to_end(work, lambda: name)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="altd", description="The measuring daemon of an Active Laser Target."
+def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
+    """Where no config is named, the one of the service, if there is one; only the doctor does without."""
+    if "config" not in options or options.config is not None:
+        return
+    if DEFAULT_CONFIG.is_file():
+        options.config = DEFAULT_CONFIG
+    elif options.command != "doctor":
+        argument = "FILE" if options.command == "check-config" else "--config FILE"
+        parser.refuse(options.command, f"missing: {argument}, for there is no {DEFAULT_CONFIG}")
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="altd",
+        description="The measuring daemon of an Active Laser Target.",
+        epilog=_FIRST_STEPS,
     )
     parser.add_argument("--version", action="version", version=f"altd {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
     run = commands.add_parser("run", help="the daemon")
-    run.add_argument("--config", type=Path, required=True, metavar="FILE")
+    _add_config(run)
 
     calibrate = commands.add_parser(
         "calibrate", help="fit the maps from a scan or an LED plate; prints the residuals"
@@ -57,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--every", type=_count, default=1, metavar="N", help="a line after so many (1)")
 
     record = commands.add_parser("record", help="keep frames for replay")
-    record.add_argument("--config", type=Path, required=True, metavar="FILE")
+    _add_config(record)
     record.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     record.add_argument("--seconds", type=_seconds, required=True, metavar="S")
     record.add_argument(
@@ -70,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     scan = commands.add_parser(
         "scan", help="make a calibration scan with the stage; goes on where it stopped"
     )
-    scan.add_argument("--config", type=Path, required=True, metavar="FILE")
+    _add_config(scan)
     scan.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
 
     lamps = commands.add_parser("lamps", help="switch frame LEDs and indicators while the daemon is stopped")
@@ -80,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
         help="off: dark; on: all lit until Ctrl-C; test: each in turn, by name; "
         "stopped: dark but for Error if the service has failed (for systemd, reads $SERVICE_RESULT)",
     )
-    lamps.add_argument("--config", type=Path, required=True, metavar="FILE")
+    _add_config(lamps)
 
     locate = commands.add_parser(
         "locate", help="find the spot in images by two localisers; one JSON object an image"
@@ -92,19 +120,23 @@ def _parser() -> argparse.ArgumentParser:
     mapping.add_argument("--target", required=True, metavar="NAME")
 
     check = commands.add_parser("check-config", help="say whether a config can be used")
-    check.add_argument("config", type=Path, metavar="FILE")
+    check.add_argument("config", type=Path, nargs="?", metavar="FILE", help=f"({DEFAULT_CONFIG})")
 
     commands.add_parser("devices", help="list cameras, GPIO lines and serial ports as the config wants them")
 
     doctor = commands.add_parser("doctor", help="say what is wrong on this computer, and what mends it")
-    doctor.add_argument("--config", type=Path, metavar="FILE", help="what it is to run with")
+    _add_config(doctor)
     return parser
 
 
+def _add_config(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--config", type=Path, metavar="FILE", help=f"the settings ({DEFAULT_CONFIG})")
+
+
 def _count(text: str) -> int:
-    value = int(text) if text.isdecimal() else 0
+    value = int(text) if text.isdecimal() and len(text) < 9 else 0
     if not 1 <= value <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from 1 to 1000")
     return value
 
 

@@ -47,12 +47,13 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     try:
         status = work()
     except BadInputError as error:
-        complain(f"{name()}: {error}")
+        for line in error.lines:
+            complain(f"{name()}: {line}")
         return 2
     except EndedBySignal as end:
         clear_counter()
         return end.status
-    except SystemExit as end:  # argparse has said what there was to say
+    except SystemExit as end:  # the parser has said what there was to say
         status = end.code if isinstance(end.code, int) else 1
     except OSError:
         if output_failure() is None:

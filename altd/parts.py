@@ -38,7 +38,7 @@ def missing_files(config: Config) -> list[MissingFile]:
 
 
 def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]]:
-    """The calibration, and what is wrong with those files of a config that are there: damaged, or not its own."""
+    """The calibration, and what is wrong with those files of a config that are there."""
     missing = {file.path for file in missing_files(config)}
     cameras: dict[str, Camera] = {}
     errors: dict[str, BadInputError] = {}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
 
+from altd.arguments import Parser
 from altd.endings import run_to_end
 from hw_sim import demo, flat, measure, plate, scan
 from hw_sim.gige import command as gige
@@ -24,24 +23,27 @@ COMMANDS = {
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with the arguments in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}\n")
+FIRST_STEPS = """first steps:
+  python -m hw_sim demo            a simulated unit, measured: values and truth in the terminal
+  python -m hw_sim scan -o DIR     a calibration scan, for altd calibrate
+  python -m hw_sim COMMAND --help  what a command takes
+"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; the exit status, 2 for what the caller did wrong."""
-    parser = _Parser(prog="python -m hw_sim", description="A simulated Active Laser Target.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    prog = "python -m hw_sim"
+    parser = Parser(prog=prog, description="A simulated Active Laser Target.", epilog=FIRST_STEPS)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
     for name, (module, summary) in COMMANDS.items():
         command = commands.add_parser(name, help=summary, description=summary)
         module.add_arguments(command)
         command.set_defaults(run=module.run)
 
     def work() -> int:
-        arguments = parser.parse_args(argv)
+        arguments = parser.parse_command(argv)
+        if arguments is None:
+            return 2
         status: int = arguments.run(arguments)
         return status
 

@@ -26,17 +26,18 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 
 def natural(text: str) -> int:
     """A whole number from 0 on."""
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} is negative")
-    return value
+    return _whole(text, 0)
 
 
 def at_least_one(text: str) -> int:
     """A whole number from 1 on."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is less than 1")
+    return _whole(text, 1)
+
+
+def _whole(text: str, least: int) -> int:
+    value = int(text) if text.isdecimal() and len(text) <= 18 else -1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no whole number from {least} on")
     return value
 
 

@@ -231,7 +231,7 @@ def _free_port() -> int:
 
 
 def _port(text: str) -> int:
-    port = int(text) if text.isdecimal() else -1
+    port = int(text) if text.isdecimal() and len(text) < 9 else -1
     if not 0 <= port <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
     return port

@@ -118,7 +118,7 @@ def test_tilted_cameras_see_all_of_the_plate(fisheye_lens: bool) -> None:
         (["--tilt", "50"], "--tilt: 50 is not between 0 and 35 degrees"),
         (["--dark", "7,0"], "7,0 is not on the plate of 7 × 5 LEDs"),
         (["--dark", "middle"], "'middle' is not COLUMN,ROW"),
-        (["--exposures", "0"], "0 is less than 1"),
+        (["--exposures", "0"], "'0' is no whole number from 1 on"),
     ],
 )
 def test_a_wrong_argument_gives_one_line_and_status_2(
