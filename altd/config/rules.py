@@ -53,7 +53,7 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
             possible = ", ".join(map(shown, draft.cameras))
             text = f"there is no table [cameras.{target.camera}]{slip}; possible: {possible}"
             yield Fault(("targets", number, "camera"), text)
-    if None not in draft.targets and named <= draft.cameras.keys():
+    if len(named) == len(draft.targets) and named <= draft.cameras.keys():
         for name in draft.cameras.keys() - named:
             text = "no target has this camera: it is never opened; possible: a target for it, or no table"
             yield Fault(("cameras", name), text, "key")

@@ -34,7 +34,7 @@ def test_paths_are_relative_to_the_config_file(tmp_path: Path) -> None:
 
 
 def test_the_shipped_config_is_good() -> None:
-    shipped = Path(__file__).resolve().parents[1] / "config" / "altd.toml"
+    shipped = Path(__file__).resolve().parents[2] / "config" / "altd.toml"
     config = load_config(shipped)
     assert [target.name for target in config.targets] == ["front", "rear"]
 

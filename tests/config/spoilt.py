@@ -1,0 +1,336 @@
+"""Configs made by hand, each with its fault: « stands where the fault is, and is not in the file.
+
+A case is (what is replaced, what by, the key that is wrong, words of the complaint).
+"""
+
+from __future__ import annotations
+
+BASE = """\
+[unit]
+serial = "TEST-1"
+calibration = "cal.json"
+
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+
+[cameras.front]
+driver = "v4l2"
+device = "/dev/video0"
+width = 752
+fps = 20
+pixel_format = "GREY"
+controls = { gain = 16 }
+
+[cameras.rear]
+driver = "aravis"
+device = "192.168.77.20"
+height = 480
+trigger = "free"
+packet_bytes = 1500
+features = { Gamma = 1.0 }
+
+[cameras.rear.exposure]
+control = "auto"
+exposure_ms = 2.0
+shortest_ms = 0.05
+longest_ms = 20.0
+gain_db = 0.0
+
+[measuring]
+window = 20
+every = 1
+pair_by = "time"
+max_skew_ms = 10.0
+silent_after_s = 0.4
+stale_after_s = 1.0
+
+[installation]
+sign_x = -1
+offset_x_mm = 12.5
+offset_yaw_deg = 0.25
+
+[modbus_tcp]
+host = "0.0.0.0"
+port = 502
+unit_id = 1
+
+[http]
+host = "0.0.0.0"
+port = 8080
+
+[[serial]]
+device = "/dev/ttyS0"
+speaks = "telegram"
+baud = 9600
+interval_s = 1.0
+
+[serial.rs485]
+delay_before_ms = 1
+
+[[serial]]
+device = "/dev/ttyS1"
+speaks = "console"
+parity = "none"
+
+[lamps]
+driver = "gpiod"
+chip = "pinctrl-bcm2711"
+lines = ["LED_FRONT", "LED_REAR"]
+
+[indicators]
+driver = "gpiod"
+chip = "pinctrl-bcm2711"
+error = "GPIO6"
+ok = "GPIO19"
+active_low = false
+
+[stage]
+driver = "grbl"
+device = "/dev/ttyUSB0"
+start = "home"
+feed_mm_per_min = 1000.0
+
+[scan]
+columns = 6
+pitch_mm = 25.0
+order = "serpentine"
+"""
+
+_CAMERA_LAMPS = '[lamps]\ndriver = "camera"\n'
+_GPIOD_LAMPS = '[lamps]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["LED_FRONT", "LED_REAR"]'
+_FRONT = BASE[BASE.index("[cameras.front]") : BASE.index("[cameras.rear]")]
+_RECORDING = '[cameras.front]\ndriver = «"recording"\npath = "rec"\n\n'
+
+CASES: tuple[tuple[str, str, str, str], ...] = (
+    # [unit]
+    ('serial = "TEST-1"', "serial = «4711", "unit.serial", "4711 is no text"),
+    ('serial = "TEST-1"', 'serial = «""', "unit.serial", '"" is too short; possible: text, 1 to 64'),
+    (
+        'serial = "TEST-1"',
+        '«serail = "TEST-1"',
+        "unit.serail",
+        "no such key; possible: calibration, serial; did you",
+    ),
+    ('[unit]\nserial = "TEST-1"', "«[unit]", "unit.serial", "this key is missing"),
+    ('calibration = "cal.json"', "calibration = «3", "unit.calibration", "3 is no path"),
+    ("[unit]", "«[uint]", "uint", "no such table; "),
+    # [[targets]]
+    ('name = "front"', 'name = «"Front"', "targets.0.name", "has letters that it may not have"),
+    ('name = "rear"', 'name = «"front"', "targets.1.name", '"front" is the name of targets.0 too'),
+    ("z_mm = 280.0", 'z_mm = «"far"', "targets.1.z_mm", '"far" is no number; possible: number from -100000'),
+    ("z_mm = 280.0", "z_mm = «0.0", "targets.1.z_mm", "0 is not behind targets.0; possible: above 0"),
+    ("z_mm = 280.0", "z_mm = «-280.0", "targets.1.z_mm", "-280 is not behind targets.0"),
+    ("z_mm = 0.0", "z_mm = «nan", "targets.0.z_mm", "nan is no number that can be reckoned with"),
+    ('camera = "rear"', 'camera = «"raer"', "targets.1.camera", "no table [cameras.raer]; "),
+    ('camera = "rear"', 'camera = «"front"', "targets.1.camera", '"front" is the camera of targets.0 too'),
+    # [cameras.…]
+    ('driver = "v4l2"', 'driver = «"v4l"', "cameras.front.driver", "did you mean `v4l2`?"),
+    (
+        '[cameras.front]\ndriver = "v4l2"',
+        "«[cameras.front]",
+        "cameras.front.driver",
+        'missing; possible: "recording"',
+    ),
+    ('device = "/dev/video0"', 'device = «"video0"', "cameras.front.device", "is no path of a device"),
+    (
+        "width = 752",
+        "width = «32",
+        "cameras.front.width",
+        "32 is too small; possible: whole number from 64 to 16384",
+    ),
+    ("width = 752", "width = «752.5", "cameras.front.width", "752.5 is no whole number"),
+    ("fps = 20", "fps = «0", "cameras.front.fps", "0 is too small; possible: number from 1 to 1000"),
+    ("fps = 20", "fps = «true", "cameras.front.fps", "true is no number"),
+    (
+        "height = 480",
+        "height = 480\nfps = «10",
+        "cameras.rear.fps",
+        '10 is not the rate of camera "front"; possible: 20',
+    ),
+    ('pixel_format = "GREY"', 'pixel_format = «"Mono8"', "cameras.front.pixel_format", '"GREY" or "Y10" or'),
+    ("{ gain = 16 }", '{ gain = «"much" }', "cameras.front.controls.gain", '"much" is no whole number'),
+    ("{ gain = 16 }", "«16", "cameras.front.controls", "16 is no table"),
+    (
+        "{ Gamma = 1.0 }",
+        "{ Gamma = «[1.0] }",
+        "cameras.rear.features.Gamma",
+        "a list cannot be used; possible: number,",
+    ),
+    ('"192.168.77.20"', '«"300.1.1.1"', "cameras.rear.device", '"300.1.1.1" is no IP address'),
+    ('"192.168.77.20"', '«"224.0.0.1"', "cameras.rear.device", "is an address that no camera has"),
+    (
+        'trigger = "free"',
+        'trigger = «"cable"',
+        "cameras.rear.trigger",
+        'possible: "free" or "software" or "line"',
+    ),
+    ("packet_bytes = 1500", "packet_bytes = «20000", "cameras.rear.packet_bytes", "20000 is too large"),
+    (
+        "[cameras.rear.exposure]",
+        "«[cameras.rear.exposrue]",
+        "cameras.rear.exposrue",
+        "did you mean `exposure`?",
+    ),
+    (
+        "[cameras.rear]",
+        '«[cameras.spare]\ndriver = "aravis"\ndevice = "1"\n\n[cameras.rear]',
+        "cameras.spare",
+        "no target",
+    ),
+    (_FRONT, _RECORDING, "cameras.front.driver", '"recording" does not go with the live camera "rear"'),
+    # [cameras.….exposure]
+    (
+        'control = "auto"',
+        'control = «"automatic"',
+        "cameras.rear.exposure.control",
+        "is not possible; possible: ",
+    ),
+    (
+        "exposure_ms = 2.0",
+        "exposure_ms = «30.0",
+        "cameras.rear.exposure.exposure_ms",
+        "from shortest_ms 0.05 to",
+    ),
+    (
+        "gain_db = 0.0",
+        "gain_db = «24.0",
+        "cameras.rear.exposure.gain_db",
+        "possible: up to largest_gain_db 12",
+    ),
+    (
+        'control = "auto"\nexposure_ms = 2.0',
+        'control = "fixed"\nexposure_ms = «60.0',
+        "cameras.rear.exposure.exposure_ms",
+        "60 is longer than from frame to frame; possible: up to 50",
+    ),
+    # [measuring]
+    (
+        "window = 20",
+        "window = «0",
+        "measuring.window",
+        "0 is too small; possible: whole number from 1 to 1000",
+    ),
+    ("window = 20", "«windw = 20", "measuring.windw", "did you mean `window`?"),
+    ("every = 1", "every = «2000", "measuring.every", "2000 is too large"),
+    (
+        'pair_by = "time"',
+        'pair_by = «"sequence"',
+        "measuring.pair_by",
+        '"sequence" is for recordings; possible: "time"',
+    ),
+    (
+        "max_skew_ms = 10.0",
+        "max_skew_ms = «-1",
+        "measuring.max_skew_ms",
+        "-1 is too small; possible: number above 0",
+    ),
+    ("silent_after_s = 0.4", "silent_after_s = «0.05", "measuring.silent_after_s", "possible: above 0.05"),
+    (
+        "every = 1",
+        "every = 20",
+        "measuring.stale_after_s",
+        "1 is over before the next value comes; possible: above 1",
+    ),
+    # [installation]
+    ("sign_x = -1", "sign_x = «0", "installation.sign_x", "0 is not possible; possible: -1 or 1"),
+    ("offset_x_mm = 12.5", "offset_x_mm = «1e6", "installation.offset_x_mm", "1000000.0 is too large"),
+    ("offset_x_mm = 12.5", "offset_x_mm = «true", "installation.offset_x_mm", "true is no number"),
+    ("offset_yaw_deg = 0.25", "offset_yaw_deg = «90", "installation.offset_yaw_deg", "90 is too large"),
+    # [modbus_tcp], [http]
+    (
+        '[modbus_tcp]\nhost = "0.0.0.0"',
+        '[modbus_tcp]\nhost = «"300.1.1.1"',
+        "modbus_tcp.host",
+        "is no IP address",
+    ),
+    (
+        '[modbus_tcp]\nhost = "0.0.0.0"',
+        '[modbus_tcp]\nhost = «"224.0.0.1"',
+        "modbus_tcp.host",
+        "address of groups",
+    ),
+    (
+        '[modbus_tcp]\nhost = "0.0.0.0"',
+        '[modbus_tcp]\nhost = «"fe80::1"',
+        "modbus_tcp.host",
+        "name its interface",
+    ),
+    (
+        '[http]\nhost = "0.0.0.0"',
+        '[http]\nhost = «"240.0.0.1"',
+        "http.host",
+        "an address that no computer has",
+    ),
+    ('[http]\nhost = "0.0.0.0"', '[http]\nhost = «"::ffff:10.0.0.1"', "http.host", "write 10.0.0.1"),
+    ("port = 8080", "port = «502", "http.port", "502 is the port of [modbus_tcp] too"),
+    (
+        "port = 8080",
+        "port = «70000",
+        "http.port",
+        "70000 is too large; possible: whole number from 0 to 65535",
+    ),
+    (
+        "unit_id = 1",
+        "unit_id = «248",
+        "modbus_tcp.unit_id",
+        "248 is too large; possible: whole number from 1 to 247",
+    ),
+    # [[serial]]
+    ('device = "/dev/ttyS1"', 'device = «"/dev/ttyS0"', "serial.1.device", "is the port of serial.0 too"),
+    (
+        'device = "/dev/ttyS1"',
+        'device = «"/dev/../dev/ttyS0"',
+        "serial.1.device",
+        "is the port of serial.0 too",
+    ),
+    ('speaks = "telegram"', 'speaks = «"telegramm"', "serial.0.speaks", "did you mean `telegram`?"),
+    ("baud = 9600", "baud = «9601", "serial.0.baud", "9601 is not possible; possible: 1200 or 2400"),
+    (
+        "interval_s = 1.0",
+        "interval_s = «0.1",
+        "serial.0.interval_s",
+        "0.1 is too short at 9600 baud; possible: from 0.18",
+    ),
+    ("delay_before_ms = 1", "delay_before_ms = «101", "serial.0.rs485.delay_before_ms", "101 is too large"),
+    ('parity = "none"', 'parity = «"mark"', "serial.1.parity", 'possible: "none" or "even" or "odd"'),
+    # [lamps], [indicators]
+    (
+        '["LED_FRONT", "LED_REAR"]',
+        '["LED_FRONT", «"LED_FRONT"]',
+        "lamps.lines.1",
+        "is the line of lamps.lines.0 too",
+    ),
+    ('["LED_FRONT", "LED_REAR"]', "«[]", "lamps.lines", "too few elements; possible: list of 1 or more"),
+    ('error = "GPIO6"', 'error = «"LED_REAR"', "indicators.error", "is the line of lamps.lines.1 too"),
+    ('ok = "GPIO19"', 'ok = «"GPIO6"', "indicators.ok", "is the line of indicators.error too"),
+    ("active_low = false", "active_low = «2", "indicators.active_low", "2 is neither true nor false"),
+    (_GPIOD_LAMPS, _CAMERA_LAMPS + 'cameras = [«"front"]', "lamps.cameras.0", '"front" has no output'),
+    (_GPIOD_LAMPS, _CAMERA_LAMPS + 'cameras = [«"raer"]', "lamps.cameras.0", "did you mean `rear`?"),
+    # [stage], [scan]
+    ('device = "/dev/ttyUSB0"', 'device = «"/dev/ttyS1"', "stage.device", "is the port of serial.1 too"),
+    ('start = "home"', 'start = «"homing"', "stage.start", "did you mean `home`?"),
+    ("feed_mm_per_min = 1000.0", "feed_mm_per_min = «0", "stage.feed_mm_per_min", "possible: number above 0"),
+    ("columns = 6", "columns = «3", "scan.columns", "3 is too small; possible: whole number from 4 to 64"),
+    ('order = "serpentine"', 'order = «"spiral"', "scan.order", 'possible: "serpentine" or "rows"'),
+)
+
+NO_TOML: tuple[tuple[str, str, str], ...] = (
+    ("[unit]", "[unit«", "the ] after the name of a table is missing"),
+    ('serial = "TEST-1"', 'serial = "TEST-1«', "the text in quotes does not end on its line"),
+    ('serial = "TEST-1"', "serial = «TEST-1", "no value: text stands in quotes"),
+    ("window = 20", "window = 20 «exposures", "the line should end here"),
+    ("window = 20", "window «20", "the = after a key is missing"),
+    ("window = 20\nevery = 1", "window = 20\n«window = 21", "this key stands twice"),
+    ("[http]", "«[modbus_tcp]", "this table stands twice"),
+    ('["LED_FRONT", "LED_REAR"]', '["LED_FRONT" «"LED_REAR"]', "a comma or ] is missing in a list"),
+    ("{ gain = 16 }", "{ gain = 16«", "a comma or } is missing in a table"),
+    ("active_low = false", "active_low = «False", "true and false in small letters"),
+)
+"""What is no TOML: what is replaced, what by, words of the complaint."""

@@ -1,0 +1,190 @@
+"""What `check-config` passes, `altd run` does not refuse for a reason that is in the file."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import socket
+from pathlib import Path
+
+import pytest
+from support.played_unit import PlayedUnit
+
+from altd.app import Daemon, daemon_of
+from altd.config.addresses import overlap
+from altd.errors import BadInputError
+from altd.parts import check_files
+from altd.settings import load_settings
+
+PLAYED = """\
+[unit]
+serial = "TEST-1"
+calibration = "{calibration}"
+[[targets]]
+name = "front"
+z_mm = 0.0
+camera = "front"
+[[targets]]
+name = "rear"
+z_mm = 280.0
+camera = "rear"
+[cameras.front]
+driver = "recording"
+path = "{recording}"
+repeat = true
+[cameras.rear]
+driver = "recording"
+path = "{recording}"
+repeat = true
+[measuring]
+window = 4
+max_lag_ms = 10.0
+[installation]
+sign_y = -1
+[modbus_tcp]
+host = "127.0.0.1"
+port = {port}
+unit_id = 7
+[http]
+host = "127.0.0.2"
+port = {port}
+[[serial]]
+device = "/dev/altd-none-0"
+speaks = "telegram"
+interval_s = 0.5
+[[serial]]
+device = "/dev/altd-none-1"
+speaks = "modbus_rtu"
+parity = "even"
+[[serial]]
+device = "/dev/altd-none-2"
+speaks = "console"
+[stage]
+driver = "grbl"
+device = "/dev/altd-none-3"
+[scan]
+columns = 5
+"""
+STARTED_S = 1.5
+"""A face whose address is refused ends the daemon within it: the first try of all faces takes 1 s at most."""
+
+
+@pytest.fixture
+def text(played_unit: PlayedUnit) -> str:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    return PLAYED.format(calibration=played_unit.calibration, recording=played_unit.beams, port=port)
+
+
+def passed(path: Path) -> bool:
+    """Whether `altd check-config` calls the file good."""
+    try:
+        return not check_files(load_settings(path))[1]
+    except BadInputError:
+        return False
+
+
+def composed(path: Path) -> Daemon:
+    """What `altd run` does before it starts."""
+    return daemon_of(load_settings(path), path)
+
+
+VARIANTS = (
+    ("window = 4", "window = 1000"),
+    ("window = 4", "window = 4\nevery = 1000\nstale_after_s = 60"),
+    ("window = 4", 'window = 4\npair_by = "time"'),
+    ("window = 4", "window = 4\nsilent_after_s = 0.001\nstale_after_s = 0.001"),
+    ('host = "127.0.0.2"', 'host = "::1"'),
+    ('host = "127.0.0.1"', 'host = "localhost"'),
+    ("repeat = true", "repeat = false"),
+    ("repeat = true", 'repeat = true\npace = "fast"'),
+    ("[installation]", "[installation]\noffset_yaw_deg = 45\nreference_plane_mm = -100000"),
+    ('device = "/dev/altd-none-0"', 'device = "/dev/null"'),
+    ("interval_s = 0.5", "interval_s = 0.18"),
+)
+
+
+@pytest.mark.parametrize(("old", "new"), VARIANTS)
+async def test_a_variant_that_passes_starts(text: str, tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "altd.toml"
+    assert old in text
+    path.write_text(text.replace(old, new))
+    assert passed(path)
+    running = asyncio.create_task(composed(path).run())
+    done, _ = await asyncio.wait([running], timeout=STARTED_S)
+    assert not done, running.exception()
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+
+
+def test_whatever_line_is_left_out_run_refuses_nothing_that_passed(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "altd.toml"
+    lines = text.splitlines()
+    good = []
+    for number in range(len(lines)):
+        path.write_text("\n".join([*lines[:number], *lines[number + 1 :]]))
+        if passed(path):
+            good.append(lines[number])
+            composed(path)
+        else:
+            with pytest.raises(BadInputError):
+                composed(path)
+    assert "window = 4" in good
+    assert 'serial = "TEST-1"' not in good
+    assert len(good) >= 8
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (number, by)
+        for number in re.findall(r"= (-?[0-9.]+)$", PLAYED, re.MULTILINE)
+        for by in ("0", "1", "-1", "1e9", "true", '"1"', "nan", "[]")
+    ],
+)
+def test_whatever_a_number_becomes_run_refuses_nothing_that_passed(
+    text: str, tmp_path: Path, old: str, new: str
+) -> None:
+    path = tmp_path / "altd.toml"
+    path.write_text(text.replace(f"= {old}\n", f"= {new}\n", 1))
+    if passed(path):
+        composed(path)
+    else:
+        with pytest.raises(BadInputError):
+            composed(path)
+
+
+HOSTS = ("0.0.0.0", "127.0.0.1", "127.0.0.2", "localhost", "::", "::1")
+
+
+@pytest.mark.parametrize(("one", "other"), [(one, other) for one in HOSTS for other in HOSTS])
+def test_two_faces_have_one_port_only_where_the_kernel_gives_it_to_both(
+    text: str, tmp_path: Path, one: str, other: str
+) -> None:
+    def listen(host: str, port: int) -> socket.socket:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family)
+
+    with listen(one, 0) as first:
+        try:
+            listen(other, first.getsockname()[1]).close()
+            given = True
+        except OSError:
+            given = False
+    assert overlap(one, other) is not given
+    path = tmp_path / "altd.toml"
+    before, _, between, _, after = re.split(r'"(127\.0\.0\.[12])"', text)
+    path.write_text(f'{before}"{one}"{between}"{other}"{after}')
+    assert passed(path) is given
+
+
+async def test_what_the_kernel_refuses_would_have_ended_the_daemon(text: str, tmp_path: Path) -> None:
+    """The check is no stricter than the daemon: with the rule taken away it dies of it."""
+    path = tmp_path / "altd.toml"
+    path.write_text(text)
+    daemon = composed(path)
+    assert daemon.config.http is not None
+    http = daemon.config.http.model_copy(update={"host": "0.0.0.0"})
+    daemon.config = daemon.config.model_copy(update={"http": http})
+    with pytest.raises(BadInputError, match="Address already in use"):
+        await asyncio.wait_for(daemon.run(), 5)
