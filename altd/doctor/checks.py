@@ -40,6 +40,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
         "cameras": lambda: devices.video_cameras(config, machine),
         "network": lambda: network.gige_cameras(config, machine),
         "gpio": lambda: devices.gpio_chips(config, machine),
+        "gpio lines": lambda: devices.gpio_lines(config),
         "serial": lambda: devices.serial_ports(config, machine),
         "listening": lambda: network.listening(config, machine),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from altd.config import Config, V4l2Camera
@@ -31,6 +31,7 @@ def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
         ports.append(config.stage.device)
     for device in ports:
         yield from _device(f"serial {device}", device, SERIAL_NAMES, machine)
+    yield from _twice("serial", {str(device): device for device in ports}, machine)
 
 
 def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
@@ -48,6 +49,8 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
             bytes_px = 1 if camera.pixel_format == "GREY" else 2
             needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
             needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
+    video = {name: camera.device for name, camera in config.cameras.items() if isinstance(camera, V4l2Camera)}
+    yield from _twice("camera", video, machine)
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]
         says = f"its cameras need {needed:.0f} Mbit/s of {speed}"
@@ -59,7 +62,7 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The chips of ``[lamps]`` and ``[indicators]``; which lines they have is what `altd devices` shows."""
+    """The chips of ``[lamps]`` and ``[indicators]``."""
     tables = [table for table in (config.lamps, config.indicators) if table is not None]
     for chip in dict.fromkeys(table.chip for table in tables if table.driver == "gpiod"):
         subject, path = f"gpio {chip}", _gpio_chip(chip, machine)
@@ -68,6 +71,32 @@ def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
         else:
             there = _there(("/dev/gpiochip*",), machine)
             yield wrong(subject, f"none that may be opened is called so; {there}", "sudo gpiodetect")
+
+
+def gpio_lines(config: Config) -> Iterator[Finding]:
+    """The lines that lamps are to hang on, of chips that may be opened: are they there, each another one."""
+    from altd.devices.gpio.inventory import find_chip, find_line
+    from altd.ports import LampsError
+
+    named: list[tuple[str, str, str]] = []
+    if config.lamps is not None and config.lamps.driver == "gpiod":
+        named += [("lamps", config.lamps.chip, line) for line in config.lamps.lines]
+    if (indicators := config.indicators) is not None:
+        named += [(f"indicators.{lamp}", indicators.chip, line) for lamp, line in indicators.lines.items()]
+    first: dict[tuple[Path, int], str] = {}
+    for key, wanted, name in named:
+        try:
+            chip = find_chip(wanted)
+        except LampsError:
+            continue  # the chip's own line says it
+        subject, mend = f"gpio {wanted} {name}", "altd devices   # take one of these names into altd.toml"
+        try:
+            line = find_line(chip, name)
+        except LampsError as error:
+            yield wrong(subject, f"{key}: {error}", mend)
+            continue
+        if (other := first.setdefault((chip.path, line.offset), key)) != key:
+            yield wrong(subject, f"{key} is the same line as {other}, {line.offset} of {chip}", mend)
 
 
 def found_devices(machine: Machine) -> Iterator[Finding]:
@@ -94,6 +123,19 @@ def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine
     else:
         yield from _permission(subject, str(device), machine)
         yield from _taken(subject, machine.at(device).resolve().name, status, machine)
+
+
+def _twice(what: str, devices: Mapping[str, Path], machine: Machine) -> Iterator[Finding]:
+    """Names of one and the same device: udev gives each several, and only one can have it."""
+    first: dict[int, str] = {}
+    for name, device in devices.items():
+        status = machine.status(device)
+        if status is None or not stat.S_ISCHR(status.st_mode):
+            continue
+        if (other := first.setdefault(status.st_rdev, name)) != name:
+            node = machine.at(device).resolve().name
+            mend = f"ls -l /dev | grep {node}   # take another device into altd.toml for one of them"
+            yield wrong(f"{what} {name}", f"is the same device as {other}, {node}", mend)
 
 
 def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding]:

@@ -18,6 +18,8 @@ JUMBO = 8000
 
 FRAMES_BUFFERED = 2
 _LISTENS = "0A"
+_IPV4_BYTES = 4
+_LOOPBACK_NET = 127
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
         if table is None or table.port == 0:
             continue
         subject = f"{subject} {table.host}:{table.port}"
-        refused = list(_low_port(subject, table.port, machine))
+        refused = [*_low_port(subject, table.port, machine), *_not_ours(subject, table.host, machine)]
         yield from refused
         taken = next(_listeners(table.host, table.port, machine), None)
         if taken is not None:
@@ -179,6 +181,34 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
         yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", mend)
 
 
+def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
+    """Whether no interface has the address: then altd waits for it, as it must while a computer starts."""
+    wanted = _bytes_of(host)
+    if host == "localhost" or not any(wanted) or (wanted[0] == _LOOPBACK_NET and len(wanted) == _IPV4_BYTES):
+        return
+    ours = _addresses(machine)
+    if ours and wanted not in ours:
+        known = (ipaddress.ip_address(address) for address in sorted(ours))
+        there = ", ".join(str(address) for address in known if not address.is_loopback) or "none but its own"
+        mend = "ip -brief address   # take one of these into altd.toml, or 0.0.0.0 for all of them"
+        yield wrong(subject, f"no interface of this computer has the address; it has {there}", mend)
+
+
+def _addresses(machine: Machine) -> set[bytes]:
+    """The computer's own addresses; none where the kernel does not tell."""
+    ours: set[bytes] = set()
+    address = ""
+    for line in machine.text("/proc/net/fib_trie").splitlines():
+        words = line.split()
+        if len(words) >= 2 and words[0] == "|--":
+            address = words[1]
+        elif words[-2:] == ["host", "LOCAL"]:
+            ours.add(socket.inet_pton(socket.AF_INET, address))
+    for line in machine.text("/proc/net/if_inet6").splitlines():
+        ours.add(bytes.fromhex(line.split()[0]))
+    return ours
+
+
 def _listeners(host: str, port: int, machine: Machine) -> Iterator[str]:
     """The inodes of sockets that keep us from listening there."""
     wanted = _bytes_of(host)
@@ -201,7 +231,7 @@ def _from_kernel(address: str) -> bytes:
 def _bytes_of(host: str) -> bytes:
     for family in (socket.AF_INET, socket.AF_INET6):
         try:
-            return socket.inet_pton(family, host)
+            return socket.inet_pton(family, host.partition("%")[0])
         except OSError:
             continue
     return bytes(4)  # a name: whatever it stands for

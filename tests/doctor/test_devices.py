@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from support.guest import run_in_guest
 
+from altd.devices.gpio import inventory
+from altd.devices.gpio.inventory import GpioChip, GpioLine
 from altd.doctor import devices
 from altd.doctor.finding import Verdict
 from altd.doctor.machine import Account, group_name
@@ -186,3 +188,57 @@ def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> 
     (finding,) = found["other-board"]
     assert finding["verdict"] == "WRONG"
     assert "there is /dev/gpiochip0" in finding["says"]
+
+
+def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:
+    port.chmod(0o666)
+    entries = [{"device": device, "speaks": "console"} for device in (BY_ID, "/dev/ttyUSB0")]
+    findings = list(devices.serial_ports(configured(serial=entries), tree.machine))
+    finding = says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
+    assert finding.subject == "serial /dev/ttyUSB0"
+    stage = {"driver": "grbl", "device": "/dev/ttyUSB0"}
+    findings = list(devices.serial_ports(configured(serial=entries[:1], stage=stage), tree.machine))
+    assert says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
+    assert all("same device" not in finding.says for finding in found(tree, configured))
+
+
+def test_one_camera_by_two_of_its_names(tree: Tree, configured: Configured, terminal: Path) -> None:
+    tree.link("/dev/video0", terminal)
+    tree.link("/dev/v4l/by-path/one", "../../video0")
+    cameras = {
+        name: {"driver": "v4l2", "device": device}
+        for name, device in (("front", "/dev/video0"), ("rear", "/dev/v4l/by-path/one"))
+    }
+    findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
+    assert says(findings, Verdict.WRONG, "is the same device as front").subject == "camera rear"
+
+
+class TestGpioLines:
+    LABEL = "pinctrl-bcm2711"
+
+    @pytest.fixture(autouse=True)
+    def board(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A chip with two named lines, which this computer need not have."""
+        lines = tuple(GpioLine(number, name, None) for number, name in enumerate(("LED1", "LED2", "")))
+        chip = GpioChip(Path("/dev/gpiochip0"), "gpiochip0", self.LABEL, lines)
+        monkeypatch.setattr(inventory, "chip_paths", lambda: [chip.path])
+        monkeypatch.setattr(inventory, "look_at", lambda _: chip)
+
+    def findings(self, configured: Configured, lines: list[str], ok: str, chip: str) -> list[devices.Finding]:
+        lamps = {"driver": "gpiod", "chip": self.LABEL, "lines": lines}
+        indicators = {"driver": "gpiod", "chip": chip, "ok": ok}
+        return list(devices.gpio_lines(configured(lamps=lamps, indicators=indicators)))
+
+    def test_lines_that_are_there(self, configured: Configured) -> None:
+        assert self.findings(configured, ["LED1", "2"], "LED2", self.LABEL) == []
+
+    def test_a_line_that_is_not_there(self, configured: Configured) -> None:
+        finding = says(
+            self.findings(configured, ["LED1"], "LED7", self.LABEL), Verdict.WRONG, "no line 'LED7'"
+        )
+        assert "indicators.ok" in finding.says
+
+    @pytest.mark.parametrize(("ok", "chip"), [("LED1", "/dev/gpiochip0"), ("0", LABEL), ("0", "gpiochip0")])
+    def test_one_line_by_two_of_its_names(self, configured: Configured, ok: str, chip: str) -> None:
+        findings = self.findings(configured, ["LED1"], ok, chip)
+        assert says(findings, Verdict.WRONG, "indicators.ok is the same line as lamps, 0 of GPIO chip")

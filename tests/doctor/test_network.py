@@ -230,3 +230,26 @@ class TestListening:
         assert "CAP_NET_BIND" in says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words).mend
         tree.write("/etc/systemd/system/altd.service", "[Service]\nAmbientCapabilities=CAP_NET_BIND_SERVICE")
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
+
+    def test_an_address_that_no_interface_has(self, configured: Configured) -> None:
+        """192.0.2.1 is for books (RFC 5737) and 2001:db8::1 too (RFC 3849); this kernel says what it has."""
+        for host in ("192.0.2.1", "2001:db8::1"):
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            with pytest.raises(OSError, match="assign"):
+                socket.create_server((host, 0), family=family)
+            finding = says(
+                self.findings(configured, 8080, Machine(), host), Verdict.WRONG, "no interface of this"
+            )
+            assert finding.mend.startswith("ip -brief address")
+
+    def test_addresses_that_it_has(self, tree: Tree, configured: Configured) -> None:
+        tree.write(
+            "/proc/net/fib_trie",
+            "Local:\n  |-- 10.0.0.0\n  /24 link UNICAST\n  |-- 10.0.0.7\n  /32 host LOCAL",
+        )
+        tree.write("/proc/net/if_inet6", "fe80000000000000020000fffe000001 02 40 20 80 eth0")
+        for host in ("10.0.0.7", "fe80::200:ff:fe00:1%eth0", "127.0.0.5", "localhost", "0.0.0.0", "::"):
+            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.GOOD, "is free")
+        for host in ("10.0.0.8", "10.0.0.0", "fe80::2%eth0"):
+            words = "it has 10.0.0.7, fe80::200:ff:fe00:1"
+            assert says(self.findings(configured, 8080, tree.machine, host), Verdict.WRONG, words)
