@@ -30,7 +30,11 @@ def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
     ``further`` are rules beside those of the settings alone. Raises BadInputError that names the file and,
     fault by fault, line, column and key.
     """
-    content = read_file(path, _LARGEST_BYTES)
+    return config_of(read_file(path, _LARGEST_BYTES), path, further)
+
+
+def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Config:
+    """The config that a file of this content and path is; raises BadInputError as ``load_config`` does."""
     try:
         document = parse_toml(content)
     except TomlError as error:

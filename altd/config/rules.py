@@ -51,7 +51,7 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
         if target is not None and target.camera not in draft.cameras:
             slip = did_you_mean(target.camera, draft.cameras)
             possible = ", ".join(map(shown, draft.cameras))
-            text = f"there is no table [cameras.{target.camera}]{slip}; possible: {possible}"
+            text = f"there is no table [cameras.{target.camera}]; possible: {possible}{slip}"
             yield Fault(("targets", number, "camera"), text)
     if len(named) == len(draft.targets) and named <= draft.cameras.keys():
         for name in draft.cameras.keys() - named:
