@@ -41,7 +41,12 @@ def test_a_scan_says_what_it_is(scan: Path) -> None:
     about = json.loads((scan / "recording.json").read_text())
     assert about["format"] == "altd-recording/1"
     assert (about["kind"], about["fps"]) == ("scan", 50.0)
-    assert about["cameras"]["front"] == {"width": 752, "height": 480, "bits": 8}
+    assert about["cameras"]["front"] == {
+        "width": 752,
+        "height": 480,
+        "bits": 8,
+        "origin": "simulated",
+    }
     assert about["unit"] == {"serial": "SIM-5", "target_distance_mm": 280.0}
     assert "seed 5" in about["note"]
 
