@@ -36,6 +36,7 @@ from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
+_SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,10 @@ class MeasuringChain:
         self._breaks_in_window = dict(self._breaks)
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
-        self._last_skew_ns = 0
+        self._last_skew_ns: int | None = None
+        """None: the last exposure had too few frames to tell."""
+        self._now_ns = 0
+        self._last_frame_ns: dict[str, int] = {}
         self.exposures = 0
         """Those that moved on: paired or given up, and later than the one before."""
 
@@ -125,25 +129,38 @@ class MeasuringChain:
         seen = self._last_spots
         return "; ".join(f"{target}: {_in_words(seen[target])}" for target in self._targets if target in seen)
 
-    def step(self) -> dict[str, float]:
-        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms."""
+    def step(self) -> dict[str, float | None]:
+        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms.
+
+        None: not known, for a frame is missing or a camera is silent.
+        """
+        first = next(iter(self._views))
         lags = {
-            f"lag_{camera}_ms": round(lag_ns * 1e-6, 2)
+            f"lag_{camera}_ms": None if {first, camera} & self._silent() else round(lag_ns * 1e-6, 2)
             for camera, lag_ns in list(self._pairer.lags_ns.items())[1:]
         }
-        return {"skew_ms": round(self._last_skew_ns * 1e-6, 2), **lags}
+        skew_ns = None if self._silent() else self._last_skew_ns
+        return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
 
     def views(self) -> dict[str, float | str]:
         """Whether the cameras are those that were calibrated, for health."""
         return {
-            name: figure for check in self._view_checks.values() for name, figure in check.figures().items()
+            name: figure
+            for check in self._view_checks.values()
+            for name, figure in check.figures(self._now_ns).items()
         }
+
+    def _silent(self) -> set[str]:
+        """The cameras from which nothing came for as long as makes one silent."""
+        oldest_ns = self._now_ns - self._silent_after_ns
+        return {camera for camera in self._views if self._last_frame_ns.get(camera, oldest_ns) <= oldest_ns}
 
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
             return []
         view = self._views[frame.camera]
+        self._now_ns = self._last_frame_ns[frame.camera] = frame.t_ns
         target = self._calibration[view.target]
         spot: Spot | NoSpot
         stood_still = frame.camera in self._standing_still
@@ -175,8 +192,11 @@ class MeasuringChain:
     def silence(self, t_ns: int) -> Measurement:
         """The measurement of a moment at which no camera delivers."""
         self._window.forget()
+        self._last_skew_ns = None
+        self._last_frame_ns.clear()
+        self._now_ns = t_ns
         last = Exposure(self._last_exposure.sequence if self._last_exposure else 0, t_ns, {})
-        silent = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
+        silent = _SILENT
         self._last_spots = dict.fromkeys(self._targets, silent)
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
@@ -187,7 +207,7 @@ class MeasuringChain:
     def _exposure(self, pair: Pair[_Found]) -> Exposure:
         """The spots of one instant; forgets the window when one was exposed otherwise than those before."""
         spots: dict[str, Spot | NoSpot] = {}
-        self._last_skew_ns = pair.skew_ns
+        self._last_skew_ns = None if len(pair.items) == 1 < len(self._views) else pair.skew_ns
         for camera, view in self._views.items():
             if camera in pair.items:
                 found = pair.items[camera]
@@ -196,11 +216,17 @@ class MeasuringChain:
                     self._breaks_in_window[camera] = found.breaks
                     self._window.forget()
             else:
-                step = ", ".join(f"{name} {value:g}" for name, value in self.step().items())
-                missing = NoSpot(pair.missing[camera], step)
+                missing = self._why_missing(pair.missing[camera])
                 spots[view.target] = self._last_spots[view.target] = missing
         behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
         return Exposure(pair.sequence, pair.t_ns, spots, behind_ns)
+
+    def _why_missing(self, reason: Reason) -> NoSpot:
+        """The reason with what is known of the cameras' step, where it is that."""
+        if reason is not Reason.OUT_OF_STEP:
+            return _SILENT
+        known = {name: value for name, value in self.step().items() if value is not None}
+        return NoSpot(reason, ", ".join(f"{name} {value:g}" for name, value in known.items()))
 
     def _after(self, exposure: Exposure) -> Measurement | None:
         last = self._last_exposure

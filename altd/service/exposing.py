@@ -107,13 +107,14 @@ class ExposureKeeper:
         if frame.changing or frame.leds_on:
             return
         sight = look(frame, spot)
-        figures = self._component.figures
-        figures["exposure_control"] = self._in_words()
-        figures["level"] = round(sight.level, 2)
+        told: dict[str, float] = {}
         if frame.exposure_ms is not None:
-            figures["exposure_ms"] = float(f"{frame.exposure_ms:.3g}")
+            told["exposure_ms"] = float(f"{frame.exposure_ms:.3g}")
         if frame.gain_db is not None:
-            figures["gain_db"] = round(frame.gain_db, 1)
+            told["gain_db"] = round(frame.gain_db, 1)
+        self._component.observe(
+            {"exposure_control": self._in_words(), "level": round(sight.level, 2), **told}
+        )
         setter = self.setter
         if self._control != "auto" or setter is None or setter.limits is None or setter.refused:
             return

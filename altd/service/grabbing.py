@@ -8,7 +8,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from altd.ports import (
     Camera,
@@ -20,9 +19,10 @@ from altd.ports import (
     CameraNotFoundError,
     CameraRefusedError,
     CameraTimeoutError,
+    Clock,
 )
 from altd.service.exposing import ExposureSetter
-from altd.service.health import Component, State
+from altd.service.health import Component, State, duration
 from altd.service.inbox import Inbox
 from altd.service.stamps import StampCheck
 
@@ -58,12 +58,12 @@ async def grab(
     A camera that fails is closed and opened again, for ever. Without a ``setter`` its exposure is left alone.
     """
     report = _Report(component, camera.waits)
-    grabber = _Grabber(camera, inbox, report, setter, asyncio.get_running_loop())
+    grabber = _Grabber(camera, inbox, report, setter, asyncio.get_running_loop(), component.clock)
     thread = threading.Thread(target=grabber.run, name=f"camera-{camera.name}", daemon=True)
     thread.start()
     try:
         while not await _set_within(grabber.done, _LOOK_EVERY_S):
-            report.look(time.monotonic())
+            report.look(component.clock.monotonic_ns())
     finally:
         grabber.stop.set()
         if not grabber.done.is_set():
@@ -89,93 +89,104 @@ def _in_words(error: CameraError) -> str:
     return f"{kind}: {error}" if kind else str(error)
 
 
-@dataclass(slots=True)
 class _Report:
     """What the thread has to tell, as the camera's health; in the loop only.
 
-    ``now_s`` is the thread's time.monotonic() of the event.
+    ``now_ns`` is the component's clock at the event, as the thread read it.
     """
 
-    component: Component
-    waits: bool
-    """The source waits until its frame is taken: then it is no fault that none follows."""
-    _open: bool = False
-    _late: bool = False
-    _heard_s: float = 0.0
-    _losses: deque[tuple[float, int]] = field(default_factory=deque)
-    _mistimed: str = ""
-    _mistimed_s: float = 0.0
-    _refusal: str = ""
-    _logged_refusal: str = ""
+    def __init__(self, component: Component, waits: bool) -> None:
+        self._component = component
+        self._waits = waits
+        """The source waits until its frame is taken: then it is no fault that none follows."""
+        self._open = False
+        self._late = False
+        self._heard_ns = 0
+        self._frame_ns = component.clock.monotonic_ns()
+        """When the last frame came; before the first, when the camera was first wanted."""
+        self._losses: deque[tuple[int, int]] = deque()
+        self._mistimed: tuple[str, int] | None = None
+        self._refusal = ""
+        self._logged_refusal = ""
 
-    def opened(self, now_s: float) -> None:
+    def opened(self, now_ns: int) -> None:
         """The camera was opened; it is well with its first frame."""
-        self._open, self._late, self._heard_s = True, True, now_s
+        self._open, self._late, self._heard_ns = True, True, now_ns
         self._refusal = ""
 
-    def frame(self, now_s: float, lost: int) -> None:
+    def frame(self, now_ns: int, lost: int) -> None:
         """A frame came, and ``lost`` before it did not."""
-        self._late, self._heard_s = False, now_s
-        self.component.count("frames")
+        self._came(now_ns)
+        self._component.count("frames")
         if lost:
-            self.component.count("lost", lost)
-            self._losses.append((now_s, lost))
-        self._say(now_s)
+            self._component.count("lost", lost)
+            self._losses.append((now_ns, lost))
+        self._say(now_ns)
 
-    def mistimed(self, now_s: float, sentence: str) -> None:
+    def mistimed(self, now_ns: int, sentence: str) -> None:
         """A frame came whose time cannot be true; it is not measured."""
-        self._late, self._heard_s = False, now_s
-        self._mistimed, self._mistimed_s = sentence, now_s
-        self.component.count("mistimed")
-        self._say(now_s)
+        self._came(now_ns)
+        self._mistimed = sentence, now_ns
+        self._component.count("mistimed")
+        self._say(now_ns)
 
-    def timeout(self, now_s: float) -> None:
+    def timeout(self, now_ns: int) -> None:
         """No frame came in time; the driver is well."""
-        self._late, self._heard_s = True, now_s
-        self.component.say(State.DEGRADED, f"no frame for {GRAB_TIMEOUT_S} s")
+        self._late, self._heard_ns = True, now_ns
+        self._say_silent()
 
     def refused(self, refusal: str) -> None:
         """The camera does not take an exposure; it goes on with what it has. Empty: it took the next one."""
         if refusal:
-            self.component.count("refused_exposures")
+            self._component.count("refused_exposures")
             if refusal != self._logged_refusal:
                 self._logged_refusal = refusal
-                log.warning("%s: exposure refused: %s", self.component.name, refusal)
+                log.warning("%s: exposure refused: %s", self._component.name, refusal)
         self._refusal = refusal
 
     def failed(self, sentence: str) -> None:
         """The camera was closed, or never open."""
         self._open = False
         self._losses.clear()
-        self.component.say(State.FAILED, f"{sentence}; trying again")
-        self.component.count("failures")
+        self._component.say(State.FAILED, f"{sentence}; trying again")
+        self._component.count("failures")
 
     def ended(self, sentence: str) -> None:
         """The source is at its end."""
         self._open = False
-        self.component.say(State.ENDED, sentence)
+        self._component.say(State.ENDED, sentence)
 
-    def look(self, now_s: float) -> None:
+    def look(self, now_ns: int) -> None:
         """Time has passed: losses are forgotten, and a driver that is held in a call is seen."""
         if not self._open:
             return
-        if now_s - self._heard_s > _HELD_AFTER_S and not self.waits:
+        if now_ns - self._heard_ns > _HELD_AFTER_S * 1e9 and not self._waits:
             self._late = True
-            self.component.say(State.DEGRADED, f"the driver does not return; no frame for {_HELD_AFTER_S} s")
+            self._say_silent("the driver does not return; ")
         elif not self._late:
-            self._say(now_s)
+            self._say(now_ns)
 
-    def _say(self, now_s: float) -> None:
-        while self._losses and now_s - self._losses[0][0] > _LOSSES_FOR_S:
+    def _came(self, now_ns: int) -> None:
+        self._late, self._heard_ns, self._frame_ns = False, now_ns, now_ns
+
+    def _say_silent(self, why: str = "") -> None:
+        frame_ns = self._frame_ns
+        self._component.say(
+            State.DEGRADED, lambda now_ns: f"{why}no frame for {duration((now_ns - frame_ns) * 1e-9)}"
+        )
+
+    def _say(self, now_ns: int) -> None:
+        oldest_ns = now_ns - _LOSSES_FOR_S * 1e9
+        while self._losses and self._losses[0][0] < oldest_ns:
             self._losses.popleft()
         complaints = []
         if self._losses:
             complaints.append(f"{sum(lost for _, lost in self._losses)} frames lost in the last second")
-        if self._mistimed and now_s - self._mistimed_s <= _LOSSES_FOR_S:
-            complaints.append(f"not measured: {self._mistimed}")
+        if self._mistimed and self._mistimed[1] >= oldest_ns:
+            complaints.append(f"not measured: {self._mistimed[0]}")
         if self._refusal:
             complaints.append(f"exposure refused: {self._refusal}")
-        self.component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
+        self._component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
 
 
 class _Grabber:
@@ -188,6 +199,7 @@ class _Grabber:
         report: _Report,
         setter: ExposureSetter | None,
         loop: asyncio.AbstractEventLoop,
+        clock: Clock,
     ) -> None:
         self.stop = threading.Event()
         self.done = asyncio.Event()
@@ -197,6 +209,7 @@ class _Grabber:
         self._report = report
         self._setter = setter
         self._loop = loop
+        self._clock = clock
         self._delivered = False
 
     def run(self) -> None:
@@ -215,7 +228,7 @@ class _Grabber:
             self._delivered = False
             try:
                 self._camera.open()
-                self._call(self._report.opened, time.monotonic())
+                self._call(self._report.opened, self._clock.monotonic_ns())
                 self._deliver()
             except CameraEndedError:
                 raise
@@ -247,21 +260,21 @@ class _Grabber:
             try:
                 frame = self._camera.next_frame(GRAB_TIMEOUT_S)
             except CameraTimeoutError:
-                self._call(self._report.timeout, time.monotonic())
+                self._call(self._report.timeout, self._clock.monotonic_ns())
                 continue
             except CameraMistimedError as error:
                 last = error.sequence
-                self._call(self._report.mistimed, time.monotonic(), str(error))
+                self._call(self._report.mistimed, self._clock.monotonic_ns(), str(error))
                 continue
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
             self._delivered = True
             if not self._camera.waits and (sentence := stamps.refusal(frame, time.monotonic_ns())):
-                self._call(self._report.mistimed, time.monotonic(), sentence)
+                self._call(self._report.mistimed, self._clock.monotonic_ns(), sentence)
                 continue
             if self._setter is not None:
                 frame = self._setter.marked(frame)
-            self._call(self._report.frame, time.monotonic(), lost)
+            self._call(self._report.frame, self._clock.monotonic_ns(), lost)
             self._inbox.put(frame, wait=self._camera.waits)
 
     def _call(self, function: Callable[..., object], *arguments: object) -> None:

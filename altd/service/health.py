@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from altd.ports import Clock
+
+FIGURE_AGE_S = 2.5
+"""A figure is of now for so long after it was observed; silence itself is observed at least every 2 s."""
+
+Message = str | Callable[[int], str]
+"""A sentence; one that holds a time is made anew when it is read, from the monotonic ns of that moment."""
 
 
 class State(StrEnum):
@@ -26,24 +32,41 @@ class Component:
     name: str
     clock: Clock
     state: State = State.STARTING
-    message: str = ""
     since_ns: int = 0
     counters: dict[str, int] = field(default_factory=dict)
-    figures: dict[str, float | str] = field(default_factory=dict)
-    """What it measures of itself, by names that end in the unit; replaced, not added up."""
     data_given: int = 0
     """How often it gave data to whoever asked, or wants it unasked: what the Data lamp shows."""
+    _message: Message = ""
+    _figures: dict[str, tuple[float | str | None, int]] = field(default_factory=dict)
 
-    def say(self, state: State, message: str = "") -> None:
+    @property
+    def message(self) -> str:
+        """The sentence that explains the state, true at this moment."""
+        return self._message if isinstance(self._message, str) else self._message(self.clock.monotonic_ns())
+
+    def say(self, state: State, message: Message = "") -> None:
         """Set the state; ``since_ns`` moves only when the state changes."""
         if state is not self.state:
             self.since_ns = self.clock.monotonic_ns()
         self.state = state
-        self.message = message
+        self._message = message
 
     def count(self, counter: str, by: int = 1) -> None:
         """Add to a counter, which starts at zero."""
         self.counters[counter] = self.counters.get(counter, 0) + by
+
+    def observe(self, figures: Mapping[str, float | str | None]) -> None:
+        """What it measures of itself now, by names that end in the unit; None: not known."""
+        now_ns = self.clock.monotonic_ns()
+        self._figures |= {name: (figure, now_ns) for name, figure in figures.items()}
+
+    @property
+    def figures(self) -> dict[str, float | str | None]:
+        """What it measured of itself; None: not known, or observed too long ago to be true now."""
+        oldest_ns = self.clock.monotonic_ns() - round(FIGURE_AGE_S * 1e9)
+        return {
+            name: figure if at_ns >= oldest_ns else None for name, (figure, at_ns) in self._figures.items()
+        }
 
     def gave_data(self) -> None:
         """Data went out: an answer, a telegram, an event."""
@@ -84,3 +107,17 @@ class Health:
                 for component in self
             },
         }
+
+
+def duration(seconds: float) -> str:
+    """A span of time in its two largest units; below 10 s in tenths."""
+    minutes, hours, days = seconds / 60, seconds / 3600, seconds / 86400
+    if seconds < 10:
+        return f"{max(round(1e3 * seconds), 0) // 100 / 10:.1f} s"
+    if minutes < 1:
+        return f"{int(seconds)} s"
+    if hours < 1:
+        return f"{int(minutes)} min"
+    if days < 1:
+        return f"{int(hours)} h {int(minutes) % 60} min"
+    return f"{int(days)} d {int(hours) % 24} h"

@@ -70,7 +70,8 @@ class Pipeline:
                 self._put_up(measurement)
         if not frames:
             self._put_up(self._chain.silence(now_ns))
-        self._component.figures |= self._chain.step() | self._chain.views()
+        not_told = dict.fromkeys(self._component.figures)
+        self._component.observe(not_told | self._chain.step() | self._chain.views())
         self._component.counters["late_frames"] = self._chain.late_frames
         for camera, dropped in self._inbox.dropped.items():
             self._component.counters[f"dropped_{camera}"] = dropped
@@ -82,4 +83,5 @@ class Pipeline:
         self._component.count("measurements")
         if measurement.valid:
             self._component.count("valid")
-        self._component.say(State.OK if measurement.valid else State.DEGRADED, self._chain.seen())
+        state = State.OK if measurement.valid else State.DEGRADED
+        self._component.say(state, lambda now_ns: self._chain.seen())

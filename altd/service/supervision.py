@@ -10,7 +10,7 @@ from typing import Protocol
 
 from altd.errors import BadInputError
 from altd.ports import Clock
-from altd.service.health import Component, State
+from altd.service.health import Component, Message, State
 
 log = logging.getLogger("altd")
 
@@ -30,6 +30,10 @@ def _in_words(error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return f"{type(error).__name__}: {error}"
+
+
+def _retry_message(failure: str, due_ns: int) -> Message:
+    return lambda now_ns: f"{failure}; next try in {max(due_ns - now_ns, 0) * 1e-9:.1f} s"
 
 
 class Publisher(Protocol):
@@ -88,6 +92,6 @@ async def keep_running(
             told = True
             log.warning("%s: %s; trying again", place, failure)
         retry_s = min(retry_s, longest_s)
-        component.say(State.FAILED, f"{failure}; next try in {retry_s:g} s")
+        component.say(State.FAILED, _retry_message(failure, clock.monotonic_ns() + round(retry_s * 1e9)))
         await clock.sleep(retry_s)
         retry_s *= 2

@@ -74,21 +74,29 @@ class ViewCheck:
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
 
-    def figures(self) -> dict[str, float | str]:
-        """What health shows: whether the view is verified, since when, and the picture's shift."""
+    def figures(self, now_ns: int) -> dict[str, float | str]:
+        """What health shows: whether the view is verified, since when, and the picture's shift.
+
+        Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
+        """
         name = self._target.name
-        figures: dict[str, float | str] = {f"view_{name}": self._in_words()}
-        if self._shift_px is not None:
+        figures: dict[str, float | str] = {f"view_{name}": self._in_words(now_ns)}
+        if self._shift_px is not None and not self._is_silent(now_ns):
             figures[f"view_shift_{name}_px"] = round(self._shift_px, 3)
         return figures
 
-    def _in_words(self) -> str:
+    def _is_silent(self, now_ns: int) -> bool:
+        return self._last_ns is not None and now_ns - self._last_ns > _GAP_NS
+
+    def _in_words(self, now_ns: int) -> str:
         if self._target.fingerprint is None:
             return "could not be verified: the calibration has no fingerprint of the camera"
+        if self._wrong is None and self._verified_ns is not None:
+            return f"verified {max(now_ns - self._verified_ns, 0) * 1e-9:.0f} s ago"
+        if self._is_silent(now_ns):
+            return "could not be verified: no frame comes"
         if self._wrong is not None:
             return f"wrong: {self._wrong.wrong}"
-        if self._verified_ns is not None and self._last_ns is not None:
-            return f"verified {(self._last_ns - self._verified_ns) * 1e-9:.0f} s ago"
         sensor = "the sensor is verified, its view " if self._sensor_is_same else ""
         return f"{sensor}could not be verified: {self._doubt}"
 

@@ -228,3 +228,30 @@ def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibratio
     silent = measured.silence(9_000_000_000)
     assert [str(f) for f in silent.status] == ["front_camera_silent", "rear_camera_silent"]
     assert (silent.sequence, silent.t_ns, silent.beam) == (3, 9_000_000_000, None)
+
+
+def test_what_is_known_of_the_step_and_of_a_silent_camera_is_of_now(calibration: Calibration) -> None:
+    """The right camera goes silent, then both."""
+    measured = MeasuringChain(
+        VIEWS, calibration, Measuring(window=4, pair_by="time"), Installation.model_validate({})
+    )
+    frames = [replace(f, t_ns=f.t_ns + (f.camera == "right") * 3_000_000) for f in shots([(10.0, 5.0)] * 30)]
+    for frame in frames[:12]:
+        measured.push(frame)
+    assert measured.step() == {"skew_ms": 0.0, "lag_right_ms": 3.0}
+    for frame in frames[12:]:
+        if frame.camera == "left":
+            measured.push(frame)
+    assert measured.step() == {"skew_ms": None, "lag_right_ms": None}
+    front, rear = measured.seen().split("; ")
+    assert front.startswith("front: spot at u 33")
+    assert rear == "rear: camera_silent, no frame comes"
+    measured.silence(frames[-1].t_ns + 400_000_000)
+    assert measured.step() == {"skew_ms": None, "lag_right_ms": None}
+
+
+def test_one_frame_of_two_has_no_skew(calibration: Calibration) -> None:
+    measured = chain(calibration)
+    for frame in [f for f in shots([(10.0, 5.0)] * 8) if f.camera == "left" or f.sequence < 2]:
+        measured.push(frame)
+    assert measured.step() == {"skew_ms": None}

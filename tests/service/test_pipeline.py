@@ -30,6 +30,8 @@ class Chain:
     def __init__(self) -> None:
         self.broken = False
         self.exposures = 0
+        self.spot = "spot_missing"
+        self.shift: dict[str, float | str] = {}
 
     def push(self, frame: Frame) -> list[Measurement]:
         if self.broken:
@@ -40,13 +42,13 @@ class Chain:
         return measurement(0, t_ns, Reason.CAMERA_SILENT)
 
     def seen(self) -> str:
-        return "front: spot_missing"
+        return f"front: {self.spot}"
 
     def step(self) -> dict[str, float]:
         return {"skew_ms": 0.25}
 
     def views(self) -> dict[str, float | str]:
-        return {}
+        return self.shift
 
 
 class Bench:
@@ -101,6 +103,21 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     bench.inbox.put(shot("rear", 1), wait=False)
     await bench.clock.advance(0.01)
     assert bench.component.state is State.OK
+    await stop(bench.task)
+
+
+async def test_what_is_seen_is_told_of_the_moment_and_a_figure_that_is_told_no_more_is_not_known() -> None:
+    bench = Bench()
+    bench.chain.shift = {"view_shift_front_px": 0.25}
+    bench.inbox.put(shot("rear", 1), wait=False)
+    await bench.clock.advance(0.01)
+    assert bench.component.figures == {"skew_ms": 0.25, "view_shift_front_px": 0.25}
+    bench.chain.shift = {}
+    bench.chain.spot = "ambiguous"
+    assert bench.component.message == "front: ambiguous"
+    bench.inbox.put(shot("rear", 2), wait=False)
+    await bench.clock.advance(0.01)
+    assert bench.component.figures == {"skew_ms": 0.25, "view_shift_front_px": None}
     await stop(bench.task)
 
 

@@ -100,9 +100,11 @@ async def test_a_device_that_is_missing_is_looked_for_every_second(clock: FakeCl
     publisher = Flaky(1000, GONE)
     task = asyncio.create_task(keep_running("serial", publisher, component, clock))
     await clock.advance(600.0)
-    assert component.message == "there is no such port now; next try in 1 s"
+    assert component.message == "there is no such port now; next try in 0.5 s"
     publisher.failures = 0
-    await clock.advance(1.0)
+    await clock.advance(0.3)
+    assert component.message == "there is no such port now; next try in 0.2 s"
+    await clock.advance(0.2)
     assert component.state is State.OK
     await stop(task)
 

@@ -54,6 +54,10 @@ class Bench:
             allowed.append(self.check.objection(seen, spot, camera) is None)
         return allowed
 
+    def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
+        """What health is told so long after the last frame."""
+        return self.check.figures(self.t_ns + round(after_s * 1e9))
+
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
@@ -173,10 +177,18 @@ def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> N
 
 
 def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:
-    assert bench.check.figures() == {"view_front": "could not be verified: nothing was seen yet"}
+    assert bench.figures() == {"view_front": "could not be verified: nothing was seen yet"}
     bench.push(1, DOUBT)
-    assert bench.check.figures() == {"view_front": f"could not be verified: {DOUBT.doubt}"}
+    assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.doubt}"}
     bench.push(21, GOOD)
-    assert bench.check.figures() == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
+    assert bench.figures() == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
     bench.push(1, WRONG, after_ns=500_000_000)
-    assert bench.check.figures() == {"view_front": "wrong: another print is seen"}
+    assert bench.figures() == {"view_front": "wrong: another print is seen"}
+
+
+def test_the_age_of_a_view_counts_while_no_frame_comes_and_nothing_else_is_said_of_it(bench: Bench) -> None:
+    bench.push(21, GOOD)
+    assert bench.figures(after_s=0.3) == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
+    assert bench.figures(after_s=6.1) == {"view_front": "verified 6 s ago"}
+    bench.push(1, WRONG, after_ns=500_000_000)
+    assert bench.figures(after_s=6.1) == {"view_front": "could not be verified: no frame comes"}

@@ -7,7 +7,7 @@ from textwrap import fill
 
 from altd.measurement_json import utc_text
 from altd.records import Beam, Fault, Measurement, Reason
-from altd.service.health import Component, Health, State
+from altd.service.health import Component, Health, State, duration
 
 WIDTH = 79
 """A line of 80 would make some terminals wrap."""
@@ -87,18 +87,6 @@ def status_text(measurement: Measurement | None, health: Health) -> str:
     return "\n".join(lines)
 
 
-def duration(seconds: float) -> str:
-    """A span of time in its two largest units."""
-    minutes, hours, days = seconds / 60, seconds / 3600, seconds / 86400
-    if minutes < 1:
-        return f"{int(seconds)} s"
-    if hours < 1:
-        return f"{int(minutes)} min"
-    if days < 1:
-        return f"{int(hours)} h {int(minutes) % 60} min"
-    return f"{int(days)} d {int(hours) % 24} h"
-
-
 def _beam_lines(beam: Beam) -> list[str]:
     lines = [
         f"  {name:<7}{value:10.3f} mm  +/- {sigma:.3f}"
@@ -142,7 +130,7 @@ def _component_line(component: Component, column: int) -> str:
     state = component.state.upper() if component.state is State.FAILED else str(component.state)
     head = f"{component.name:<{column - 1}} {state:<10}{duration(seconds):<11}"
     numbers = {**component.figures, **component.counters}
-    counters = ", ".join(f"{name} {number}" for name, number in numbers.items())
+    counters = ", ".join(f"{name} {number}" for name, number in numbers.items() if number is not None)
     remarks = "; ".join(filter(None, [component.message, counters]))
     return "\n".join([head.rstrip(), *([_hanging("", remarks, 4)] if remarks else [])])
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from altd.publish.serial.console import COMMANDS, PROMPT, Console
 from altd.publish.serial.examples import MEASURED, SPOT_LOST, health
-from altd.publish.serial.words import ADVICE, duration
+from altd.publish.serial.words import ADVICE
 from altd.records import Fault, Measurement, Reason
 from altd.service.health import State
 
@@ -111,7 +111,7 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
     text = unit.feed(b"status\r").decode().replace("\r\n", "\n")
     assert "serial       ALT-0007" in text
     assert "measuring    NO: front target: no laser spot; rear target: no laser spot" in text
-    assert "camera rear        FAILED    0 s\n    no such device; next try in 4 s; frames 12" in text
+    assert "camera rear        FAILED    0.0 s\n    no such device; next try in 4 s; frames 12" in text
     assert "  - camera rear failed: no such device; next try in 4 s" in text
     assert "switch the laser on" in text
 
@@ -173,11 +173,3 @@ def test_the_console_survives_anything_in_pieces(pieces: list[bytes]) -> None:
     whole, piecewise = console(), console()
     assert whole.feed(b"".join(pieces)) == b"".join(map(piecewise.feed, pieces))
     assert whole.commands == piecewise.commands
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0, "0 s"), (59.9, "59 s"), (60, "1 min"), (7380, "2 h 3 min"), (86400 * 12 + 7200, "12 d 2 h")],
-)
-def test_a_duration_in_words(seconds: float, words: str) -> None:
-    assert duration(seconds) == words
