@@ -21,7 +21,7 @@ from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
 from altd.service.exposing import ExposureKeeper
 from altd.service.grabbing import grab
-from altd.service.health import Component, Health, State
+from altd.service.health import MEASURING, Component, Health, State
 from altd.service.inbox import Inbox
 from altd.service.indicators import IndicatorPanel
 from altd.service.lamps import FrameLamps
@@ -118,7 +118,7 @@ class Daemon:
                     inbox,
                     self.chain,
                     self.board,
-                    self.health.component("measuring"),
+                    self.health.component(MEASURING),
                     self.clock,
                     self.config.measuring.silent_after_s,
                     manager.progress,
@@ -186,7 +186,7 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     calibration = calibration_of(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
     daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators)
-    for component in ("measuring", *(f"camera {name}" for name in cameras)):
+    for component in (MEASURING, *(f"camera {name}" for name in cameras)):
         daemon.health.component(component).say(State.STARTING)
     return daemon
 

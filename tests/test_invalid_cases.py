@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 
 import pytest
+from support.clock import FakeClock
 
 from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
 from altd.measurement_json import as_line
 from altd.ports import CameraTimeoutError
+from altd.publish.serial.words import status_text
 from altd.records import Measurement
 from altd.service.chain import MeasuringChain, View
+from altd.service.health import Health
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
@@ -86,6 +89,37 @@ def test_a_fault_gives_its_reason_and_no_number(fault: Fault, calibration: Calib
         assert measurement.status
     reasons = {str(reason) for reason in measurements[-1].status}
     assert CASES[fault] <= reasons, reasons
+
+
+REMEDIES = {
+    Fault.NO_LASER: "switch the laser on",
+    Fault.FRONT_SPOT_MISSING: "the other target sees the laser: look for what covers this one or its camera",
+    Fault.REAR_SPOT_MISSING: "the other target sees the laser: look for what covers this one or its camera",
+    Fault.FRONT_SECOND_SPOT: "look for reflections and other lasers",
+    Fault.REAR_SECOND_SPOT: "look for reflections and other lasers",
+    Fault.SATURATED: "shorten the exposure or take power off the laser",
+    Fault.BLACK: "switch the laser on",
+    Fault.WHITE: "keep daylight and lamps off the window",
+    Fault.NOISE_ONLY: "switch the laser on",
+    Fault.CUT_BY_EDGE: "bring the beam nearer to the middle",
+    Fault.OUT_OF_AREA: "bring the beam nearer to the middle",
+    Fault.OUT_OF_STEP: "check the trigger of the cameras",
+    Fault.FRONT_SILENT: "check the camera's cable and supply",
+    Fault.REAR_SILENT: "check the camera's cable and supply",
+    Fault.LEDS_ON: "look for what lights them",
+}
+"""What the console advises, by the cause that was seen."""
+
+
+@pytest.mark.parametrize("fault", REMEDIES, ids=str)
+def test_the_console_names_the_cause_and_no_other(fault: Fault, calibration: Calibration) -> None:
+    unit = Unit(UnitConfig(seed=SEED, faults=frozenset({fault})))
+    unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
+    last = measure(unit, calibration)[-1]
+    told = " ".join(status_text(last, Health(FakeClock())).split())
+    assert REMEDIES[fault] in told, told
+    others = set(REMEDIES.values()) - {REMEDIES[fault]}
+    assert not [other for other in others if other in told], told
 
 
 def test_every_fault_has_its_case() -> None:

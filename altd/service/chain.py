@@ -30,9 +30,11 @@ from altd.records import (
     Spot,
     TargetPoint,
 )
+from altd.service.seen import in_words, told_from_leds
 from altd.service.view_check import ViewCheck
 from altd.spot_shape import shape_doubts_mm
 from altd.synchrony import SynchronyCheck
+from altd.vision.leds import lit_leds
 from altd.vision.localise import locate
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
@@ -127,7 +129,7 @@ class MeasuringChain:
     def seen(self) -> str:
         """What each camera saw last, in words: for the technician who aims the beam."""
         seen = self._last_spots
-        return "; ".join(f"{target}: {_in_words(seen[target])}" for target in self._targets if target in seen)
+        return "; ".join(f"{target}: {in_words(seen[target])}" for target in self._targets if target in seen)
 
     def step(self) -> dict[str, float | None]:
         """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms.
@@ -171,6 +173,8 @@ class MeasuringChain:
             self._standing_still.discard(frame.camera)
             of_target = frame, target.localiser, target.flat, target.spot
             spot = _CHANGING if frame.changing else locate(*of_target)
+            if isinstance(spot, NoSpot) and len(target.leds_px):
+                spot = told_from_leds(spot, lit_leds(frame, target.leds_px), len(target.leds_px))
         self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
         if not repeated:
             self._watch(frame, spot)
@@ -348,15 +352,6 @@ def _unexplained(
         return None
     detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
     return Fault(Reason.DISTORTED, mean.targets[worst], detail)
-
-
-def _in_words(spot: Spot | NoSpot) -> str:
-    if isinstance(spot, NoSpot):
-        return f"{spot.reason}, {spot.detail}" if spot.detail else str(spot.reason)
-    return (
-        f"spot at u {spot.u_px:.1f} v {spot.v_px:.1f} px, diameter {spot.diameter_px:.0f} px, "
-        f"peak {spot.peak:.0f} counts"
-    )
 
 
 def installed(beam: Beam, installation: Installation) -> Beam:

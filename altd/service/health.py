@@ -8,6 +8,9 @@ from enum import StrEnum
 
 from altd.ports import Clock
 
+MEASURING = "measuring"
+"""The component that does as the latest measurement does."""
+
 FIGURE_AGE_S = 2.5
 """A figure is of now for so long after it was observed; silence itself is observed at least every 2 s."""
 

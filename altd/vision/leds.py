@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from altd.records import Frame, NoSpot, PixelArray, Reason, Spot
+from altd.records import FloatArray, Frame, NoSpot, PixelArray, Reason, Spot
 from altd.vision.disc import fit_disc
 from altd.vision.localise import spot_in
 from altd.vision.search import Region, search
@@ -20,6 +20,8 @@ LED_SETTINGS = SpotSettings(
 """A flat-headed LED is an evenly bright disc: little smoothing, half-way contour, plain moment."""
 
 _AROUND_PX = 8
+_BESIDE_PX = 3
+"""An LED need not stand in its reference position to be told from a laser spot."""
 _FIRST_RADIUS_PX = 9.0
 _UNLIKE = 1.4
 """A disc at the border is an LED when it is no more than this much larger or smaller than the others."""
@@ -31,6 +33,22 @@ class Leds:
 
     spots: tuple[Spot, ...]
     dropped: tuple[str, ...]
+
+
+def lit_leds(frame: Frame, leds_px: FloatArray) -> int:
+    """How many of the LEDs at ``leds_px``, (n, 2), shine in one frame, each as a light of its own.
+
+    What floods them all is one light.
+    """
+    regions = search(frame.pixels).regions
+    return sum(
+        any(
+            region.left - _BESIDE_PX <= u_px < region.right + _BESIDE_PX
+            and region.top - _BESIDE_PX <= v_px < region.bottom + _BESIDE_PX
+            for u_px, v_px in leds_px
+        )
+        for region in regions
+    )
 
 
 def locate_leds(lit: Frame, dark: Frame, settings: SpotSettings = LED_SETTINGS) -> Leds:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 
 from altd.publish.example import MEASURED
-from altd.publish.serial.console import COMMANDS, WATCH_S, Console
+from altd.publish.serial.console import COMMANDS, PAGE_LINES, WATCH_S, Console
 from altd.publish.serial.examples import SPOT_LOST, health
-from altd.publish.serial.lines import LONGEST_LINE
+from altd.publish.serial.lines import KEPT_LINES, LONGEST_LINE, BadLine
 from altd.publish.serial.publisher import PAUSE_S, TURN_BYTES
 from altd.records import Measurement
 
@@ -25,12 +25,27 @@ set to the port's `baud`, `parity` and `stop_bits`, no flow control. For example
 
     picocom --baud 9600 /dev/ttyUSB0
 
-Press Enter; the prompt `>` appears. Upper and lower case are the same; backspace and Ctrl-U correct; a line
-has at most {LONGEST_LINE} characters. The console only shows: nothing typed here changes the unit.
+Press Enter; the prompt `>` appears. Upper and lower case are the same; a line has at most {LONGEST_LINE}
+characters. The console only shows: nothing typed here changes the unit, and there is no session to end.
 
 | command | does |
 |---|---|
 {commands}
+| key | does |
+|---|---|
+| left, right, Home, End; Ctrl-B, Ctrl-F, Ctrl-A, Ctrl-E | move in the line |
+| Backspace, Delete | erase a character |
+| Ctrl-W; Ctrl-U; Ctrl-K | erase the word before the cursor; all before it; all behind it |
+| up, down; Ctrl-P, Ctrl-N | bring back one of the last {KEPT_LINES} lines |
+| Ctrl-C | forget the line |
+| Ctrl-L | show the line anew |
+
+Any other key does nothing, nor does what terminals and terminal servers send by themselves. Pasted lines are
+carried out one after the other; where the terminal marks a paste (bracketed paste), it becomes one line that
+waits for Enter. picocom, minicom and screen keep Ctrl-A to themselves: type it twice, or use Home.
+
+An answer of more than a screen of {PAGE_LINES + 1} lines stops after each page: space or Enter goes on,
+`q` ends it.
 `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. Uncertainties are standard deviations
 (1 sigma). Times are UTC.
 
@@ -38,14 +53,18 @@ The console takes at most {TURN_BYTES} characters and one line at a time, and re
 after each: a line that floods it waits, and measuring does not.
 
 When nothing appears: Enter again, then check the cable (RS232: receive and transmit crossed; RS485: A and B),
-and that the terminal's speed is the port's `baud`. Unreadable characters mean a wrong speed or parity.
+and that the terminal's speed is the port's `baud`. Unreadable characters mean a wrong speed or parity, and so
+does the answer `{BadLine.NO_TEXT.value}`.
 
 ## A session
 
 {_session(MEASURED, "measure")}
 The beam is blocked:
 
-{_session(SPOT_LOST, "status")}"""
+{_session(SPOT_LOST, "status")}
+Everything that the parts of the unit say and count:
+
+{_session(SPOT_LOST, "status all")}"""
 
 
 def _session(measurement: Measurement, line: str) -> str:

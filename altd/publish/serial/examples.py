@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
+from altd.config import SerialPort
 from altd.publish.example import MEASURED
+from altd.publish.serial.publisher import console_message, telegram_message
 from altd.records import Fault, Reason
-from altd.service.health import Health, State
+from altd.service.health import MEASURING, Health, State
 
 SPOT_LOST = replace(
     MEASURED,
@@ -15,7 +18,10 @@ SPOT_LOST = replace(
     time=datetime(2026, 11, 20, 8, 15, 31, 125_000, UTC),
     beam=None,
     points_mm={"front": None, "rear": None},
-    status=(Fault(Reason.SPOT_MISSING, "front"), Fault(Reason.SPOT_MISSING, "rear")),
+    status=(
+        Fault(Reason.SPOT_MISSING, "front", "nothing stands out of the background"),
+        Fault(Reason.SPOT_MISSING, "rear", "nothing stands out of the background"),
+    ),
 )
 
 
@@ -36,15 +42,31 @@ class _TwoHoursLater:
 
 
 def health() -> Health:
-    """A unit whose beam is blocked while all of its parts work."""
+    """A unit whose beam was blocked a moment ago, while all of its parts work."""
     clock = _TwoHoursLater()
     unit = Health(clock)
-    unit.facts |= {"serial": "ALT-0007", "version": "0.1.0", "calibration": "2026-11-02, residual 0.021 mm"}
+    unit.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02, workshop, stage 2"}
+    telegram = SerialPort(device=Path("/dev/ttyS1"), speaks="telegram")
+    console = SerialPort(device=Path("/dev/ttyS2"), speaks="console")
     for name, message in (
-        ("camera front", "20.0 frames/s"),
-        ("camera rear", "20.0 frames/s"),
-        ("serial /dev/ttyS1", "telegram every 1 s on /dev/ttyS1, 9600 baud 8N1"),
+        ("camera front", ""),
+        ("camera rear", ""),
+        ("http 0.0.0.0:8080", "port 8080"),
+        (f"serial {telegram.device}", telegram_message(telegram)),
+        (f"serial {console.device}", console_message(console)),
+        (MEASURING, ""),
     ):
         unit.component(name).say(State.OK, message)
+    clock.now_ns = 7_379_000_000_000
+    dark = "spot_missing, nothing stands out of the background"
+    unit.component(MEASURING).say(State.DEGRADED, f"front: {dark}; rear: {dark}")
     clock.now_ns = 7_380_000_000_000
+    for camera in ("front", "rear"):
+        unit.component(f"camera {camera}").observe(
+            {"exposure_control": "auto", "level": 0.02, "exposure_ms": 2.0}
+        )
+        unit.component(f"camera {camera}").count("frames", 147_600)
+    unit.component(f"serial {telegram.device}").count("telegrams_sent", 7380)
+    unit.component(MEASURING).observe({"skew_ms": 0.02})
+    unit.component(MEASURING).count("measurements", 147_581)
     return unit

@@ -1,84 +1,149 @@
-"""From the keys of a terminal to lines: echo, backspace, and patience with what is not text."""
+"""From keys to lines: editing within the line, a few earlier lines, and patience with what is not text."""
 
 from __future__ import annotations
 
+from collections import deque
 from enum import Enum
 
-LONGEST_LINE = 70
+from altd.publish.serial.keys import Key
 
-_BACKSPACES = b"\x08\x7f"
-_CLEARS = b"\x03\x15"  # Ctrl-C, Ctrl-U
-_LINE_ENDS = b"\r\n"
-_ESC = 0x1B
+LONGEST_LINE = 70
+KEPT_LINES = 16
+"""Lines that the up and down keys bring back."""
+
+_MIN_JUNK = 3
+_BACK = b"\b"
 
 
 class BadLine(Enum):
     """A line that is not worth reading, with what to tell the person."""
 
     TOO_LONG = f"line too long: at most {LONGEST_LINE} characters"
+    STRAY = "not plain ASCII: type the line again, or check the terminal's parity"
     NO_TEXT = "that was no text: wrong baud rate or parity?"
 
 
 class LineEditor:
-    """Takes one byte at a time and keeps at most one line. A CR, an LF or a CR LF pair ends a line."""
+    """Takes one key at a time and keeps at most one line and ``KEPT_LINES`` earlier ones.
+
+    What it shows is built of printable ASCII, blanks and backspaces, which every terminal knows. A character
+    that is not ASCII stands in the line as ``?`` and can be erased; as no command has one, it makes none.
+    """
 
     def __init__(self) -> None:
-        self._line = bytearray()
-        self._bad: BadLine | None = None
-        self._escape = bytearray()
-        self._after_cr = False
+        self._line: list[str] = []
+        self._at = 0
+        """Where the cursor stands."""
+        self._too_long = False
+        self._junk = 0
+        self._earlier: deque[str] = deque(maxlen=KEPT_LINES)
+        self._recalled = 0
+        """How many lines back the one is that is shown; 0: none of the earlier ones."""
+        self._own = ""
+        """What was typed before earlier lines were asked for."""
 
-    def take(self, byte: int) -> bytes | str | BadLine:
-        """What to echo, or the line that this byte ended."""
-        after_cr, self._after_cr = self._after_cr, byte == ord("\r")
-        if byte in _LINE_ENDS:
-            return b"" if after_cr and byte == ord("\n") else self._end()
-        if self._in_escape(byte):
-            return b""
-        if byte in _CLEARS:
-            self._bad = None
-            return self._erase(len(self._line))
-        if byte in _BACKSPACES:
-            return self._erase(1)
-        if not 0x20 <= byte < 0x7F:
-            self._bad = BadLine.NO_TEXT
-        elif len(self._line) == LONGEST_LINE:
-            self._bad = self._bad or BadLine.TOO_LONG
-        elif self._bad is None:
-            self._line.append(byte)
-            return bytes([byte])
+    def take(self, key: str | Key) -> bytes | str | BadLine:
+        """What to show, or the line that this key ended."""
+        if isinstance(key, str):
+            return self._insert(key)
+        match key:
+            case Key.ENTER:
+                return self._end()
+            case Key.JUNK_END:
+                self._junk += _MIN_JUNK
+                return self._end()
+            case Key.JUNK:
+                self._junk += 1
+            case Key.CANCEL:
+                self._too_long, self._junk = False, 0
+                return self._show("")
+            case Key.UP | Key.DOWN:
+                return self._recall(1 if key is Key.UP else -1)
+            case Key.ERASE_WORD | Key.ERASE_BEFORE | Key.ERASE_BEHIND | Key.BACKSPACE | Key.DELETE:
+                return self._erase(key)
+            case Key.LEFT | Key.RIGHT | Key.HOME | Key.END:
+                return self._move(self._place_of(key))
         return b""
 
-    def discard(self, byte: int) -> bool:
-        """Take a byte that is no part of a line; whether it was a key (the LF of a CR LF pair is none)."""
-        second_half = self._after_cr and byte == ord("\n")
-        self.take(byte)
-        self._line.clear()
-        self._bad = None
-        return not second_half
+    def shown(self) -> bytes:
+        """The line as it stands, for a terminal that shows it anew."""
+        return _ascii(self._line) + _BACK * (len(self._line) - self._at)
+
+    def _insert(self, character: str) -> bytes:
+        if len(self._line) == LONGEST_LINE:
+            self._too_long = True
+            return b""
+        self._line.insert(self._at, character)
+        self._at += 1
+        behind = self._line[self._at :]
+        return _ascii([character, *behind]) + _BACK * len(behind)
 
     def _end(self) -> str | BadLine:
-        line, bad = self._line.decode("ascii"), self._bad
+        line, junk = "".join(self._line), self._junk
+        bad = None
+        if junk >= _MIN_JUNK and 2 * junk >= len(line):
+            bad = BadLine.NO_TEXT
+        elif junk:
+            bad = BadLine.STRAY
+        elif self._too_long:
+            bad = BadLine.TOO_LONG
         self._line.clear()
-        self._escape.clear()
-        self._bad = None
-        return bad or line
+        self._at = self._junk = self._recalled = 0
+        self._too_long = False
+        if bad is not None:
+            return bad
+        if line.strip() and line not in list(self._earlier)[-1:]:
+            self._earlier.append(line)
+        return line
 
-    def _erase(self, count: int) -> bytes:
-        count = min(count, len(self._line))
-        del self._line[len(self._line) - count :]
-        return b"\b \b" * count
+    def _place_of(self, key: Key) -> int:
+        match key:
+            case Key.LEFT | Key.BACKSPACE:
+                return max(self._at - 1, 0)
+            case Key.RIGHT | Key.DELETE:
+                return min(self._at + 1, len(self._line))
+            case Key.HOME | Key.ERASE_BEFORE:
+                return 0
+            case Key.ERASE_WORD:
+                before = "".join(self._line[: self._at]).rstrip()
+                return before.rfind(" ") + 1
+        return len(self._line)
 
-    def _in_escape(self, byte: int) -> bool:
-        """Swallow the sequence that an arrow or function key sends: ESC, ``[`` or ``O``, up to a letter."""
-        if byte == _ESC:
-            self._escape[:] = b"\x1b"
-            return True
-        if not self._escape:
-            return False
-        opened = len(self._escape) > 1
-        if (opened and 0x20 <= byte < 0x40 and len(self._escape) < 16) or (not opened and byte in b"[O"):
-            self._escape.append(byte)
-            return True
-        self._escape.clear()
-        return opened and 0x40 <= byte < 0x7F
+    def _erase(self, key: Key) -> bytes:
+        if key is Key.ERASE_BEFORE:
+            self._too_long, self._junk = False, 0
+        begin, end = sorted((self._at, self._place_of(key)))
+        count = end - begin
+        moved = self._move(begin) if begin < self._at and end < len(self._line) else b""
+        if not moved and begin < self._at:  # at the end of the line: what every terminal does for backspace
+            del self._line[begin:end]
+            self._at = begin
+            return b"\b \b" * count
+        del self._line[begin:end]
+        behind = self._line[begin:]
+        return moved + _ascii(behind) + b" " * count + _BACK * (len(behind) + count) if count else b""
+
+    def _move(self, place: int) -> bytes:
+        at, self._at = self._at, place
+        return _BACK * (at - place) if place < at else _ascii(self._line[at:place])
+
+    def _recall(self, by: int) -> bytes:
+        recalled = self._recalled + by
+        if not 0 <= recalled <= len(self._earlier):
+            return b""
+        if self._recalled == 0:
+            self._own = "".join(self._line)
+        self._recalled = recalled
+        self._too_long, self._junk = False, 0
+        return self._show(self._earlier[-recalled] if recalled else self._own)
+
+    def _show(self, line: str) -> bytes:
+        """Another line in place of the one that is shown."""
+        cleared = self._move(len(self._line)) + b"\b \b" * len(self._line)
+        self._line = list(line)
+        self._at = len(line)
+        return cleared + _ascii(self._line)
+
+
+def _ascii(characters: list[str]) -> bytes:
+    return "".join(characters).encode("ascii", "replace")

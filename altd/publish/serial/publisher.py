@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 
 from altd.config import SerialPort
@@ -72,7 +73,7 @@ class TelegramPublisher:
         elif not sent:
             self._component.say(State.DEGRADED, "the line does not take the telegrams: they are left out")
         else:
-            self._component.say(State.OK, f"telegram every {settings.interval_s:g} s on {describe(settings)}")
+            self._component.say(State.OK, telegram_message(settings))
         return sent
 
 
@@ -93,23 +94,36 @@ class ConsolePublisher:
         console = Console(self._board.read, self._health)
         async with opened(self._settings, limit=CONSOLE_WAITING, fresh=False) as port:
             ready()
-            self._component.say(State.OK, f"console on {describe(self._settings)}")
+            self._component.say(State.OK, console_message(self._settings))
             self._show(port, console.greet())
             waiting = b""
+            typed_ns = shown_ns = self._clock.monotonic_ns()
             while True:
-                waiting = waiting or await self._typed(port, console.watching_s)
+                rest_ns = _due_ns(typed_ns, console.waiting_s)
+                line_ns = _due_ns(shown_ns, console.watching_s)
+                waiting = waiting or await self._typed(port, min(rest_ns, line_ns))
                 typed, waiting = _first_line(waiting)
-                known = console.commands
-                self._show(port, console.feed(typed) if typed else console.tick())
-                self._component.count("commands", console.commands - known)
+                known, now_ns = console.commands, self._clock.monotonic_ns()
+                if typed:
+                    self._show(port, console.feed(typed))
+                    typed_ns = now_ns
+                elif now_ns >= rest_ns:
+                    self._show(port, console.rest())
+                if console.commands != known:
+                    self._component.count("commands", console.commands - known)
+                    shown_ns = now_ns
+                elif now_ns >= line_ns:
+                    self._show(port, console.tick())
+                    shown_ns = now_ns
                 if typed:
                     await asyncio.sleep(PAUSE_S)
 
-    async def _typed(self, port: Port, watching_s: float | None) -> bytes:
-        """What is typed next; nothing once the interval of ``watch`` is over."""
-        if watching_s is None:
+    async def _typed(self, port: Port, until_ns: float) -> bytes:
+        """What is typed next; nothing when nothing is until then."""
+        if until_ns == math.inf:
             return await port.read(limit=TURN_BYTES)
-        pause = asyncio.ensure_future(self._clock.sleep(watching_s))
+        left_ns = max(until_ns - self._clock.monotonic_ns(), 0)
+        pause = asyncio.ensure_future(self._clock.sleep(left_ns * 1e-9))
         try:
             return await port.read(until=pause, limit=TURN_BYTES)
         finally:
@@ -118,6 +132,21 @@ class ConsolePublisher:
     def _show(self, port: Port, text: bytes) -> None:
         if text and not port.write(text):
             self._component.count("answers_dropped")
+
+
+def telegram_message(settings: SerialPort) -> str:
+    """What health says of a port whose telegrams go out."""
+    return f"telegram every {settings.interval_s:g} s on {describe(settings)}"
+
+
+def console_message(settings: SerialPort) -> str:
+    """What health says of a port with a console."""
+    return f"console on {describe(settings)}"
+
+
+def _due_ns(since_ns: int, after_s: float | None) -> float:
+    """When something is due that comes so long after an instant; None: never."""
+    return math.inf if after_s is None else since_ns + round(after_s * 1e9)
 
 
 def _first_line(typed: bytes) -> tuple[bytes, bytes]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from altd.config import SerialPort
 from altd.publish.example import MEASURED
+from altd.publish.serial.advice import ADVICE
 from altd.publish.serial.examples import SPOT_LOST
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
@@ -17,7 +18,6 @@ from altd.publish.serial.telegram import (
     Sentence,
     encode,
 )
-from altd.publish.serial.words import ADVICE
 from altd.records import Measurement, Reason
 from altd.serial_port.port import seconds_on_line
 

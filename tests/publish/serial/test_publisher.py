@@ -6,11 +6,17 @@ import asyncio
 import contextlib
 import itertools
 import os
+import re
+import subprocess
+import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Self
 
 import pytest
-from support.clock import FakeClock
+from support.clock import FakeClock, stop
+from support.foreign import need_program
 from support.wire import Wire
 
 from altd.config import SerialPort
@@ -18,7 +24,9 @@ from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 from altd.publish.serial.telegram import parse
 from altd.records import Measurement
 from altd.service.board import Board
+from altd.service.clock import SystemClock
 from altd.service.health import Component, Health, State
+from hw_sim.demo_lines import Line
 
 GONE = "the port is gone"
 
@@ -216,3 +224,121 @@ class TestConsole:
             wire.hang_up()
             with pytest.raises(OSError, match=GONE):
                 await asyncio.wait_for(task, 1.0)
+
+    async def test_a_key_whose_bytes_come_apart_is_one_key(
+        self, wire: Wire, clock: FakeClock, publisher: ConsolePublisher
+    ) -> None:
+        async with serving(publisher):
+            await wire.receive(lambda data: data.endswith(b"> "))
+            for piece in (b"versionx", b"\x1b", b"[", b"D", b"\x1b[", b"3~"):
+                wire.send(piece)
+                await asyncio.sleep(0.04)
+                await clock.advance(0.1)
+            wire.send(b"\r")
+            assert b"altd 0.1.0" in await wire.receive(lambda data: data.endswith(b"\n> "))
+
+    async def test_escape_alone_is_over_after_a_moment(
+        self, wire: Wire, clock: FakeClock, publisher: ConsolePublisher
+    ) -> None:
+        async with serving(publisher):
+            await wire.receive(lambda data: data.endswith(b"> "))
+            wire.send(b"\x1b")
+            await asyncio.sleep(0.05)
+            await clock.advance(0.2)
+            wire.send(b"[x\r")
+            assert b"no command '[x'" in await wire.receive(lambda data: data.endswith(b"\n> "))
+
+    async def test_noise_neither_ends_nor_delays_the_lines_of_watch(
+        self, wire: Wire, board: Board, clock: FakeClock, measured: Measurement, publisher: ConsolePublisher
+    ) -> None:
+        board.publish(measured)
+        async with serving(publisher):
+            wire.send(b"watch 1\r")
+            await wire.receive(lines(4))
+            await asyncio.sleep(0.03)
+            for _ in range(10):
+                wire.send(b"\0\xfe")
+                await asyncio.sleep(0.03)
+                await clock.advance(0.3)
+            assert (await wire.receive(lines(3))).count(b"08:15:30.125") == 3
+            wire.send(b"\x1b[15~")
+            assert await wire.receive(lambda data: data.endswith(b"> ")) == b"> "
+
+
+class Picocom:
+    """The terminal program that the manual names, itself at a terminal of 24 lines."""
+
+    def __init__(self, device: Path) -> None:
+        self._program = need_program("picocom")
+        self.screen, near = os.openpty()
+        os.set_blocking(self.screen, False)
+        self._process = subprocess.Popen(
+            [self._program, "--quiet", "--noreset", "--baud", "9600", str(device)],
+            stdin=near,
+            stdout=near,
+            stderr=near,
+            start_new_session=True,
+        )
+        os.close(near)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.wait()
+        os.close(self.screen)
+
+    async def await_prompt(self) -> None:
+        """Press Enter until it and the line are there."""
+        seen = b""
+        async with asyncio.timeout(20.0):
+            while not seen.endswith(b"> "):
+                os.write(self.screen, b"\r")
+                await asyncio.sleep(0.3)
+                with contextlib.suppress(BlockingIOError):
+                    seen += os.read(self.screen, 65536)
+
+    async def press(self, keys: bytes, shown: bytes) -> bytes:
+        """Press keys one by one; gives what the screen got, once it ends so."""
+        seen = b""
+        async with asyncio.timeout(10.0):
+            for key in re.findall(rb"\x1b[O\[][0-9;]*[A-Za-z~]|.", keys, re.DOTALL):
+                os.write(self.screen, key)
+                await asyncio.sleep(0.03)
+            while not seen.endswith(shown):
+                await asyncio.sleep(0.01)
+                with contextlib.suppress(BlockingIOError):
+                    seen += os.read(self.screen, 65536)
+        return seen
+
+
+async def test_a_technician_at_a_real_terminal(
+    board: Board, health: Health, component: Component, measured: Measurement
+) -> None:
+    """The keys as xterm sends them, through picocom; the system's clock tells an escape from a key."""
+    board.publish(replace(measured, t_ns=time.monotonic_ns()))
+    with Line() as line:
+        carrying = asyncio.create_task(line.carry())
+        settings = SerialPort.model_validate({"device": line.unit_end, "speaks": "console"})
+        publisher = ConsolePublisher(settings, board, health, component, SystemClock())
+        async with serving(publisher):
+            with Picocom(line.far_end) as terminal:
+                await terminal.await_prompt()
+                edited = b"xeasure\x1b[Hm\x1b[3~\x1b[F\r"
+                assert b"10.012 mm" in await terminal.press(edited, b"\r\n> ")
+                assert b"10.012 mm" in await terminal.press(b"\x1b[A\r", b"\r\n> ")
+                for keys in (
+                    b"\x0c",
+                    b"\x1bOP",
+                    b"\x1b[15~",
+                    b"\x1b[5~",
+                    b"\0",
+                    b"\x1b[1;5D",
+                    b"\t",
+                    b"\xc3\xa4",
+                ):
+                    shown = await terminal.press(keys + b"\x05\x15version\r", b"\r\n> ")
+                    assert b"altd 0.1.0" in shown
+                    assert b"baud" not in shown
+        await stop(carrying)

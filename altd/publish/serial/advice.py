@@ -1,0 +1,167 @@
+"""What a reason means and what to do about it, by what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from altd.records import Fault, Reason
+from altd.service.health import MEASURING, Component, State
+from altd.service.seen import LEDS_LIT
+
+
+class Advice(NamedTuple):
+    """What is wrong, and what to do about it."""
+
+    means: str
+    remedy: str
+
+
+_CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
+_RIGHT_CAMERA = "swap the cameras' cables or put the old camera back"
+_NOT_LIVE = "do not steer by it"
+
+ADVICE: dict[Reason, Advice] = {
+    Reason.SPOT_MISSING: Advice(
+        "no laser spot", "switch the laser on and check that its beam enters the window"
+    ),
+    Reason.AMBIGUOUS: Advice(
+        "more than one spot", "look for reflections and other lasers or lamps in the window"
+    ),
+    Reason.SATURATED: Advice("the spot is overexposed", "shorten the exposure or take power off the laser"),
+    Reason.CUT_BY_EDGE: Advice(
+        "the spot is cut by the edge of the image", "bring the beam nearer to the middle"
+    ),
+    Reason.WRONG_SIZE: Advice(
+        "the spot has a wrong size", "clean the window and check the focus of the laser"
+    ),
+    Reason.WRONG_SHAPE: Advice("the spot has a wrong shape", _CLEAN_AND_LOOK),
+    Reason.DISTORTED: Advice(
+        "the spot is distorted", "clean the window, look for reflections and other light"
+    ),
+    Reason.CAMERA_SILENT: Advice("the camera delivers nothing", "check the camera's cable and supply"),
+    Reason.EXPOSURE_CHANGING: Advice(
+        "the exposure is being set anew", "wait a second; if it stays, look for light that flickers"
+    ),
+    Reason.FRAME_REPEATED: Advice("the camera repeats one picture", "unplug the camera and plug it in again"),
+    Reason.WRONG_CAMERA: Advice(
+        "not the calibrated camera", "check the cameras' cables and the calibration file"
+    ),
+    Reason.IMPLAUSIBLE: Advice(
+        "two maps of the target contradict each other", "load or make the calibration anew"
+    ),
+    Reason.OUT_OF_STEP: Advice("the cameras are out of step", "check the trigger of the cameras"),
+    Reason.OUT_OF_RANGE: Advice("outside the calibrated area", "bring the beam nearer to the middle"),
+    Reason.UNSTEADY: Advice("the spot moves too much", "wait until the machine stands, look for vibration"),
+    Reason.WARMING_UP: Advice("too few exposures so far", "wait some seconds"),
+    Reason.STALE: Advice("nothing new is measured", "look in `status` for the component that has stopped"),
+    Reason.CHECK_FAILED: Advice(
+        "numbers that cannot be", "restart the unit, check its config and calibration"
+    ),
+    Reason.EXPOSURES_LOST: Advice("exposures were lost", "if it stays, check the cameras' cables"),
+    Reason.PLAYBACK: Advice("a recording is played, this is NOT LIVE", _NOT_LIVE),
+    Reason.SIMULATED: Advice("frames or calibration are simulated, this is NOT LIVE", _NOT_LIVE),
+}
+"""Where no more was seen than the reason says."""
+
+_LEDS = Advice(
+    LEDS_LIT,
+    "they are dark while it measures: look for what lights them, `altd lamps on` or their wiring",
+)
+
+_SEEN: dict[Reason, dict[str, Advice]] = {
+    Reason.SPOT_MISSING: {
+        "too dim": Advice(
+            "the spot is too dim", "clean the window, give the laser more power or expose longer"
+        ),
+    },
+    Reason.AMBIGUOUS: {"two spots touch": Advice("the spot is double", _CLEAN_AND_LOOK)},
+    Reason.SATURATED: {
+        "whole frame": Advice(
+            "the whole picture is overexposed",
+            "keep daylight and lamps off the window or shorten the exposure",
+        ),
+    },
+    Reason.WRONG_SHAPE: {
+        "too little of it": Advice("too little is seen of the spot", "bring the beam nearer to the middle"),
+    },
+    Reason.DISTORTED: {
+        "mm wide": Advice("the spot is too wide", "check the focus of the laser and clean the window"),
+        "the spots differ": Advice(
+            "the spots of the targets are unlike",
+            "look for what stands in the beam, for reflections, and clean both targets",
+        ),
+        "light or view": Advice(
+            "the spot's place is uncertain",
+            "clean the window; if it stays, the camera has moved: calibrate anew",
+        ),
+    },
+    Reason.WRONG_CAMERA: {
+        "the picture lies": Advice("the camera's view has moved", "fasten the camera and calibrate anew"),
+        "hot pixels": Advice("another camera than was calibrated", _RIGHT_CAMERA),
+        "expected": Advice("another camera than was calibrated", _RIGHT_CAMERA),
+        "print": Advice("the camera looks at another target", "swap the cameras' cables or calibrate anew"),
+        "surface": Advice(
+            "the target looks otherwise than calibrated", "clean it; was it or the camera exchanged?"
+        ),
+    },
+    Reason.OUT_OF_STEP: {
+        "spot moves": Advice("one camera's pictures come late", "unplug the cameras and plug them in again"),
+    },
+    Reason.OUT_OF_RANGE: {
+        "the unit measures up to": Advice("the beam is too oblique", "turn the unit towards the beam"),
+    },
+}
+"""What the detail of a fault tells of its cause, by words of it; the tests have them from what makes them."""
+
+_ONE_TARGET_DARK = Advice(
+    "no laser spot", "the other target sees the laser: look for what covers this one or its camera"
+)
+_CAMERA_BELOW = Advice("the camera delivers nothing", "see the camera below")
+
+_CAMERA_REMEDIES = {
+    "not found": "is it plugged in, and has it power?",
+    "busy": "end the program that has it",
+    "lost": "check its cable and supply",
+    "refused": "check its table in the config",
+    "the driver does not return": "unplug it and plug it in again",
+    "no frame for": "check its trigger, cable and supply",
+    "exposure refused": "check its limits in the config",
+}
+"""By how the sentence begins that a camera's health says."""
+
+
+def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component] = ()) -> Advice:
+    """What is wrong and what to do, as far as the fault's detail, the others and the components tell."""
+    if fault.detail.startswith(LEDS_LIT):
+        return _LEDS
+    for words, known in _SEEN.get(fault.reason, {}).items():
+        if words in fault.detail:
+            return known
+    if fault.reason is Reason.SPOT_MISSING and {other.target for other in status} - {None} == {fault.target}:
+        return _ONE_TARGET_DARK
+    if fault.reason is Reason.CAMERA_SILENT and any(map(is_ill_camera, components)):
+        return _CAMERA_BELOW
+    return ADVICE[fault.reason]
+
+
+def is_ill_camera(component: Component) -> bool:
+    """Whether it is a camera that does not deliver as it should."""
+    return component.name.startswith("camera ") and component.state not in (State.OK, State.STARTING)
+
+
+def component_steps(components: Iterable[Component], status: Iterable[Fault]) -> Iterable[str]:
+    """What is wrong with components, and what to do.
+
+    How ``measuring`` is, the status says in other words.
+    """
+    told = any(status)
+    for component in components:
+        ill = component.state in (State.FAILED, State.DEGRADED) or is_ill_camera(component)
+        if not ill or (component.name == MEASURING and told):
+            continue
+        message = component.message
+        remedy = next((does for words, does in _CAMERA_REMEDIES.items() if message.startswith(words)), "")
+        yield f"{component.name} {component.state}: {message or 'no more is known'}" + (
+            f": {remedy}" if remedy and is_ill_camera(component) else ""
+        )

@@ -1,0 +1,137 @@
+"""The remedy is for the cause that was seen: what a fault's detail says, from the code that says it."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.clock import FakeClock
+from support.frames import Blob, frame, light
+
+import altd
+from altd.gate import range_fault
+from altd.publish.serial.advice import _SEEN, ADVICE, advice, component_steps
+from altd.records import Beam, CameraIdentity, Fault, NoSpot, Reason
+from altd.service.health import MEASURING, Health, State
+from altd.service.seen import LEDS_LIT, told_from_leds
+from altd.spot_shape import unlike_a_laser
+from altd.vision.leds import lit_leds
+from altd.vision.localise import locate
+
+LEDS = np.array([(100.0, 60.0), (376.0, 60.0), (650.0, 60.0), (100.0, 420.0), (376.0, 420.0), (650.0, 420.0)])
+
+
+def remedy_of(spot: object, *others: Fault) -> str:
+    assert isinstance(spot, NoSpot), spot
+    fault = spot.fault("front")
+    return advice(fault, [fault, *others]).remedy
+
+
+def seen(*blobs: Blob, background: float = 8.0) -> object:
+    return locate(frame(light(*blobs), np.random.default_rng(1), background=background))
+
+
+def test_no_spot_is_looked_for_where_it_was_lost() -> None:
+    dark = seen()
+    assert "switch the laser on" in remedy_of(dark, Fault(Reason.SPOT_MISSING, "rear"))
+    assert "switch the laser on" in remedy_of(dark, Fault(Reason.CAMERA_SILENT, "rear"))
+    assert "the other target sees the laser" in remedy_of(dark)
+    assert "the other target sees the laser" in remedy_of(dark, Fault(Reason.SIMULATED))
+
+
+def test_a_second_spot_is_a_reflection_or_another_laser() -> None:
+    assert "other lasers" in remedy_of(seen(Blob(200, 200), Blob(500, 300)))
+
+
+def test_a_flooded_picture_is_not_the_laser() -> None:
+    assert "daylight" in remedy_of(seen(background=255.0))
+    assert "take power off the laser" in remedy_of(seen(Blob(300, 200, peak=3000.0)))
+
+
+def test_leds_that_shine_at_their_places_are_told_from_other_lasers() -> None:
+    discs = [Blob(u_px, v_px, 40.0, peak=140.0) for u_px, v_px in LEDS]
+    for blobs in (discs, [*discs, Blob(300, 200)], discs[:3]):
+        picture = frame(light(*blobs), np.random.default_rng(1))
+        spot = locate(picture)
+        assert isinstance(spot, NoSpot)
+        lit = lit_leds(picture, LEDS)
+        assert lit == sum(blob.diameter_px == 40.0 for blob in blobs)
+        told = told_from_leds(spot, lit, len(LEDS))
+        assert (told.reason, told.detail) == (spot.reason, f"{LEDS_LIT}, {lit} of 6 shine at their places")
+        assert "look for what lights them" in remedy_of(told)
+
+
+def test_light_that_is_no_led_is_not_taken_for_them() -> None:
+    """Two spots elsewhere; one of two on an LED's place; one flood over all of their places."""
+    for blobs in (
+        [Blob(200, 200), Blob(500, 300)],
+        [Blob(100, 60), Blob(500, 300)],
+        [Blob(376, 240, 2500.0, 1500.0, peak=200.0)],
+    ):
+        picture = frame(light(*blobs), np.random.default_rng(1))
+        refused = NoSpot(Reason.AMBIGUOUS, "as found")
+        assert told_from_leds(refused, lit_leds(picture, LEDS), len(LEDS)) is refused
+
+
+def test_a_beam_that_is_too_oblique_is_not_brought_to_the_middle() -> None:
+    fault = range_fault(Beam(0.0, 0.0, 9.0, 0.0, 0.01, 0.01, 0.001, 0.001))
+    assert fault is not None
+    assert advice(fault, [fault]) == ("the beam is too oblique", "turn the unit towards the beam")
+
+
+def test_another_camera_is_told_from_one_that_has_moved() -> None:
+    difference = CameraIdentity("F-2").difference_from(CameraIdentity("F-1"))
+    other = Fault(Reason.WRONG_CAMERA, "front", f"{difference} as calibrated or configured")
+    assert "put the old camera back" in advice(other, [other]).remedy
+    moved = Fault(
+        Reason.WRONG_CAMERA, "front", "the picture lies u +2.00 v +0.00 px from where it was calibrated"
+    )
+    assert "calibrate anew" in advice(moved, [moved]).remedy
+
+
+def test_a_spot_that_is_too_wide_is_one_of_focus() -> None:
+    wide = unlike_a_laser(np.array([np.log(20.0), 0.0, 0.0, 1.0]), None)
+    fault = Fault(Reason.DISTORTED, "front", wide)
+    assert "focus" in advice(fault, [fault]).remedy
+
+
+def test_every_cause_that_is_known_is_still_told_by_somebody() -> None:
+    """The words are those of some sentence in altd, beside the table itself."""
+    sentences = " ".join(
+        node.value
+        for path in Path(altd.__file__).parent.rglob("*.py")
+        if path.name != "advice.py"
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+    assert {words for known in _SEEN.values() for words in known if words not in sentences} == set()
+
+
+def test_every_reason_has_its_advice() -> None:
+    assert set(ADVICE) == set(Reason)
+
+
+@pytest.mark.parametrize(
+    ("state", "message", "remedy"),
+    [
+        (State.FAILED, "not found: /dev/video7; trying again", "is it plugged in, and has it power?"),
+        (State.FAILED, "busy: /dev/video7; trying again", "end the program that has it"),
+        (State.FAILED, "refused: no Y10; trying again", "check its table in the config"),
+        (State.DEGRADED, "no frame for 6.0 s", "check its trigger, cable and supply"),
+        (State.DEGRADED, "the driver does not return; no frame for 2.0 s", "unplug it and plug it in again"),
+        (State.ENDED, "the recording is at its end", None),
+    ],
+)
+def test_a_silent_camera_is_mended_by_what_its_health_says(
+    state: State, message: str, remedy: str | None
+) -> None:
+    health = Health(FakeClock())
+    health.component("camera rear").say(state, message)
+    health.component(MEASURING).say(State.DEGRADED, "front: spot at u 1 v 2 px; rear: camera_silent")
+    status = [Fault(Reason.CAMERA_SILENT, "rear", "no frame comes")]
+    assert advice(status[0], status, health).remedy == "see the camera below"
+    (step,) = component_steps(health, status)
+    assert step == f"camera rear {state}: {message}" + (f": {remedy}" if remedy else "")
+    assert advice(status[0], status).remedy == "check the camera's cable and supply"
