@@ -167,8 +167,8 @@ def _version(console: Console) -> str:
 
 def _leave(_: Console) -> str:
     return (
-        "there is nothing to leave: nobody is logged in here, and the unit goes on measuring.\n"
-        "Close your terminal program: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
+        "there is nothing to leave: nobody is logged in, and the unit measures on.\n"
+        "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
     )
 
 

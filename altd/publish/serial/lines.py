@@ -19,7 +19,7 @@ class BadLine(Enum):
     """A line that is not worth reading, with what to tell the person."""
 
     TOO_LONG = f"line too long: at most {LONGEST_LINE} characters"
-    STRAY = "not plain ASCII: type the line again, or check the terminal's parity"
+    STRAY = "not plain ASCII: type it anew or check the parity"
     NO_TEXT = "that was no text: wrong baud rate or parity?"
 
 

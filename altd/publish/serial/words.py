@@ -88,21 +88,23 @@ def _reason_lines(status: Sequence[Fault]) -> list[str]:
     lines = []
     for fault in status:
         means, remedy = advice(fault, status)
-        lines.append(_hanging("", f"{_named(fault, means)}: {remedy}", 2))
+        lines.append(
+            _hanging("", f"{_of_targets([fault.target] if fault.target else [])}{means}: {remedy}", 2)
+        )
         if fault.detail:
             lines.append(_hanging("", fault.detail, 4))
     return lines
-
-
-def _named(fault: Fault, means: str) -> str:
-    return f"{fault.target} target: {means}" if fault.target else means
 
 
 def _measuring(measurement: Measurement | None, components: Sequence[Component]) -> str:
     if measurement is None:
         return "NO, nothing was measured so far"
     status = measurement.status
-    reasons = "; ".join(_named(fault, advice(fault, status, components).means) for fault in status)
+    targets: dict[str, list[str]] = {}
+    for fault in status:
+        means = advice(fault, status, components).means
+        targets.setdefault(means, []).extend(filter(None, [fault.target]))
+    reasons = "; ".join(f"{_of_targets(of)}{means}" for means, of in targets.items())
     if measurement.valid:
         return f"yes, but {reasons}" if reasons else "yes"
     return f"NO: {reasons}"
@@ -122,15 +124,22 @@ def _remarks(component: Component) -> str:
 
 def _what_to_do(measurement: Measurement | None, components: Sequence[Component]) -> list[str]:
     status = measurement.status if measurement else ()
-    steps = []
+    targets: dict[tuple[str, str], list[str]] = {}
     for fault in status:
         means, remedy = advice(fault, status, components)
-        seen = f" ({fault.detail})" if fault.detail and fault.detail not in means else ""
-        steps.append(f"{_named(fault, means)}{seen}: {remedy}")
+        seen = fault.detail.removeprefix(means).lstrip(", ")
+        told = (f"{means} ({seen})" if seen else means), remedy
+        targets.setdefault(told, []).extend(filter(None, [fault.target]))
+    steps = [f"{_of_targets(of)}{told}: {remedy}" for (told, remedy), of in targets.items()]
     steps += component_steps(components, status)
     if not steps:
         return ["nothing is wrong" if measurement else _NO_MEASUREMENT]
     return ["what is wrong, and what to do:", *(_hanging("  -", step, 4) for step in steps)]
+
+
+def _of_targets(targets: Sequence[str]) -> str:
+    """The targets that something concerns, before what it is; empty: the whole unit."""
+    return f"{' and '.join(targets)} target{'s' * (len(targets) > 1)}: " if targets else ""
 
 
 def _hanging(name: str, text: str, indent: int) -> str:

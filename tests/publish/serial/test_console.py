@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from altd.publish.serial.console import COMMANDS, MORE, PROMPT, Console
 from altd.publish.serial.examples import MEASURED, SPOT_LOST, health
+from altd.publish.serial.words import WIDTH
 from altd.records import Fault, Measurement, Reason
 from altd.service.health import MEASURING, Health, State
+from altd.service.seen import LEDS_LIT
 
 
 def console(measurement: Measurement | None = MEASURED) -> Console:
@@ -120,11 +122,11 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
     )
     text = unit.feed(b"status\r").decode().replace("\r\n", "\n")
     assert "serial       ALT-0007" in text
-    assert "measuring    NO: front target: no laser spot; rear target: no laser spot" in text
+    assert "measuring    NO: front and rear targets: no laser spot" in text
     assert "\ncamera rear        FAILED    0.0 s\n" in text
     one_line = re.sub(r"\s+", " ", text)
     assert (
-        " - front target: no laser spot (nothing stands out of the background): switch the laser on and"
+        " - front and rear targets: no laser spot (nothing stands out of the background): switch the laser on"
         in one_line
     )
     assert (
@@ -178,6 +180,27 @@ def test_a_question_mark_helps_and_version_tells(line: str, told: str) -> None:
 def test_who_wants_to_leave_learns_how(line: str) -> None:
     assert answer(line)[0].startswith("there is nothing to leave")
     assert "picocom Ctrl-A Ctrl-X" in answer(line)[1]
+
+
+@pytest.mark.parametrize("line", [*COMMANDS, "wat", "status x", "\xe4", "\xc3\xa4", "x" * 99])
+def test_no_answer_is_cut_at_the_edge_of_the_screen(line: str) -> None:
+    unit = Console(lambda: SPOT_LOST, health())
+    shown = unit.feed(line.encode("latin-1") + b"\r").split(b"\r\n")
+    assert max(map(len, shown)) < WIDTH
+
+
+def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step() -> None:
+    lit = Fault(Reason.AMBIGUOUS, "front", f"{LEDS_LIT}, 6 of 6 shine at their places")
+    unit = Console(lambda: replace(SPOT_LOST, status=(lit, replace(lit, target="rear"))), health())
+    told = " ".join(unit.feed(b"status\r").decode().split())
+    assert (
+        told.count("- front and rear targets: the frame LEDs are lit (6 of 6 shine at their places): ") == 1
+    )
+    other = replace(lit, target="rear", detail=f"{LEDS_LIT}, 3 of 6 shine at their places")
+    unit = Console(lambda: replace(SPOT_LOST, status=(lit, other)), health())
+    told = " ".join(unit.feed(b"status\r").decode().split())
+    assert "- front target: the frame LEDs are lit (6 of 6" in told
+    assert "- rear target: the frame LEDs are lit (3 of 6" in told
 
 
 def test_status_takes_no_other_word() -> None:
