@@ -114,10 +114,14 @@ def _parser() -> Parser:
         "locate", help="find the spot in images by two localisers; one JSON object an image"
     )
     locate.add_argument("images", type=Path, nargs="+", metavar="IMAGE")
+    locate.add_argument("--format", choices=("jsonl", "csv"), default="jsonl", help="(jsonl)")
 
     mapping = commands.add_parser("map", help="px to mm: reads 'u v' lines")
     mapping.add_argument("--calibration", type=Path, required=True, metavar="FILE")
     mapping.add_argument("--target", required=True, metavar="NAME")
+    mapping.add_argument(
+        "--format", choices=("jsonl", "csv"), help="without: 'x_mm y_mm sigma_x_mm sigma_y_mm'"
+    )
 
     check = commands.add_parser("check-config", help="say whether a config can be used")
     check.add_argument("config", type=Path, nargs="?", metavar="FILE", help=f"({DEFAULT_CONFIG})")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import json
 import logging
 import os
 import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -21,7 +20,6 @@ import cv2
 from altd.endings import EndedBySignal, until_signal
 from altd.errors import BadInputError
 from altd.logs import logging_to_stderr
-from altd.records import Frame, Spot
 from altd.standard_streams import complain
 
 if TYPE_CHECKING:  # a command imports what it needs and no more
@@ -31,9 +29,6 @@ if TYPE_CHECKING:  # a command imports what it needs and no more
     from altd.service.scan import Scanner
 
 log = logging.getLogger("altd")
-
-_LONGEST_LINE = 1000
-"""Bytes of two numbers, and more."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -275,72 +270,17 @@ def _lamps(options: argparse.Namespace) -> int:
 
 
 def _locate(options: argparse.Namespace) -> int:
-    from altd.vision.localise import locate, locate_ellipse
+    from altd.answers.locate import answer
 
-    frames = [(path, _frame(path)) for path in options.images]
-    for path, frame in frames:
-        spot = locate(frame)
-        second = locate_ellipse(frame) if isinstance(spot, Spot) else None
-        answer: dict[str, object] = {"image": str(path)}
-        if isinstance(spot, Spot):
-            answer |= {
-                "u_px": round(spot.u_px, 4),
-                "v_px": round(spot.v_px, 4),
-                "sigma_px": round(spot.sigma_px, 4),
-                "diameter_px": round(spot.diameter_px, 2),
-                "peak": round(spot.peak, 1),
-            }
-        else:
-            answer |= dict.fromkeys(("u_px", "v_px", "sigma_px", "diameter_px", "peak"))
-            answer |= {"reason": str(spot.reason), "detail": spot.detail}
-        answer |= {
-            "ellipse_u_px": None if second is None else round(second.u_px, 4),
-            "ellipse_v_px": None if second is None else round(second.v_px, 4),
-            "ellipse_sigma_px": None if second is None else round(second.sigma_px, 4),
-        }
-        print(json.dumps(answer))
-    return 0
-
-
-def _frame(path: Path) -> Frame:
-    from altd.files.picture import read_picture
-
-    pixels = read_picture(path)
-    return Frame(path.name, 0, 0, pixels, 8 * pixels.dtype.itemsize)
+    return answer(options.images, options.format, lambda line: complain(f"altd locate: {line}"))
 
 
 def _map(options: argparse.Namespace) -> int:
-    from altd.calibration.file import load_calibration
-    from altd.records import Reason
+    from altd.answers.map import answer
 
-    target = load_calibration(options.calibration).target(options.target)
-    if target is None:
-        raise BadInputError(options.calibration, f"does not know target {options.target!r}")
-    for number, line in enumerate(_lines_of_input(), start=1):
-        fields = line.split()
-        if not fields:
-            continue
-        try:
-            u_px, v_px = (float(field) for field in fields)
-        except ValueError as error:
-            got = line.decode(errors="backslashreplace").strip()
-            raise BadInputError(f"stdin: line {number}", f"expected 'u v', got {got!r}") from error
-        point = target.point(u_px, v_px)
-        if point is None:
-            print(f"invalid {Reason.OUT_OF_RANGE}")
-        elif target.implausible(point, u_px, v_px):
-            print(f"invalid {Reason.IMPLAUSIBLE}")
-        else:
-            sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
-            print(f"{point.x_mm:.5f} {point.y_mm:.5f} {sigma_x_mm:.5f} {sigma_y_mm:.5f}")
-    return 0
-
-
-def _lines_of_input() -> Iterator[bytes]:
-    try:
-        yield from iter(lambda: sys.stdin.buffer.readline(_LONGEST_LINE), b"")
-    except OSError as error:  # closed, or a folder
-        raise BadInputError("stdin", error.strerror or "cannot be read") from error
+    return answer(
+        options.calibration, options.target, options.format, lambda line: complain(f"altd map: {line}")
+    )
 
 
 def _check_config(options: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -57,6 +58,35 @@ def as_object(measurement: Measurement) -> dict[str, Any]:
     }
 
 
+def as_scan_object(measurement: Measurement, known_mm: tuple[float, float]) -> dict[str, Any]:
+    """The same of a scan, where the stage put the beam at (x, y) mm on every target: with the difference.
+
+    ``known_x_mm``, ``known_y_mm``, and measured minus known as ``dx_mm``, ``dy_mm``, of the displacement
+    and of each target.
+    """
+    of_beam = as_object(measurement)
+    known = {f"known_{axis}_mm": round(value, MM_DIGITS) for axis, value in zip("xy", known_mm, strict=True)}
+    beam, points_mm = measurement.beam, measurement.points_mm
+    displacement_mm = None if beam is None else (beam.x_mm, beam.y_mm)
+    for target, point in points_mm.items():
+        of_beam[target] |= _difference(point, known_mm)
+    return of_beam | known | _difference(displacement_mm, known_mm)
+
+
+def _difference(
+    measured_mm: tuple[float, float] | None, known_mm: tuple[float, float]
+) -> dict[str, float | None]:
+    if measured_mm is None:
+        return {"dx_mm": None, "dy_mm": None}
+    x_mm, y_mm = measured_mm
+    return {"dx_mm": round(x_mm - known_mm[0], MM_DIGITS), "dy_mm": round(y_mm - known_mm[1], MM_DIGITS)}
+
+
 def as_line(measurement: Measurement) -> str:
     """The measurement as one line of JSON, without the line end; NaN is refused, not written."""
-    return json.dumps(as_object(measurement), allow_nan=False)
+    return line_of(as_object(measurement))
+
+
+def line_of(document: Mapping[str, object]) -> str:
+    """Plain JSON types as one line of JSON, without the line end; NaN is refused, not written."""
+    return json.dumps(document, allow_nan=False)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from support import evidence
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal, unreadable, write_config
 from support.devices import full_device
 from support.pngs import png
 from support.recordings import write_beams, write_scan
@@ -97,7 +97,7 @@ def test_what_is_no_file_in_place_of_a_frame(spoil: Callable[[Path], None], copy
     frame = copy / "beams" / "rear0001.png"
     why = NO_FILES[spoil]
     spoil(frame)
-    assert why in refusal(altd("locate", frame))
+    assert why in unreadable(altd("locate", frame))
     outcome = altd("replay", copy / "beams", "--calibration", copy / "cal.json")
     assert outcome.status == 2
     assert "frames.csv: row 5: rear0001.png: " in outcome.err
@@ -109,7 +109,7 @@ def test_what_is_no_file_in_place_of_a_frame(spoil: Callable[[Path], None], copy
 def test_a_picture_that_claims_to_be_huge(picture: bytes, copy: Path) -> None:
     frame = copy / "beams" / "rear0001.png"
     frame.write_bytes(picture)
-    assert "more than 268435456 pixels" in refusal(altd("locate", frame))
+    assert "more than 268435456 pixels" in unreadable(altd("locate", frame))
     assert "frames.csv: row 5: rear0001.png is" in refusal(
         altd("replay", copy / "beams", "--calibration", copy / "cal.json")
     )

@@ -46,6 +46,15 @@ def refusal(outcome: Outcome) -> str:
     return lines[0]
 
 
+def unreadable(outcome: Outcome) -> str:
+    """The one line on stderr about an image that cannot be read; it has a row too, which gives the reason."""
+    assert outcome.status == 2, outcome
+    assert [row["reason"] for row in outcome.objects].count("unreadable") == 1
+    lines = outcome.err.splitlines()
+    assert len(lines) == 1, outcome.err
+    return lines[0]
+
+
 def refusal_of(*arguments: object, capsys: pytest.CaptureFixture[str]) -> str:
     """The one line of a command that refuses its input, without a process of its own."""
     status = main([str(argument) for argument in arguments])

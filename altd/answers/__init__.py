@@ -1,0 +1,1 @@
+"""What ``replay``, ``locate`` and ``map`` answer, on standard output or into a file."""

@@ -1,0 +1,103 @@
+"""``altd map``: places in the picture, px, to places on a target, mm."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+from altd.calibration.file import load_calibration
+from altd.calibration.model import TargetCalibration
+from altd.errors import BadInputError
+from altd.records import Reason
+from altd.tables.columns import POINT_COLUMNS, Row
+from altd.tables.text import TEXT_FORMATS, TextFormat
+
+UNREADABLE = "unreadable"
+_MAX_LINE_BYTES = 1000
+"""Of two numbers, and more."""
+_NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+_DIGITS = 5
+
+
+class _Table(Protocol):
+    def add(self, row: Row) -> None:
+        """Write a row."""
+
+
+class _PlainTable:
+    """``x_mm y_mm sigma_x_mm sigma_y_mm`` or ``invalid REASON`` a line: the usual output."""
+
+    def add(self, row: Row) -> None:
+        if row.get("reason") is not None:
+            sys.stdout.write(f"invalid {row['reason']}\n")
+        else:
+            numbers = (row[name] for name in ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"))
+            sys.stdout.write(" ".join(f"{value:.{_DIGITS}f}" for value in numbers) + "\n")
+
+
+def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
+    """A row for each line ``u v`` of standard input that is not blank; the exit status.
+
+    That is 2 when a line is no ``u v``; it has a row too, so that rows match lines, and ``complain`` is told.
+    Raises BadInputError when the calibration cannot be used.
+    """
+    target = load_calibration(calibration).target(name)
+    if target is None:
+        raise BadInputError(calibration, f"does not know target {name!r}")
+    if target.simulated:
+        complain(f"{calibration}: {name} was calibrated from SIMULATED frames")
+    table: _Table = _PlainTable() if form is None else TEXT_FORMATS[form](sys.stdout.write, POINT_COLUMNS)
+    status = 0
+    for number, line in enumerate(_lines_of_input(), start=1):
+        if not line.strip():
+            continue
+        row: Row = {"line": number, "origin": "simulated" if target.simulated else "camera"}
+        place = _place(line)
+        if place is None:
+            got = line.decode(errors="backslashreplace").strip()
+            complain(f"stdin: line {number}: expected 'u v', got {got[:60]!r}")
+            table.add({**row, "reason": UNREADABLE})
+            status = 2
+        else:
+            table.add({**row, **_point(target, *place)})
+    return status
+
+
+def _point(target: TargetCalibration, u_px: float, v_px: float) -> Row:
+    given: Row = {"u_px": u_px, "v_px": v_px}
+    point = target.point(u_px, v_px)
+    if point is None:
+        return {**given, "reason": str(Reason.OUT_OF_RANGE)}
+    if target.implausible(point, u_px, v_px):
+        return {**given, "reason": str(Reason.IMPLAUSIBLE)}
+    sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
+    return {
+        **given,
+        "x_mm": round(point.x_mm, _DIGITS),
+        "y_mm": round(point.y_mm, _DIGITS),
+        "sigma_x_mm": round(sigma_x_mm, _DIGITS),
+        "sigma_y_mm": round(sigma_y_mm, _DIGITS),
+    }
+
+
+def _place(line: bytes) -> tuple[float, float] | None:
+    """Two finite numbers with white space between them; Python's own reading takes more: 1_000, nan."""
+    fields = line.split()
+    if len(fields) != 2 or not all(_NUMBER.fullmatch(field) for field in fields):
+        return None
+    u_px, v_px = map(float, fields)
+    return None if max(abs(u_px), abs(v_px)) == float("inf") else (u_px, v_px)
+
+
+def _lines_of_input() -> Iterator[bytes]:
+    """The lines, of each not more than its first so many bytes and one."""
+    try:
+        while line := sys.stdin.buffer.readline(_MAX_LINE_BYTES + 1):
+            yield line
+            while len(line) > _MAX_LINE_BYTES and not line.endswith(b"\n"):
+                line = sys.stdin.buffer.readline(_MAX_LINE_BYTES + 1)
+    except OSError as error:  # closed, or a folder
+        raise BadInputError("stdin", error.strerror or "cannot be read") from error

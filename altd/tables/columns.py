@@ -1,0 +1,135 @@
+"""The columns of the tables: their names, types, units and meanings. ``docs/tables.md`` is made from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+Value = int | float | bool | str | None
+"""What a cell holds; None: not known."""
+Row = Mapping[str, Value]
+"""Values by the names of their columns."""
+
+
+class Type(StrEnum):
+    """What the values of a column are."""
+
+    WHOLE = "whole number"
+    NUMBER = "number"
+    TRUTH = "true or false"
+    TEXT = "text"
+    TIME = "time"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A name that ends in the unit, where there is one."""
+
+    name: str
+    type: Type
+    unit: str
+    meaning: str
+
+
+def number(name: str, meaning: str) -> Column:
+    """A column of numbers, whose name tells their unit."""
+    return Column(name, Type.NUMBER, _unit(name), meaning)
+
+
+def text(name: str, meaning: str) -> Column:
+    """A column of text."""
+    return Column(name, Type.TEXT, "", meaning)
+
+
+_UNITS = {"_mm_per_m": "mm/m", "_mm": "mm", "_deg": "°", "_px": "px", "_s": "s"}
+
+
+def _unit(name: str) -> str:
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
+
+
+_BEAM = {
+    "x_mm": "displacement of the beam at the front target, to the right as seen along the beam",
+    "y_mm": "the same, upwards",
+    "yaw_deg": "direction of the beam, atan of its slope in x",
+    "pitch_deg": "atan of its slope in y",
+    "yaw_mm_per_m": "1000 times the slope in x",
+    "pitch_mm_per_m": "1000 times the slope in y",
+    "roll_deg": "a beam cannot show it: empty unless an inclinometer is fitted",
+}
+
+
+def measurement_columns(targets: Sequence[str], of_scan: bool) -> tuple[Column, ...]:
+    """The columns of a table of measurements, of which ``flat_row`` makes the rows."""
+    columns = [
+        Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
+        Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
+        number("t_s", "the same instant since the recording's start"),
+        Column("frames", Type.WHOLE, "", "exposures that were averaged"),
+        Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
+        text("status", "reasons and warnings, codes with a space between them; empty: nothing to say"),
+        *(number(name, meaning) for name, meaning in _BEAM.items()),
+        *(
+            number(f"sigma_{name}", f"standard deviation of {name}")
+            for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+        ),
+    ]
+    for target in targets:
+        columns += [
+            number(f"{target}_{axis}_mm", f"where the beam meets the target {target}") for axis in "xy"
+        ]
+    if of_scan:
+        columns += [
+            number(f"known_{axis}_mm", "where the stage put the beam, on every target") for axis in "xy"
+        ]
+        columns += [number(f"d{axis}_mm", f"{axis}_mm − known_{axis}_mm") for axis in "xy"]
+        for target in targets:
+            columns += [
+                number(f"{target}_d{axis}_mm", f"{target}_{axis}_mm − known_{axis}_mm") for axis in "xy"
+            ]
+    return tuple(columns)
+
+
+def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:
+    """A measurement's object as a row: ``sigma.x_mm`` is ``sigma_x_mm``, ``front.x_mm`` is ``front_x_mm``."""
+    row: dict[str, Value] = {}
+    for key, value in document.items():
+        if isinstance(value, Mapping):
+            row |= {f"{key}_{inner}": of_inner for inner, of_inner in value.items()}
+        elif isinstance(value, list):
+            row[key] = " ".join(value)
+        else:
+            row[key] = value
+    return row
+
+
+SPOT_COLUMNS = (
+    text("image", "the file as it was named"),
+    number("u_px", "place of the spot, to the right from the centre of the first pixel"),
+    number("v_px", "the same, downwards"),
+    number("sigma_px", "what read and shot noise do to the place, one standard deviation an axis"),
+    number("diameter_px", "1/e² diameter"),
+    Column("peak", Type.NUMBER, "counts", "brightness over the background"),
+    text("reason", "why there is no spot; `unreadable`: there is no picture"),
+    text("detail", "the same in words"),
+    number("ellipse_u_px", "where the second localiser sees it"),
+    number("ellipse_v_px", "the same, downwards"),
+    number("ellipse_sigma_px", "what noise does to that place"),
+    text("doubt", "why the place is doubtful, in words; empty: it is not"),
+)
+"""Of ``altd locate``, in the order of its JSON objects."""
+
+POINT_COLUMNS = (
+    Column("line", Type.WHOLE, "", "number of the line that was read"),
+    number("u_px", "what was read"),
+    number("v_px", "the same"),
+    number("x_mm", "where the beam meets the target"),
+    number("y_mm", "the same"),
+    number("sigma_x_mm", "what the map, print and speckle leave uncertain"),
+    number("sigma_y_mm", "the same"),
+    text("reason", "why there is no place; `unreadable`: the line is no `u v`"),
+    text("origin", "`camera`, or `simulated`: of the frames that the calibration was made from"),
+)
+"""Of ``altd map``."""
