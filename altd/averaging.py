@@ -54,6 +54,12 @@ class ExposureWindow:
         """Drop the exposures that came before a gap; the count to the next mean goes on."""
         self._exposures.clear()
 
+    def begin(self, window: int | None = None) -> None:
+        """Drop all exposures and count to the next mean anew, from now on over ``window`` exposures."""
+        self._window = window or self._window
+        self._exposures = deque(maxlen=self._window)
+        self._since_mean = 0
+
 
 def mean_spots(
     exposures: Sequence[Exposure], targets: tuple[str, ...], window: int

@@ -78,11 +78,16 @@ def _parser() -> Parser:
     calibrate.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
     calibrate.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
 
-    replay = commands.add_parser("replay", help="measure a recording; one JSON object a line")
+    replay = commands.add_parser("replay", help="measure a recording: a JSON object a line, a table, a plot")
     replay.add_argument("recording", type=Path, metavar="RECORDING")
     replay.add_argument("--calibration", type=Path, required=True, metavar="FILE")
-    replay.add_argument("--window", type=_count, default=20, metavar="N", help="exposures averaged (20)")
-    replay.add_argument("--every", type=_count, default=1, metavar="N", help="a line after so many (1)")
+    replay.add_argument(
+        "--window", type=_count, metavar="N", help="exposures averaged (20; of a scan all of a node)"
+    )
+    replay.add_argument("--every", type=_count, metavar="N", help="a line after so many (1)")
+    replay.add_argument("--format", choices=("jsonl", "csv", "parquet"), default="jsonl", help="(jsonl)")
+    replay.add_argument("-o", "--output", type=Path, metavar="FILE", help="into a file instead of on stdout")
+    replay.add_argument("--plot", type=Path, metavar="FILE", help="values over time and reasons, as SVG")
 
     record = commands.add_parser("record", help="keep frames for replay")
     _add_config(record)

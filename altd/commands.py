@@ -157,10 +157,20 @@ def _report(options: argparse.Namespace, recording: Recording, result: Calibrati
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from altd.replay import replay
+    from altd.answers.replay import Question, answer
 
-    for line in replay(options.recording, options.calibration, options.window, options.every):
-        print(line, flush=sys.stdout.isatty())
+    question = Question(
+        options.recording,
+        options.calibration,
+        options.window,
+        options.every,
+        options.format,
+        options.output,
+        options.plot,
+    )
+    into_file = options.output is not None
+    progress = _progress("frames") if into_file else lambda done, total: None
+    answer(question, lambda line: complain(f"altd replay: {line}"), progress)
     return 0
 
 

@@ -52,6 +52,17 @@ COMMANDS = {
         frozenset({"cal.json"}),
     ),
     "replay": Command("replay {beams} --calibration {cal}", FRAME),
+    "replay's lines": Command("replay {beams} --calibration {cal} -o t.jsonl", FRAME),
+    "replay's csv": Command("replay {scan} --calibration {cal} --format csv -o t.csv", FRAME),
+    "replay's csv on standard output": Command("replay {beams} --calibration {cal} --format csv", FRAME),
+    "replay's parquet": Command("replay {beams} --calibration {cal} --format parquet -o t.parquet", FRAME),
+    "replay's parquet, at its footer": Command(
+        "replay {beams} --calibration {cal} --format parquet -o t.parquet",
+        "altd.tables.parquet:ParquetTable.__exit__ 1",
+    ),
+    "replay's plot": Command(
+        "replay {beams} --calibration {cal} --format csv -o t.csv --plot p.svg", "altd.answers.plot:svg 1"
+    ),
     "record": Command(
         "record --config {config} -o kept --seconds 60",
         "altd.recording:RecordingWriter.write 7",
@@ -74,6 +85,13 @@ COMMANDS = {
     "locate": Command(
         "locate {beams}/front0000.png {beams}/rear0000.png", "altd.files.picture:read_picture 2"
     ),
+    "locate's table": Command(
+        "locate --format csv {beams}/front0000.png {beams}/rear0000.png", "altd.files.picture:read_picture 2"
+    ),
+    "map's table": Command(
+        "map --calibration {cal} --target rear --format csv",
+        "altd.calibration.model:TargetCalibration.point 2",
+    ),
     "map": Command(
         "map --calibration {cal} --target rear", "altd.calibration.model:TargetCalibration.point 2"
     ),
@@ -92,9 +110,14 @@ DONE = {
     "calibrate": (0, "", {"cal.json"}),
     "calibrate's report": (0, "", {"cal.json", "rep"}),
     "replay": (0, "", set()),
+    "replay's lines": (0, "", {"t.jsonl"}),
+    "replay's csv": (0, "", {"t.csv"}),
+    "replay's parquet": (0, "", {"t.parquet"}),
+    "replay's plot": (0, "", {"t.csv", "p.svg"}),
     "record --config {config} -o kept --seconds 0.4": (0, r"\d+ exposures in kept\n", {"kept"}),
     "lamps": (1, r"altd lamps: .*\n", set()),
     "locate": (0, "", set()),
+    "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
     "map": (0, "", set()),
     "check-config": (0, "", set()),
     "devices": (0, "", set()),
@@ -108,6 +131,10 @@ DONE = {
 FULL_DISK = {
     "calibrate": (16, "cal.json"),
     "calibrate's report": (900, "rep"),
+    "replay's lines": (4, "t.jsonl"),
+    "replay's csv": (4, "t.csv"),
+    "replay's parquet": (4, "t.parquet"),
+    "replay's plot": (16, "p.svg"),
     "hw_sim scan": (1000, "kept"),
     "hw_sim flat": (1000, "kept"),
     "hw_sim plate": (1000, "kept"),
@@ -191,14 +218,19 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
 
 @pytest.mark.parametrize("redirected", ["| true; exit ${PIPESTATUS[0]}", ">/dev/full"])
 @pytest.mark.parametrize(
-    "name", ["calibrate", "replay", "locate", "map", "check-config", "devices", "doctor"]
+    "name",
+    [
+        *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
+        *("map", "map's table", "check-config", "devices", "doctor"),
+    ],
 )
 def test_ended_by_who_reads(name: str, redirected: str, played_unit: PlayedUnit, folder: Path) -> None:
     line = shlex.join([sys.executable, "-m", "altd.cli", *filled(COMMANDS[name].line, played_unit, folder)])
     ended = run(folder, ["/bin/bash", "-c", f"{line} {redirected}"])
     if "full" in redirected:
         assert ended.status == 1
-        assert ended.err == f"altd {name}: standard output: No space left on device\n"
+        command = COMMANDS[name].line.split()[0]
+        assert ended.err == f"altd {command}: standard output: No space left on device\n"
     else:
         assert ended.status in (0, 1)  # 0: it was done before the reader was gone
         assert ended.err == ""
@@ -218,7 +250,7 @@ def test_ended_by_a_full_disk(name: str, played_unit: PlayedUnit, folder: Path) 
     ended = run(
         folder, ["unshare", "-rm", "sh", "-c", f"{mount} && {line} >/dev/null; echo $?; ls -A {disk}"]
     )
-    prefix = "hw_sim" if command.module == HW_SIM else "altd calibrate"
+    prefix = "hw_sim" if command.module == HW_SIM else f"altd {command.line.split()[0]}"
     assert re.fullmatch(
         rf"{prefix}: [^\n]*{place}[^\n]*: (cannot be written: )?No space left on device\n", ended.err
     ), ended

@@ -9,8 +9,10 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from altd.errors import BadInputError
 from altd.files.reading import kind_of
@@ -54,6 +56,33 @@ def write_beside(path: Path, content: bytes) -> Path:
     Those of the file that it will replace, or what the umask leaves of 0666. Raises OSError, and
     BadInputError for what cannot be replaced; nothing is left then.
     """
+    with _opened_beside(path) as (file, temporary):
+        file.write(content)
+    return temporary
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write into, beside its place; it gets there when the block ends by itself.
+
+    Else nothing is left of it, and an older one is as it was. Raises BadInputError for what cannot be
+    replaced, and in place of an OSError.
+    """
+    try:
+        with _opened_beside(path) as (file, temporary):
+            yield file
+        try:
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink()
+            raise
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be written") from error
+
+
+@contextmanager
+def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
+    """The new file and its name; on the disk when the block ends, gone when it fails."""
     old = _demand_replaceable(path)
     temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -64,13 +93,12 @@ def write_beside(path: Path, content: bytes) -> Path:
                 with suppress(PermissionError):  # of another owner; only root may give files away
                     os.fchown(descriptor, old.st_uid, old.st_gid)
                 os.fchmod(descriptor, old.st_mode & 0o777)
-            file.write(content)
+            yield file, temporary
             file.flush()
             os.fsync(descriptor)
     except BaseException:
         temporary.unlink()
         raise
-    return temporary
 
 
 def _demand_replaceable(path: Path) -> os.stat_result | None:

@@ -61,13 +61,25 @@ class View:
     camera: str
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the beam stood still, in a recording that knows; no window mixes two places.
+
+    ``window`` is how many exposures are averaged there; None: as many as the settings say.
+    """
+
+    number: int
+    window: int | None = None
+
+
 class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
     ``origins`` tells what every measurement has to say of where the frames come from; that the calibration
     is of simulated frames is said as well.
     ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
-    camera stands behind a name, ``expected`` which should, beside the one that was calibrated.
+    camera stands behind a name, ``expected`` which should, beside the one that was calibrated. ``place``
+    tells where an exposure was made, by its sequence.
     """
 
     def __init__(
@@ -81,6 +93,7 @@ class MeasuringChain:
         watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
         identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
         expected: Mapping[str, CameraIdentity] | None = None,
+        place: Callable[[int], Place | None] = lambda sequence: None,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -100,6 +113,8 @@ class MeasuringChain:
         self._utc = utc
         self._watch = watch
         self._identity = identity
+        self._place = place
+        self._last_place: Place | None = None
         self._view_checks: dict[str, ViewCheck] = {}
         for view in views:
             target = self._calibration[view.target]
@@ -209,8 +224,14 @@ class MeasuringChain:
         return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
 
     def _exposure(self, pair: Pair[_Found]) -> Exposure:
-        """The spots of one instant; forgets the window when one was exposed otherwise than those before."""
+        """The spots of one instant.
+
+        Forgets the window when one was exposed otherwise, or at another place, than those before.
+        """
         spots: dict[str, Spot | NoSpot] = {}
+        if (place := self._place(pair.sequence)) != self._last_place:
+            self._last_place = place
+            self._window.begin(place.window if place else None)
         self._last_skew_ns = None if len(pair.items) == 1 < len(self._views) else pair.skew_ns
         for camera, view in self._views.items():
             if camera in pair.items:

@@ -11,7 +11,7 @@ import pytest
 from support.devices import full_device
 
 from altd.errors import BadInputError
-from altd.files.writing import check_replaceable, write_file
+from altd.files.writing import check_replaceable, replacing, write_file
 
 
 @pytest.fixture(params=[0o022, 0o027, 0o077])
@@ -103,3 +103,41 @@ def test_on_a_full_disk_the_old_file_is_untouched_and_nothing_is_left(tmp_path: 
         ["unshare", "-rm", "sh", "-c", mount], input=FILLING, capture_output=True, text=True, check=False
     )
     assert done.stdout == "No space left on device b'old' ['file']\n", done.stderr
+
+
+def test_what_is_written_in_pieces_takes_its_place_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+    path.chmod(0o640)
+    with replacing(path) as file:
+        file.write(b"ne")
+        assert path.read_bytes() == b"old"
+        assert len(list(tmp_path.iterdir())) == 2
+        file.write(b"w")
+    assert (path.read_bytes(), mode(path)) == (b"new", 0o640)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    "failure", [KeyboardInterrupt(), BadInputError("frame", "is torn"), OSError(28, "full")]
+)
+def test_what_was_not_finished_is_not_there(failure: BaseException, tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+    said = BadInputError if isinstance(failure, OSError) else type(failure)
+
+    def fail() -> None:
+        with replacing(path) as file:
+            file.write(b"new")
+            raise failure
+
+    with pytest.raises(said):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_device_is_not_written_into_in_pieces(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(BadInputError, match="is a pipe"), replacing(tmp_path / "pipe"):
+        pytest.fail("it was opened")

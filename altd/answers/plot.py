@@ -1,0 +1,98 @@
+"""A replay over time as one drawing: values with their sigma, and what was said beside them."""
+
+from __future__ import annotations
+
+import io
+import math
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from altd.answers.history import History
+from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, look
+from altd.records import Reason
+
+_WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
+_FEW = 120
+"""So many bins can be told apart: each is marked."""
+
+LABELS = {
+    "x_mm": "x, mm",
+    "y_mm": "y, mm",
+    "dx_mm": "x − known x, mm",
+    "dy_mm": "y − known y, mm",
+    "yaw_deg": "yaw, °",
+    "pitch_deg": "pitch, °",
+}
+
+
+def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
+    """The drawing. Gaps are where nothing is valid; in the lane below stands which reasons hold, and when.
+
+    ``joined`` draws what follows each other as one line; else each stands for itself, as the nodes of a scan.
+    """
+    codes = sorted(history.codes(), key=_is_warning)
+    lanes = 1 + len(codes)
+    heights = [*[_PANEL_IN] * len(history.quantities), _LANE_IN * lanes]
+    with look():
+        figure = Figure(figsize=(_WIDTH_IN, sum(heights) + _MARGIN_IN), layout="constrained")
+        FigureCanvasSVG(figure)
+        axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+        for panel, quantity in zip(axes, history.quantities, strict=False):
+            _panel(panel, history, quantity, joined)
+        _lane(axes[-1], history, codes)
+        axes[-1].set_xlabel("last exposure of each mean, s since the recording's start")
+        axes[0].set_title(title, color=INK)
+        if simulated:
+            axes[0].set_title("SIMULATED", loc="right", color=VERMILION)
+        if not history.bins:
+            axes[0].text(0.5, 0.5, "no measurement", ha="center", transform=axes[0].transAxes)
+        figure.align_ylabels(axes[:-1])
+        content = io.BytesIO()
+        figure.savefig(content, format="svg", metadata={"Date": None, "Title": title})
+    return content.getvalue()
+
+
+def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
+    axes.set_ylabel(LABELS[quantity])
+    axes.grid(visible=True)
+    for run in history.runs():
+        t_s = [of.middle_s for of in run]
+        means = [of.mean(quantity) for of in run]
+        low, high = [of.low[quantity] for of in run], [of.high[quantity] for of in run]
+        marker = "." if len(run) == 1 or len(history.bins) <= _FEW or not joined else ""
+        gid = f"sigma of {quantity}"
+        if joined and len(run) > 1:
+            axes.fill_between(t_s, low, high, color=BLUE, alpha=0.25, linewidth=0, gid=gid)
+        else:  # a band of no width is not seen
+            axes.vlines(t_s, low, high, color=BLUE, alpha=0.35, linewidth=1.5, gid=gid)
+        width = 0.8 if joined else 0.0
+        gid = f"values of {quantity}"
+        axes.plot(t_s, means, color=BLUE, linewidth=width, marker=marker, markersize=3, gid=gid)
+
+
+def _lane(axes: Axes, history: History, codes: list[str]) -> None:
+    """A row for ``valid`` and for each code, with a bar where it holds."""
+    rows: list[tuple[str, str | None, str]] = [("valid", None, GREEN)]
+    rows += [(code, code, ORANGE if _is_warning(code) else VERMILION) for code in codes]
+    for number, (_, code, colour) in enumerate(rows):
+        spans = [(start_s, end_s - start_s) for start_s, end_s in history.spans_s(code)]
+        if spans:
+            axes.broken_barh(spans, (number - 0.35, 0.7), facecolors=colour, gid=f"status {rows[number][0]}")
+    axes.set_yticks(range(len(rows)), [name for name, _, _ in rows])
+    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=True, axis="x")
+    for edge in ("top", "right"):
+        axes.spines[edge].set_color(FAINT)
+    axes.yaxis.label.set_color(QUIET)
+    if history.bins:
+        half_s = history.period_s / 2
+        start_s, end_s = history.bins[0].first_s - half_s, history.bins[-1].last_s + half_s
+        margin_s = 0.01 * max(end_s - start_s, math.ulp(end_s))
+        axes.set_xlim(start_s - margin_s, end_s + margin_s)
+
+
+def _is_warning(code: str) -> bool:
+    return code in {reason for reason in Reason if reason.is_warning}

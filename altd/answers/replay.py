@@ -1,0 +1,151 @@
+"""``altd replay``: measurements as lines on standard output, as a table in a file, as a drawing."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from altd import __version__
+from altd.answers.history import History
+from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, replacing
+from altd.measurement_json import line_of, utc_text
+from altd.recording import FRAMES_FILE, HEADER_FILE
+from altd.replay import Replay, open_replay
+from altd.tables.columns import Column, flat_row, measurement_columns
+from altd.tables.parquet import ParquetTable, check_parquet
+from altd.tables.text import CsvTable, Write
+
+Format = Literal["jsonl", "csv", "parquet"]
+FORMATS: tuple[Format, ...] = ("jsonl", "csv", "parquet")
+
+Add = Callable[[Mapping[str, Any]], object]
+"""Takes a measurement's object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a person asked of ``altd replay``; ``output`` None: standard output."""
+
+    recording: Path
+    calibration: Path
+    window: int | None
+    every: int | None
+    form: Format
+    output: Path | None
+    plot: Path | None
+
+
+def answer(question: Question, warn: Callable[[str], object], progress: Callable[[int, int], None]) -> None:
+    """Measure, and write what was asked for; ``warn`` is told what the recording lacks.
+
+    Raises BadInputError; a file is then as it was.
+    """
+    _check(question)
+    replay = open_replay(question.recording, question.calibration, question.window, question.every)
+    columns = measurement_columns(replay.calibration.target_names, replay.positions is not None)
+    history = History(_drawn(replay))
+    with _table(question, replay, columns) as add:
+        for measurement in replay.measurements(progress):
+            document = replay.as_object(measurement)
+            add(document)
+            if question.plot is not None:
+                history.add(measurement.light_ns * 1e-9, document)
+        if question.plot is not None:
+            _draw(question.plot, history, replay)
+
+
+def _check(question: Question) -> None:
+    if question.form == "parquet":
+        if question.output is None:
+            raise BadInputError("--format parquet", "needs a file: -o FILE")
+        check_parquet()
+    if question.plot is not None:
+        if question.plot.suffix.lower() != ".svg":
+            raise BadInputError(question.plot, "is to be a drawing in SVG: name it ….svg")
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
+        try:
+            importlib.import_module("matplotlib")
+        except ImportError as error:
+            raise BadInputError(
+                "--plot", "needs matplotlib, which comes with the extra altd[report]"
+            ) from error
+    read = [question.calibration, *(question.recording / name for name in (HEADER_FILE, FRAMES_FILE))]
+    for path in filter(None, (question.output, question.plot)):
+        check_replaceable(path)
+        for source in read:
+            if source.exists() and path.exists() and path.samefile(source):
+                raise BadInputError(path, "is what is read")
+    files = [path.resolve() for path in (question.output, question.plot) if path is not None]
+    if len(set(files)) < len(files):
+        raise BadInputError(files[0], "is asked for twice, as table and as plot")
+
+
+@contextmanager
+def _table(question: Question, replay: Replay, columns: tuple[Column, ...]) -> Iterator[Add]:
+    if question.output is None:
+        yield _text_table(question.form, sys.stdout.write, columns)
+        return
+    with replacing(question.output) as file:
+        if question.form == "parquet":
+            with ParquetTable(file, columns, _about(question, replay)) as table:
+                yield lambda document: table.add(flat_row(document))
+        else:
+            yield _text_table(question.form, lambda text: file.write(text.encode()), columns)
+
+
+def _text_table(form: Format, write: Write, columns: tuple[Column, ...]) -> Add:
+    if form == "csv":
+        table = CsvTable(write, columns)
+        return lambda document: table.add(flat_row(document))
+    return lambda document: write(line_of(document) + "\n")
+
+
+def _about(question: Question, replay: Replay) -> dict[str, Any]:
+    """Where the numbers come from, for those who find the table in ten years."""
+    header, calibration = replay.recording.header, replay.calibration
+    start = None if header.start is None else utc_text(header.start)
+    of_recording = header.model_dump(
+        mode="json", exclude_none=True, include={"kind", "fps", "note", "made_by"}
+    )
+    return {
+        "made_by": f"altd {__version__}",
+        "unit_serial": header.unit.serial,
+        "origin": "simulated" if replay.is_simulated else "camera",
+        "recording": {**of_recording, "path": str(question.recording), "start": start},
+        "cameras": {
+            name: camera.model_dump(mode="json", exclude_none=True) for name, camera in header.cameras.items()
+        },
+        "calibration": {
+            "path": str(question.calibration),
+            "created": utc_text(calibration.created),
+            "recording_note": calibration.recording_note,
+            "recording_sha256": calibration.recording_sha256,
+            "origin": "simulated" if calibration.simulated else "camera",
+        },
+        "window": replay.window_in_words,
+    }
+
+
+def _drawn(replay: Replay) -> dict[str, str]:
+    """The quantities of the drawing and the names of their sigmas: of a scan how far it is off."""
+    prefix = "" if replay.positions is None else "d"
+    return {f"{prefix}x_mm": "x_mm", f"{prefix}y_mm": "y_mm", "yaw_deg": "yaw_deg", "pitch_deg": "pitch_deg"}
+
+
+def _draw(place: Path, history: History, replay: Replay) -> None:
+    from altd.answers.plot import svg
+
+    header = replay.recording.header
+    start = "" if header.start is None else f" · {utc_text(header.start)}"
+    title = f"Unit {header.unit.serial} · {header.note or header.kind}{start} · {replay.window_in_words}"
+    joined = replay.positions is None or not replay.positions.is_by_node
+    content = svg(history, title, replay.is_simulated, joined)
+    with replacing(place) as file:
+        file.write(content)
