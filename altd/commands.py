@@ -77,11 +77,14 @@ def _calibrate(options: argparse.Namespace) -> int:
     from altd.calibration.report.write import check_report, write_together
     from altd.files.writing import check_replaceable
     from altd.recording import open_recording
+    from altd.recording_gaps import gap_lines
 
     check_replaceable(options.output)
     if options.report is not None:
         check_report(options.report)
     recording = open_recording(options.recording)
+    for line in gap_lines(recording):
+        complain(f"altd calibrate: {line}")
     result = _calibrated(recording, options.flat)
     report = {} if options.report is None else _report(options, recording, result)
     save_calibration(result.calibration, options.output)

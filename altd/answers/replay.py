@@ -17,6 +17,7 @@ from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, replacing
 from altd.measurement_json import line_of, utc_text
 from altd.recording import FRAMES_FILE, HEADER_FILE
+from altd.recording_gaps import gap_lines
 from altd.replay import Replay, open_replay
 from altd.tables.columns import Column, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet
@@ -49,6 +50,8 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     """
     _check(question)
     replay = open_replay(question.recording, question.calibration, question.window, question.every)
+    for line in gap_lines(replay.recording):
+        warn(line)
     columns = measurement_columns(replay.calibration.target_names, replay.positions is not None)
     history = History(_drawn(replay))
     with _table(question, replay, columns) as add:
