@@ -21,6 +21,7 @@ pages := \
     telegram:altd.publish.serial.telegram_page \
     console:altd.publish.serial.console_page \
     http:altd.publish.http.page \
+    tables:altd.tables.page \
     config:altd.config_page \
     licences:tools.licences.page
 

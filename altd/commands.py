@@ -151,7 +151,10 @@ def _report(options: argparse.Namespace, recording: Recording, result: Calibrati
     show = _progress("files of the report")
     show(0, 2)
     try:
-        document = report_on(Source(result.calibration, result.evidence, scan_negatives(recording), command))
+        negatives = scan_negatives(recording)
+        document = report_on(
+            Source(result.calibration, result.evidence, negatives, command, recording.header)
+        )
     except ValueError as error:
         raise BadInputError(options.recording, str(error)) from error
     files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}

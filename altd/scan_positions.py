@@ -15,6 +15,8 @@ MAX_WINDOW = 1000
 """Exposures; a node that has more is measured by its last ones."""
 _REMEMBERED = 4 * MAX_WINDOW
 """Exposures that a measurement may still speak of."""
+_MAX_BEHIND = MAX_WINDOW
+"""Rows of one camera that may follow the other's latest: then that one is not forgotten while it waits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class ScanPositions:
 
     Nodes are told apart as ``altd calibrate`` does. ``window`` is how many exposures are averaged; None: all
     of a stay at a node, which gives one measurement each. Raises BadInputError where two rows of one exposure
-    contradict each other, and when no row has a position.
+    contradict each other, where rows are far out of order, and when no row has a position.
     """
 
     def __init__(self, recording: Recording, window: int | None) -> None:
@@ -107,7 +109,18 @@ class ScanPositions:
 def _lengths(recording: Recording) -> list[int]:
     """How many exposures each stay of the stage has."""
     stays, lengths = _Stays(), list[int]()
+    place = recording.path / FRAMES_FILE
+    latest: Row | None = None
+    since_latest = 0
     for row in recording.rows:
+        if latest is None or row.sequence > latest.sequence:
+            latest, since_latest = row, 0
+        since_latest += 1
+        if since_latest > _MAX_BEHIND:
+            raise BadInputError(
+                f"{place}: row {row.number}",
+                f"is out of the order of time: sequence {row.sequence} long after {latest.sequence}",
+            )
         before = len(lengths)
         is_new = row.sequence not in stays.exposures
         exposure = stays.see(row)
@@ -115,12 +128,12 @@ def _lengths(recording: Recording) -> list[int]:
             continue
         if exposure.position_mm != row.position_mm:
             raise BadInputError(
-                f"{recording.path / FRAMES_FILE}: row {row.number}",
+                f"{place}: row {row.number}",
                 f"x_mm, y_mm are not those of the same exposure in row {exposure.row.number}",
             )
         if exposure.stay == before:
             lengths.append(0)
         lengths[exposure.stay] += is_new
     if not lengths:
-        raise BadInputError(recording.path / FRAMES_FILE, "is of a scan, and no row has a position")
+        raise BadInputError(place, "is of a scan, and no row has a position")
     return lengths

@@ -293,7 +293,9 @@ class TestRecord:
         assert origins(tmp_path / "kept") == ["simulated", "simulated"]
         about = json.loads((tmp_path / "kept" / "recording.json").read_text())["cameras"]["front"]
         assert about["driver"] == "aravis"
+        assert about["serial"]
         assert about["exposure_ms"] > 0
+        assert about["gain_db"] >= 0
         lines = altd("replay", tmp_path / "kept", "--calibration", fitted, "--window", "4").objects
         assert lines
         assert all("simulated" in line["status"] for line in lines)

@@ -76,10 +76,12 @@ def _lane(axes: Axes, history: History, codes: list[str]) -> None:
     """A row for ``valid`` and for each code, with a bar where it holds."""
     rows: list[tuple[str, str | None, str]] = [("valid", None, GREEN)]
     rows += [(code, code, ORANGE if _is_warning(code) else VERMILION) for code in codes]
-    for number, (_, code, colour) in enumerate(rows):
+    for number, (name, code, colour) in enumerate(rows):
         spans = [(start_s, end_s - start_s) for start_s, end_s in history.spans_s(code)]
         if spans:
-            axes.broken_barh(spans, (number - 0.35, 0.7), facecolors=colour, gid=f"status {rows[number][0]}")
+            # with an edge: what lasted for one exposure of an hour is still seen
+            bars = axes.broken_barh(spans, (number - 0.35, 0.7), facecolors=colour, edgecolors=colour)
+            bars.set(linewidth=0.7, gid=f"status {name}")
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)

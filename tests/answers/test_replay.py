@@ -260,6 +260,21 @@ def test_a_scan_that_contradicts_itself_or_knows_no_place(
     )
 
 
+def test_a_scan_that_is_not_in_the_order_of_time(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    """One camera's rows after all of the other's, whose numbers are larger: nobody can wait so long."""
+    path = write(tmp_path / "rec", "scan", [((5.0, 5.0), (5.0, 5.0), (5.0, 5.0))] * 2)
+    rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm"]
+    for camera, step in (("front", 1000), ("rear", 7)):
+        rows += [
+            f"{n * step},{n / 20},{camera},{camera}000{n % 2}.png,off,{n % 50},{n % 3}" for n in range(1200)
+        ]
+    (path / "frames.csv").write_text("\n".join(rows) + "\n")
+    said = refusal(replay(path, played_unit))
+    assert said.endswith(
+        "frames.csv: row 2201: is out of the order of time: sequence 6993 long after 1199000"
+    )
+
+
 class TestRefusals:
     """Before any work: one line, nothing written."""
 

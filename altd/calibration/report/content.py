@@ -18,6 +18,7 @@ from altd.calibration.report.prediction import Prediction, predict
 from altd.calibration.report.source import Source
 from altd.calibration.report.verdict import Level, Verdict, judge
 from altd.measurement_json import utc_text
+from altd.recording import CameraHeader
 
 
 def report_on(source: Source) -> Document:
@@ -117,6 +118,19 @@ def _located(target: TargetCalibration) -> str:
     }[target.localiser.method]
 
 
+def _described(camera: CameraHeader) -> str:
+    """Which camera it was and how it exposed, as far as the recording knows."""
+    told = (
+        camera.model,
+        camera.serial and f"serial {camera.serial}",
+        camera.driver and f"driver {camera.driver}",
+        None if camera.exposure_ms is None else f"exposure {camera.exposure_ms:g} ms",
+        None if camera.gain_db is None else f"gain {camera.gain_db:g} dB",
+    )
+    known = ", ".join(part for part in told if part)
+    return f"{known or 'serial, exposure and gain not known'}; frames: {camera.origin}"
+
+
 def _inputs(source: Source) -> list[Block]:
     calibration = source.calibration
     exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
@@ -124,6 +138,8 @@ def _inputs(source: Source) -> list[Block]:
         ("Unit", calibration.unit_serial),
         ("Recording", calibration.recording_note),
         ("SHA-256 of the recording", calibration.recording_sha256),
+        ("Recorded by", source.header.made_by or "not known"),
+        *((f"Camera {name}", _described(camera)) for name, camera in source.header.cameras.items()),
         ("Calibrated", utc_text(calibration.created)),
         ("Command", source.command),
         ("Exposures used", exposures),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.model import Calibration, TargetCalibration
+from altd.recording import RecordingHeader
 from altd.records import PixelArray
 
 
@@ -14,13 +15,15 @@ from altd.records import PixelArray
 class Source:
     """What is reported on: the calibration, its evidence, how it was made.
 
-    ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one.
+    ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one. ``header``
+    is the recording's.
     """
 
     calibration: Calibration
     evidence: tuple[TargetEvidence, ...]
     negatives: Mapping[str, PixelArray]
     command: str
+    header: RecordingHeader
 
     def targets(self) -> list[tuple[TargetCalibration, TargetEvidence]]:
         """Each target with its evidence."""

@@ -15,12 +15,20 @@ import numpy as np
 import pytest
 from support.evidence import calibration, evidence, target
 from support.foreign import need_program
+from support.recordings import header
 
 from altd.calibration.report.content import report_on
 from altd.calibration.report.document import Document, Heading, Row, Table
 from altd.calibration.report.page import html_page
 from altd.calibration.report.sheets import pdf_sheets
 from altd.calibration.report.source import Source
+from altd.recording import RecordingHeader
+
+SIZE = {"width": 752, "height": 480, "bits": 8}
+CAMERA = {"model": "acA <1>", "serial": "50-7", "driver": "aravis", "exposure_ms": 2.5, "gain_db": 6.0}
+HEADER = RecordingHeader.model_validate(
+    header("scan", made_by="altd 9.9", cameras={"front": {**SIZE, **CAMERA}, "rear": SIZE})
+)
 
 VOID = {"meta", "img", "col", "br"}
 
@@ -63,7 +71,9 @@ def document() -> Document:
     single[3] = np.nan
     rear = replace(rear, scatter_px=single)
     negative = np.linspace(0, 255, 120 * 188).reshape(120, 188).astype(np.uint8)
-    return report_on(Source(calibration(), (front, rear), {"front": negative}, "altd calibrate <scan> -o c"))
+    return report_on(
+        Source(calibration(), (front, rear), {"front": negative}, "altd calibrate <scan> -o c", HEADER)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +184,7 @@ def test_pictures_of_a_third_target_have_room_of_their_own(tmp_path: Path) -> No
     middle = replace(target("rear"), name="middle", z_mm=140.0, width=480, height=752)
     made = calibration(target("front"), middle, target("rear"))
     seen = tuple(evidence(name) for name in made.target_names)
-    whole = report_on(Source(made, seen, {}, "altd"))
+    whole = report_on(Source(made, seen, {}, "altd", HEADER))
     residuals = next(b for b in whole.blocks if isinstance(b, Row) and len(b.pictures) == 3)
     path = tmp_path / "three.pdf"
     path.write_bytes(pdf_sheets(replace(whole, blocks=(residuals,)), made.created))
@@ -200,7 +210,15 @@ def test_a_report_comes_out_the_same_again(document: Document) -> None:
 
 def test_a_note_in_any_language_is_no_obstacle() -> None:
     made = replace(calibration(target("front"), target("rear")), recording_note="试验 " * 40)
-    whole = report_on(Source(made, (evidence("front"), evidence("rear")), {}, "altd"))
+    whole = report_on(Source(made, (evidence("front"), evidence("rear")), {}, "altd", HEADER))
     few = replace(whole, blocks=whole.blocks[-2:])
     assert "试验" in html_page(few).decode()
     assert pdf_sheets(few, made.created).startswith(b"%PDF")
+
+
+def test_the_inputs_name_cameras_exposure_gain_and_program(page: bytes) -> None:
+    text = " ".join(Page(page.decode()).text.split())
+    assert "Recorded by altd 9.9" in text
+    of_front = "acA <1>, serial 50-7, driver aravis, exposure 2.5 ms, gain 6 dB; frames: camera"
+    assert f"Camera front {of_front}" in text
+    assert "Camera rear serial, exposure and gain not known; frames: camera" in text

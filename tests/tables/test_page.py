@@ -1,0 +1,23 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
+from altd.tables.page import page
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def test_the_page_is_generated_from_the_code() -> None:
+    assert (DOCS / "tables.md").read_text() == page(), "run python -m altd.tables.page"
+
+
+def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:
+    for columns in (measurement_columns(("front", "rear"), True), POINT_COLUMNS, SPOT_COLUMNS):
+        names = [column.name for column in columns]
+        assert len(set(names)) == len(names)
+        for column in columns:
+            ending = {"mm": "_mm", "°": "_deg", "mm/m": "_mm_per_m", "px": "_px", "s": "_s"}.get(
+                column.unit, ""
+            )
+            assert column.name.endswith(ending)
