@@ -89,7 +89,8 @@ PURPOSES = {
     "pyserial": "serial ports",
     "starlette": "HTTP",
     "uvicorn": "HTTP",
-    "matplotlib": "the report's figures (extra `report`)",
+    "matplotlib": "the report's figures and the plot of a replay (extra `report`)",
+    "pyarrow": "tables in Parquet (extra `parquet`)",
 }
 """What altd itself needs each package of ``pyproject.toml`` for."""
 
