@@ -61,13 +61,22 @@ def _seen(nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray
 
 
 class _State(NamedTuple):
-    """A camera at its best, and what the nodes say of it; residuals by the nodes' relative sigma."""
+    """A camera at its best, and what the nodes say of it; residuals by the nodes' relative sigma.
+
+    ``leverage`` (n, 2, 2) holds each node's own block of the hat matrix: all of it would grow with the square
+    of the nodes.
+    """
 
     camera: Camera
     noise_px: float
     residuals_px: FloatArray
     covariance: FloatArray
     leverage: FloatArray
+
+    @property
+    def bound(self) -> float:
+        """How many of the nodes' coordinates the parameters take up."""
+        return float(np.trace(self.leverage, axis1=1, axis2=2).sum())
 
 
 def fit_lens_map(
@@ -142,7 +151,7 @@ def _as_fit(state: _State, nodes: _Nodes, hull_mm: FloatArray) -> Fit:
         relative_sigma=nodes.relative_sigma,
         degree=None if bend is None else (bend.degree, bend.degree),
         parameters=len(camera.parameters),
-        bound=float(np.trace(state.leverage)),
+        bound=state.bound,
     )
 
 
@@ -158,10 +167,12 @@ def _settle(camera: Camera, nodes: _Nodes, marks: Marks | None) -> _State:
         residuals = nodes.misses(camera)
         jacobian = nodes.slopes(camera)
         normal = jacobian.T @ jacobian
-        leverage = jacobian @ np.linalg.inv(normal + known * noise_px**2) @ jacobian.T
-        freedom = len(residuals) - float(np.trace(leverage))
+        levers = jacobian @ np.linalg.inv(normal + known * noise_px**2)
+        freedom = len(residuals) - float(np.einsum("ij,ij->", levers, jacobian))
         noise_px = max(math.sqrt(float(np.square(residuals).sum()) / freedom), _LEAST_NOISE_PX)
     covariance = np.linalg.inv(normal / noise_px**2 + known)
+    each = len(residuals) // 2, 2, -1
+    leverage = np.einsum("nim,njm->nij", levers.reshape(each), jacobian.reshape(each))
     return _State(
         camera, noise_px, residuals.reshape(-1, 2), np.asarray(covariance, dtype=np.float64), leverage
     )
@@ -266,11 +277,9 @@ def _as_tensor(
 def _unlevered(residuals: FloatArray, leverage: FloatArray) -> tuple[FloatArray, FloatArray]:
     """By how much each node misses the map fitted without it, and the residuals at equal variance.
 
-    With the node's own block H of the leverage these are (1 − H)⁻¹ r and (1 − H)^(−1/2) r.
+    With the node's own block H of the leverage (n, 2, 2) these are (1 − H)⁻¹ r and (1 − H)^(−1/2) r.
     """
-    nodes = np.arange(len(residuals))
-    own = leverage.reshape(len(nodes), 2, len(nodes), 2)[nodes, :, nodes]
-    left, axes = np.linalg.eigh(np.eye(2) - own)
+    left, axes = np.linalg.eigh(np.eye(2) - leverage)
     left = np.maximum(left, 1e-9)
     along = np.einsum("nij,ni->nj", axes, residuals)
     missed: FloatArray = np.einsum("nij,nj->ni", axes, along / left)

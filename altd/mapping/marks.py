@@ -36,16 +36,21 @@ class Marks:
             mm = mm + self._unprojected(camera, mm, (self.px - camera.to_px(mm))[:, :, None])[:, :, 0]
         by_parameters = camera.jacobian(mm).reshape(len(mm), 2, -1)
         moves = -self._unprojected(camera, mm, by_parameters)
-        bent, slopes = self._without_affine @ mm, np.einsum("ij,jcm->icm", self._without_affine, moves)
+        bent, slopes = self._without_affine(mm), self._without_affine(moves.reshape(len(mm), -1))
         return (
             bent.T.ravel() / self.sigma_mm,
-            slopes.transpose(1, 0, 2).reshape(2 * len(mm), -1) / self.sigma_mm,
+            slopes.reshape(moves.shape).transpose(1, 0, 2).reshape(2 * len(mm), -1) / self.sigma_mm,
         )
 
+    def _without_affine(self, columns: FloatArray) -> FloatArray:
+        """Columns (n, k) without what is affine in the regular coordinates."""
+        rest: FloatArray = columns - self._affine @ (self._affine.T @ columns)
+        return rest
+
     @cached_property
-    def _without_affine(self) -> FloatArray:
-        basis = np.linalg.qr(np.column_stack([np.ones(len(self.px)), self.regular_mm]))[0]
-        return np.asarray(np.eye(len(self.px)) - basis @ basis.T)
+    def _affine(self) -> FloatArray:
+        """Orthonormal columns (n, 3) that span the affine maps."""
+        return np.linalg.qr(np.column_stack([np.ones(len(self.px)), self.regular_mm]))[0]
 
     @staticmethod
     def _unprojected(camera: Camera, mm: FloatArray, px: FloatArray) -> FloatArray:
