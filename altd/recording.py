@@ -10,6 +10,7 @@ import json
 import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,6 +26,7 @@ from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
+from altd.files.steady import SteadyFile
 from altd.measurement_json import utc_text
 from altd.ports import Camera
 from altd.records import CameraIdentity, Frame, Origin
@@ -165,13 +167,40 @@ class Row:
     position_mm: tuple[float, float] | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """The rows of a table that has been checked, in its order.
+
+    They are read from the table again whenever somebody goes through them, so a day of frames takes no more
+    memory than a second; that raises BadInputError when the table is not any more what was checked.
+    """
+
+    table: SteadyFile
+    header: RecordingHeader
+    count: Mapping[str, int]
+    """How many each camera has."""
+    first: Row
+    last: Row
+    largest_sequence: int
+
+    def __len__(self) -> int:
+        return sum(self.count.values())
+
+    def __iter__(self) -> Iterator[Row]:
+        return _read_rows(self.table, self.header)
+
+    def of(self, camera: str) -> Iterator[Row]:
+        """Those of one camera."""
+        return (row for row in self if row.camera == camera)
+
+
 @dataclass(frozen=True, slots=True)
 class Recording:
     """A recording whose header, rows and frame sizes have been checked."""
 
     path: Path
     header: RecordingHeader
-    rows: tuple[Row, ...]
+    rows: Rows
 
     def frame(self, row: Row) -> Frame:
         """Decode the frame of a row; raises BadInputError that names the file and the row."""
@@ -189,13 +218,15 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""
-        digest = hashlib.sha256()
-        for name in (HEADER_FILE, FRAMES_FILE, *(row.file for row in self.rows)):
-            digest.update(read_file(self.path / name, _LARGEST_FILE_BYTES))
+        digest = hashlib.sha256(read_file(self.path / HEADER_FILE, _LARGEST_HEADER_BYTES))
+        for piece in self.rows.table.pieces():
+            digest.update(piece)
+        for row in self.rows:
+            digest.update(read_file(self.path / row.file, _LARGEST_FILE_BYTES))
         return digest.hexdigest()
 
     def _place(self, row: Row) -> str:
-        return f"{self.path / FRAMES_FILE}: row {row.number}"
+        return f"{self.rows.table.path}: row {row.number}"
 
 
 def open_recording(path: Path) -> Recording:
@@ -204,13 +235,18 @@ def open_recording(path: Path) -> Recording:
     Raises BadInputError that names the file and, in ``frames.csv``, the row (the first frame is row 2).
     """
     header = _read_header(path / HEADER_FILE)
-    rows = tuple(_read_rows(path / FRAMES_FILE, header))
-    if not rows:
-        raise BadInputError(path / FRAMES_FILE, "has no frames")
-    recording = Recording(path, header, rows)
-    for row in rows:
-        _check_png(recording, row)
-    return recording
+    table = SteadyFile(path / FRAMES_FILE, _LARGEST_TABLE_BYTES)
+    count: Counter[str] = Counter()
+    largest_sequence = 0
+    first = last = None
+    for row in _read_rows(table, header):
+        _check_png(path, header, row)
+        first, last = first or row, row
+        count[row.camera] += 1
+        largest_sequence = max(largest_sequence, row.sequence)
+    if first is None or last is None:
+        raise BadInputError(table.path, "has no frames")
+    return Recording(path, header, Rows(table, header, count, first, last, largest_sequence))
 
 
 def _read_header(path: Path) -> RecordingHeader:
@@ -228,24 +264,23 @@ def _read_header(path: Path) -> RecordingHeader:
         raise BadInputError(path, str(error)) from error
 
 
-def _read_rows(path: Path, header: RecordingHeader) -> Iterator[Row]:
-    table = io.BytesIO(read_file(path, _LARGEST_TABLE_BYTES))
+def _read_rows(table: SteadyFile, header: RecordingHeader) -> Iterator[Row]:
+    path = table.path
     try:
-        with io.TextIOWrapper(table, newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, strict=True)
-            columns = list(reader.fieldnames or ())
-            for column in COLUMNS:
-                if columns.count(column) != 1:
-                    what = "stands twice" if column in columns else "is missing"
-                    raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
-            last: dict[str, Row] = {}
-            for record in reader:
-                place = f"{path}: row {reader.line_num}"
-                row = _read_row(place, reader.line_num, record, header)
-                if (above := last.get(row.camera)) is not None:
-                    _check_order(place, above, row)
-                last[row.camera] = row
-                yield row
+        reader = csv.DictReader(table.lines(), strict=True)
+        columns = list(reader.fieldnames or ())
+        for column in COLUMNS:
+            if columns.count(column) != 1:
+                what = "stands twice" if column in columns else "is missing"
+                raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
+        last: dict[str, Row] = {}
+        for record in reader:
+            place = f"{path}: row {reader.line_num}"
+            row = _read_row(place, reader.line_num, record, header)
+            if (above := last.get(row.camera)) is not None:
+                _check_order(place, above, row)
+            last[row.camera] = row
+            yield row
     except (csv.Error, UnicodeDecodeError) as error:
         raise BadInputError(path, f"is no CSV text: {error}") from error
 
@@ -298,16 +333,16 @@ def _number(place: str, column: str, text: str, limit: float) -> float:
     return value
 
 
-def _check_png(recording: Recording, row: Row) -> None:
+def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:
     """Signature, size, depth and colour, without decoding it."""
-    camera = recording.header.cameras[row.camera]
+    camera, place = header.cameras[row.camera], f"{path / FRAMES_FILE}: row {row.number}"
     try:
-        head = read_head(recording.path / row.file, PNG_HEAD_BYTES)
+        head = read_head(path / row.file, PNG_HEAD_BYTES)
         check_png_head(head, camera.width, camera.height, camera.bits)
     except ValueError as error:
-        raise BadInputError(recording._place(row), f"{row.file} {error}") from error
+        raise BadInputError(place, f"{row.file} {error}") from error
     except BadInputError as error:
-        raise BadInputError(recording._place(row), f"{row.file}: {error.message}") from error
+        raise BadInputError(place, f"{row.file}: {error.message}") from error
 
 
 def refuse_used_folder(path: Path) -> None:

@@ -48,7 +48,7 @@ def test_rows_and_frames_are_read_and_unknown_columns_ignored(recording: Path) -
         (1, "front", 0.05),
         (1, "rear", 0.05),
     ]
-    first = opened.frame(opened.rows[2])
+    first = opened.frame([*opened.rows][2])
     expected = cv2.imread(str(recording / "front0001.png"), cv2.IMREAD_UNCHANGED)
     assert np.array_equal(first.pixels, expected)
     assert (first.sequence, first.t_ns, first.bits) == (1, 50_000_000, 8)
@@ -99,7 +99,7 @@ def test_a_damaged_frame_is_named_when_it_is_decoded(recording: Path) -> None:
     path.write_bytes(path.read_bytes()[:200])
     opened = open_recording(recording)
     with pytest.raises(BadInputError, match=r"row 4: front0001\.png cannot be decoded"):
-        opened.frame(opened.rows[2])
+        opened.frame([*opened.rows][2])
 
 
 @pytest.mark.parametrize(
@@ -144,6 +144,24 @@ def test_torn_json_a_missing_file_and_an_empty_table_are_named(recording: Path, 
     assert "recording.json: is not JSON" in complaint(recording)
 
 
+def test_rows_that_are_not_any_more_what_was_checked_are_refused(recording: Path) -> None:
+    """They are well formed, but nobody has looked at their frames."""
+    opened = open_recording(recording)
+    edit(recording, 5, "rear0001.png", "rear0002.png")
+    with pytest.raises(BadInputError, match=r"frames\.csv: was changed after it was checked"):
+        list(opened.rows)
+    with pytest.raises(BadInputError, match=r"frames\.csv: was changed after it was checked"):
+        opened.sha256()
+
+
+def test_rows_that_are_appended_later_are_not_seen(recording: Path) -> None:
+    opened = open_recording(recording)
+    with (recording / "frames.csv").open("a") as table:
+        table.write("2,0.1,front,gone.png,off,,,\n2,0.1,re")
+    assert len([*opened.rows]) == len(opened.rows) == 4
+    assert [row.file for row in opened.rows.of("rear")] == ["rear0000.png", "rear0001.png"]
+
+
 @pytest.mark.parametrize("bits", [8, 12, 16])
 def test_what_is_written_is_read_back(tmp_path: Path, bits: int) -> None:
     start = datetime(2026, 11, 20, 8, 15, 30, 125000, UTC)
@@ -162,7 +180,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, bits: int) -> None:
     opened = open_recording(tmp_path / "out")  # readable although not closed yet
     writer.close()
     assert opened.header == wanted
-    read = opened.frame(opened.rows[0])
+    read = opened.frame(opened.rows.first)
     assert np.array_equal(read.pixels, kept.pixels)
     assert (read.sequence, read.t_ns) == (3, 150_000_000)
 
@@ -181,10 +199,10 @@ def test_of_two_that_begin_in_one_folder_at_once_the_first_goes_on(
     monkeypatch.setattr("altd.recording.refuse_used_folder", lambda _: None)
     opened = open_recording(recording)
     first = RecordingWriter(tmp_path / "out", opened.header)
-    first.write(opened.frame(opened.rows[0]), 0, 0.0)
+    first.write(opened.frame(opened.rows.first), 0, 0.0)
     with pytest.raises(BadInputError, match="File exists"):
         RecordingWriter(tmp_path / "out", opened.header)
-    first.write(opened.frame(opened.rows[1]), 0, 0.0)
+    first.write(opened.frame([*opened.rows][1]), 0, 0.0)
     first.close()
     assert len(open_recording(tmp_path / "out").rows) == 2
 

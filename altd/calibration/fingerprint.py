@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ _MIN_VERIFIED_SHARE = 0.9
 
 
 def fingerprint_of(
-    recording: Recording, rows: Sequence[Row], settings: SpotSettings, flat: Flat | None, plain: bool
+    recording: Recording, rows: Iterable[Row], settings: SpotSettings, flat: Flat | None, plain: bool
 ) -> tuple[Fingerprint, str]:
     """The fingerprint of one camera from its ``rows`` of a scan, and a remark, empty when all is well.
 
@@ -32,23 +32,20 @@ def fingerprint_of(
     spots of a ``plain`` target. A print without a model lends itself to neither.
     """
     hot = HotPixelCount()
-    samples: list[Sample] = []
+    ground = _Ground()
     first: dict[tuple[float, float], Row] = {}
-    height = width = 0
     for row in rows:
         frame = recording.frame(row)
-        height, width = frame.pixels.shape
         hot.add(frame.pixels)
         if row.leds_on:
             continue
         if row.position_mm is not None:
             first.setdefault(row.position_mm, row)
         if flat is None and plain and (sample := sample_of(frame, settings)) is not None:
-            samples.append(sample)
+            ground.add(sample, frame.pixels.shape)
     if flat is None:
-        if not samples:
-            return Fingerprint(hot.result(), None, None), ""
-        return Fingerprint(hot.result(), _texture(samples, (height, width)), "scan"), ""
+        texture = ground.texture()
+        return Fingerprint(hot.result(), texture, None if texture is None else "scan"), ""
     made = Fingerprint(hot.result(), Texture.of_flat(flat), "flat")
     verdicts = []
     for row in first.values():
@@ -66,7 +63,7 @@ def fingerprint_of(
     return Fingerprint(hot.result(), None, None), remark
 
 
-def hot_pixels_of(recording: Recording, rows: Sequence[Row]) -> Fingerprint:
+def hot_pixels_of(recording: Recording, rows: Iterable[Row]) -> Fingerprint:
     """The fingerprint of a camera that has seen no laser spot: its hot pixels."""
     hot = HotPixelCount()
     for row in rows:
@@ -74,17 +71,28 @@ def hot_pixels_of(recording: Recording, rows: Sequence[Row]) -> Fingerprint:
     return Fingerprint(hot.result(), None, None)
 
 
-def _texture(samples: Sequence[Sample], shape: tuple[int, int]) -> Texture:
-    """The samples' mean with the weights that their noise deserves, drawn to 0 where it is not known well."""
-    total: FloatArray = np.zeros(shape)
-    weight: FloatArray = np.zeros(shape)
-    for sample in samples:
+class _Ground:
+    """What samples show of a plain target: their mean, with the weights that their noise deserves."""
+
+    def __init__(self) -> None:
+        self._total: FloatArray = np.empty((0, 0))
+        self._weight: FloatArray = np.empty((0, 0))
+
+    def add(self, sample: Sample, shape: tuple[int, ...]) -> None:
+        """Take in a sample of a picture of this shape."""
+        if not self._total.size:
+            self._total, self._weight = np.zeros(shape), np.zeros(shape)
         rows, columns = sample.relative.shape
         window = slice(sample.top, sample.top + rows), slice(sample.left, sample.left + columns)
-        total[window] += sample.relative / sample.variance
-        weight[window] += 1 / sample.variance
-    known = weight > _MAX_SIGMA**-2
-    variance = 1 / np.maximum(weight, 1e-12)
-    mean = total * variance
-    power = max(float(np.mean(np.square(mean[known]) - variance[known])), 0.0) if known.any() else 0.0
-    return Texture((mean * power / (power + variance)).astype(np.float32))
+        self._total[window] += sample.relative / sample.variance
+        self._weight[window] += 1 / sample.variance
+
+    def texture(self) -> Texture | None:
+        """The mean, drawn to 0 where it is not known well; None of no sample."""
+        if not self._total.size:
+            return None
+        known = self._weight > _MAX_SIGMA**-2
+        variance = 1 / np.maximum(self._weight, 1e-12)
+        mean = self._total * variance
+        power = max(float(np.mean(np.square(mean[known]) - variance[known])), 0.0) if known.any() else 0.0
+        return Texture((mean * power / (power + variance)).astype(np.float32))

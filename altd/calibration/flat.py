@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 
 import cv2
 import numpy as np
@@ -11,9 +14,9 @@ import numpy.typing as npt
 
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
-from altd.recording import CameraHeader, Recording, RecordingHeader, Row
+from altd.recording import Recording, RecordingHeader
 from altd.records import FloatArray, Frame, NoSpot
-from altd.vision.flat import Flat
+from altd.vision.flat import Flat, Image
 from altd.vision.localise import SATURATED_FROM
 from altd.vision.patch import patch_around
 from altd.vision.search import search
@@ -65,8 +68,7 @@ def flats_of(
         raise BadInputError(path, f"is a flat of unit {serials[0]!r}, the scan is of unit {serials[1]!r}")
     flats = {}
     for camera, of_scan in scan.cameras.items():
-        rows = [row for row in recording.rows if row.camera == camera]
-        if not rows:
+        if not recording.rows.count.get(camera):
             continue
         header = recording.header.cameras[camera]
         if (header.width, header.height) != (of_scan.width, of_scan.height):
@@ -78,7 +80,7 @@ def flats_of(
         if other := header.identity.difference_from(of_scan.identity):
             raise BadInputError(path, f"{camera}: the flat is of another camera than the scan: {other}")
         try:
-            flats[camera] = _flat(recording, header, rows, progress)
+            flats[camera] = _flat(recording, camera, progress)
         except ValueError as error:
             raise BadInputError(path, f"{camera}: {error}") from error
     if not flats:
@@ -86,15 +88,16 @@ def flats_of(
     return flats
 
 
-def _flat(recording: Recording, header: CameraHeader, rows: Sequence[Row], progress: Progress) -> Flat:
+def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
     """Raises ValueError when the pictures are no good."""
+    header = recording.header.cameras[camera]
     full_scale = (1 << header.bits) - 1
-    lit_rows, dark_rows = _lit_and_dark(recording, rows, progress)
-    lit = _mean(recording, header, lit_rows, progress)
+    lit_from, dark_to, levels = _lit_and_dark(recording, camera, progress)
+    lit = _mean(recording, camera, [level >= lit_from for level in levels], progress)
     usable = ~lit.clipped
     light = lit.counts
-    if dark_rows:
-        dark = _mean(recording, header, dark_rows, progress).counts
+    if min(levels) <= dark_to:
+        dark = _mean(recording, camera, [level <= dark_to for level in levels], progress).counts
         usable &= dark < np.median(dark) + _HOT_ABOVE * full_scale
         light = light - dark
     clipped = float(np.mean(lit.clipped))
@@ -111,38 +114,38 @@ def _flat(recording: Recording, header: CameraHeader, rows: Sequence[Row], progr
     return Flat.of(np.where(usable, light, 0.0), "recording", header.origin)
 
 
-def _lit_and_dark(
-    recording: Recording, rows: Sequence[Row], progress: Progress
-) -> tuple[list[Row], list[Row]]:
-    """By what the rows say, or by their light where they all say the same; rows in between are neither."""
-    lit, dark = [row for row in rows if row.leds_on], [row for row in rows if not row.leds_on]
-    if lit and dark:
-        return lit, dark
-    levels = []
-    for row in rows:
+def _lit_and_dark(recording: Recording, camera: str, progress: Progress) -> tuple[float, float, array[float]]:
+    """From which level on a row is lit, up to which it is dark, and each row's level; between, it is neither.
+
+    By what the rows say, or by their light where they all say the same.
+    """
+    said = array("d", (float(row.leds_on) for row in recording.rows.of(camera)))
+    if min(said) < max(said):
+        return 1.0, 0.0, said
+    levels = array("d")
+    for row in recording.rows.of(camera):
         levels.append(float(recording.frame(row).pixels.mean()))
-        progress(len(levels), len(rows))
+        progress(len(levels), len(said))
     dimmest, brightest = min(levels), max(levels)
     if dimmest > _DARK_BELOW * brightest:
-        return list(rows), []
+        return dimmest, -1.0, levels
     margin = _STEADY_SHARE * (brightest - dimmest)
-    of_levels = list(zip(rows, levels, strict=True))
-    return (
-        [row for row, level in of_levels if level >= brightest - margin],
-        [row for row, level in of_levels if level <= dimmest + margin],
-    )
+    return brightest - margin, dimmest + margin, levels
 
 
-def _mean(recording: Recording, header: CameraHeader, rows: Sequence[Row], progress: Progress) -> _Mean:
+def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Progress) -> _Mean:
+    """Of those of the camera's rows that are taken."""
+    header = recording.header.cameras[camera]
     shape = header.height, header.width
     full_scale = (1 << header.bits) - 1
     mean = _Mean(np.zeros(shape), np.zeros(shape, bool))
-    for row in rows:
+    total = sum(taken)
+    for row in compress(recording.rows.of(camera), taken):
         pixels = recording.frame(row).pixels
         mean.total += pixels
         mean.clipped |= pixels >= SATURATED_FROM * full_scale
         mean.frames += 1
-        progress(mean.frames, len(rows))
+        progress(mean.frames, total)
     return mean
 
 
@@ -159,7 +162,7 @@ def flat_likeness(frames: Iterable[Frame], flat: Flat) -> float:
     where the flat is too even to tell.
     """
     settings = SpotSettings()
-    seen, expected = [np.empty(0)], [np.empty(0)]
+    ground = _Correlation()
     for frame in frames:
         found = search(frame.pixels)
         patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
@@ -169,12 +172,31 @@ def flat_likeness(frames: Iterable[Frame], flat: Flat) -> float:
         response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
         even = cv2.GaussianBlur(response, (0, 0), settings.smoothing_px)
         core = (patch.smooth > 0.5 * patch.peak) & (even > 0)
-        for ratio, kept in (
-            (patch.excess[core] / patch.smooth[core], seen),
-            (response[core] / even[core], expected),
-        ):
-            kept.append(ratio - ratio.mean())
-    a, b = np.concatenate(seen), np.concatenate(expected)
-    if not len(b) or float(b.std()) < _LEAST_CONTRAST:
-        return float("nan")
-    return float(a @ b / np.sqrt((a @ a) * (b @ b)))
+        if core.any():
+            ground.add(patch.excess[core] / patch.smooth[core], response[core] / even[core])
+    return ground.value
+
+
+@dataclass(slots=True)
+class _Correlation:
+    """Of what spots show with what is expected of it, each spot's own mean taken off."""
+
+    pixels: int = 0
+    seen: float = 0.0
+    expected: float = 0.0
+    both: float = 0.0
+
+    def add(self, seen: Image, expected: Image) -> None:
+        """The pixels (n,) of one spot."""
+        a, b = (values.astype(np.float64) - values.mean() for values in (seen, expected))
+        self.pixels += a.size
+        self.seen += float(a @ a)
+        self.expected += float(b @ b)
+        self.both += float(a @ b)
+
+    @property
+    def value(self) -> float:
+        """The coefficient; NaN where nothing is expected."""
+        if self.expected < self.pixels * _LEAST_CONTRAST**2 or not self.pixels:
+            return float("nan")
+        return self.both / math.sqrt(self.seen * self.expected)

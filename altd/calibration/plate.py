@@ -6,7 +6,7 @@ docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
@@ -87,8 +87,7 @@ def calibrate_plate(
         return recording.frame(row)
 
     for name, z_mm in sorted(distances.items(), key=lambda item: item[1]):
-        rows = [row for row in recording.rows if row.camera == name]
-        target, of_target, lights = _target(recording, name, z_mm, rows, frame, localiser, degree)
+        target, of_target, lights = _target(recording, name, z_mm, frame, localiser, degree)
         targets.append(target)
         evidence.append(of_target)
         refused += [f"{name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
@@ -110,7 +109,6 @@ def _target(
     recording: Recording,
     name: str,
     z_mm: float,
-    rows: list[Row],
     frame: Callable[[Row], Frame],
     localiser: SpotSettings,
     degree: tuple[int, int] | None,
@@ -118,12 +116,15 @@ def _target(
     """One target's map, what it rests on, and the lights that are no LED."""
     plate, camera = recording.header.plate, recording.header.cameras[name]
     assert plate is not None  # noqa: S101  the caller looked
-    by_leds = {state: [row for row in rows if row.leds_on == state] for state in (False, True)}
-    for state, of_state in by_leds.items():
-        if not of_state:
-            word = "on" if state else "off"
+
+    def frames(leds_on: bool) -> Iterator[Frame]:
+        return (frame(row) for row in recording.rows.of(name) if row.leds_on == leds_on)
+
+    dark, lit = _mean(frames(False)), _mean(frames(True))
+    for word, mean in (("off", dark), ("on", lit)):
+        if mean is None:
             raise BadInputError(recording.path, f"{name}: no frame has the plate's LEDs {word}")
-    dark, lit = (_mean(frame(row) for row in of_state) for of_state in by_leds.values())
+    assert dark is not None and lit is not None  # noqa: S101, PT018  just looked
     mirrored = name == "front" if camera.mirrored is None else camera.mirrored
     try:
         leds = _find(lit - dark, plate, mirrored)
@@ -150,9 +151,7 @@ def _target(
     except ValueError as error:
         raise BadInputError(recording.path, f"{name}: {error}") from error
     fit = fitted.fit
-    scatter_px, exposures = _scatter_px(
-        (frame(row) for row in by_leds[True]), dark, tuple(leds.discs[row] for row in kept)
-    )
+    scatter_px, exposures = _scatter_px(frames(True), dark, tuple(leds.discs[row] for row in kept))
     distance_mm = residual_distances_mm(fit, nodes_mm[kept])
     scale = np.sqrt(np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm[kept]))))
     pattern_px = LASER_SPOT_SIGMA_MM * float(np.median(scale))
@@ -173,7 +172,7 @@ def _target(
         leds_px=np.empty((0, 2)),
         camera=camera.identity,
         origin=camera.origin,
-        fingerprint=hot_pixels_of(recording, rows),
+        fingerprint=hot_pixels_of(recording, recording.rows.of(name)),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
     evidence = TargetEvidence(
@@ -192,12 +191,12 @@ def _target(
     return target, evidence, leds.lights
 
 
-def _mean(frames: Iterable[Frame]) -> Image:
-    """The frames' mean, counts."""
+def _mean(frames: Iterable[Frame]) -> Image | None:
+    """The frames' mean, counts; None of no frame."""
     total, number = np.zeros(()), 0
     for frame in frames:
         total, number = total + frame.pixels, number + 1
-    return np.asarray(total / number, dtype=np.float32)
+    return np.asarray(total / number, dtype=np.float32) if number else None
 
 
 def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
@@ -281,12 +280,19 @@ def _scatter_px(
     lit: Iterable[Frame], dark: Image, discs: tuple[Disc, ...]
 ) -> tuple[FloatArray, tuple[int, ...]]:
     """Standard deviation (n, 2) of each LED's centre in single exposures, and in how many it was found."""
-    centres = np.stack([disc_centres_px(frame.pixels.astype(np.float32) - dark, discs) for frame in lit])
-    exposures = np.count_nonzero(np.isfinite(centres[:, :, 0]), axis=0)
-    scatter = np.full((len(discs), 2), np.nan)
-    for led in np.flatnonzero(exposures > 1):
-        scatter[led] = np.nanstd(centres[:, led], axis=0, ddof=1)
-    return scatter, tuple(exposures.tolist())
+    exposures = np.zeros((len(discs), 1), np.int64)
+    total, squares = np.zeros((2, len(discs), 2))
+    middle = np.array([(disc.u_px, disc.v_px) for disc in discs])  # close by: small numbers keep their digits
+    for frame in lit:
+        off_px = disc_centres_px(frame.pixels.astype(np.float32) - dark, discs) - middle
+        found = np.isfinite(off_px[:, :1])
+        exposures += found
+        total += np.where(found, off_px, 0)
+        squares += np.where(found, np.square(off_px), 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = (squares - np.square(total) / exposures) / (exposures - 1)
+        scatter = np.where(exposures > 1, np.sqrt(np.maximum(variance, 0)), np.nan)
+    return scatter, tuple(exposures[:, 0].tolist())
 
 
 def _pooled(scatter_px: FloatArray) -> FloatArray:

@@ -101,9 +101,14 @@ class Job:
         return camera.width, camera.height
 
     @property
-    def rows(self) -> list[Row]:
+    def rows(self) -> Iterator[Row]:
         """The target's frames."""
-        return [row for row in self.recording.rows if row.camera == self.name]
+        return self.recording.rows.of(self.name)
+
+    @property
+    def frames(self) -> int:
+        """How many they are."""
+        return self.recording.rows.count.get(self.name, 0)
 
 
 def look(job: Job, progress: Progress) -> Seen:
@@ -121,7 +126,7 @@ def look(job: Job, progress: Progress) -> Seen:
             leds = locate_leds(frame, dark)
             seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
             seen.leds_dropped = leds.dropped
-        progress(done, len(job.rows))
+        progress(done, job.frames)
     return seen
 
 

@@ -26,11 +26,11 @@ class Playback:
         self.recording = recording
         self.realtime = realtime
         self.repeat = repeat
-        first, last = recording.rows[0], recording.rows[-1]
+        first, last = recording.rows.first, recording.rows.last
         self._first_s = first.t_s
         self._exposure_s = 1 / recording.header.fps
         self._length_s = last.t_s - first.t_s + self._exposure_s
-        self.length_sequences = max(row.sequence for row in recording.rows) + 1
+        self.length_sequences = recording.rows.largest_sequence + 1
         self._started_ns: int | None = None
         self._next_s: dict[str, float] = {}
         self._moved = threading.Condition()
@@ -65,8 +65,7 @@ class PlaybackCamera:
     """One camera of a recording."""
 
     def __init__(self, name: str, playback: Playback) -> None:
-        rows = tuple(row for row in playback.recording.rows if row.camera == name)
-        if not rows:
+        if not playback.recording.rows.count.get(name):
             raise BadInputError(playback.recording.path, f"has no frames of camera {name!r}")
         self.name = name
         self.origin = playback.recording.header.cameras[name].origin
@@ -77,9 +76,11 @@ class PlaybackCamera:
         self.width = playback.recording.header.cameras[name].width
         self.height = playback.recording.header.cameras[name].height
         self._playback = playback
-        self._rows = rows
-        self._next = 0
-        playback.stands_at(name, rows[0], 0)
+        self._turn = 0
+        self._rows = playback.recording.rows.of(name)
+        self._next = next(self._rows, None)
+        self._failure: str | None = None
+        playback.stands_at(name, self._next, 0)
 
     def open(self) -> None:
         """Nothing to get ready; the recording was checked when it was opened."""
@@ -118,14 +119,23 @@ class PlaybackCamera:
 
     def _due(self) -> tuple[int, Row, int]:
         """The next frame's turn and row, and when it is exposed."""
-        turn, index = divmod(self._next, len(self._rows))
-        if turn and not self._playback.repeat:
+        if self._failure is not None:
+            raise CameraError(self._failure)
+        if self._next is None:
             raise CameraEndedError("the recording is at its end")
-        row = self._rows[index]
-        return turn, row, self._playback.t_ns(row, turn)
+        return self._turn, self._next, self._playback.t_ns(self._next, self._turn)
 
     def _step(self) -> None:
-        self._next += 1
-        turn, index = divmod(self._next, len(self._rows))
-        ended = turn and not self._playback.repeat
-        self._playback.stands_at(self.name, None if ended else self._rows[index], turn)
+        """To the next row, from the last one to the first where the recording is repeated.
+
+        A table that is not any more what was checked ends it for good: nobody knows what its frames are.
+        """
+        try:
+            self._next = next(self._rows, None)
+            if self._next is None and self._playback.repeat:
+                self._turn += 1
+                self._rows = self._playback.recording.rows.of(self.name)
+                self._next = next(self._rows, None)
+        except BadInputError as error:
+            self._failure, self._next = str(error), None
+        self._playback.stands_at(self.name, self._next, self._turn)

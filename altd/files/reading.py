@@ -10,6 +10,8 @@ from pathlib import Path
 
 from altd.errors import BadInputError
 
+_PIECE_BYTES = 1 << 20
+
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -26,17 +28,33 @@ def read_file(path: Path, largest_bytes: int) -> bytes:
     Raises BadInputError, also when the file changed while it was read: then it is neither the old one nor the
     new one.
     """
+    return b"".join(read_pieces(path, largest_bytes))
+
+
+def read_pieces(path: Path, largest_bytes: int) -> Iterator[bytes]:
+    """The same piece by piece; that the file changed meanwhile is said after the last one."""
     with _opened(path) as descriptor:
         before = os.fstat(descriptor)
         if before.st_size > largest_bytes:
             raise BadInputError(path, f"is {before.st_size} bytes long, more than {largest_bytes}")
-        content = _read(descriptor, largest_bytes + 1)
+        length = 0
+        while piece := _read(descriptor, min(_PIECE_BYTES, largest_bytes + 1 - length)):
+            length += len(piece)
+            yield piece
         after = os.fstat(descriptor)
         if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
             raise BadInputError(path, "was changed while it was read")
-        if len(content) > largest_bytes:  # of a file of /proc, which has no size
+        if length > largest_bytes:  # of a file of /proc, which has no size
             raise BadInputError(path, f"is more than {largest_bytes} bytes long")
-        return content
+
+
+def read_first(path: Path, length_bytes: int) -> Iterator[bytes]:
+    """The first bytes of a regular file in pieces that are cut as those of ``read_pieces``."""
+    with _opened(path) as descriptor:
+        left = length_bytes
+        while piece := _read(descriptor, min(_PIECE_BYTES, left)):
+            left -= len(piece)
+            yield piece
 
 
 def read_head(path: Path, head_bytes: int) -> bytes:

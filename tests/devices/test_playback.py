@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from pathlib import Path
@@ -9,7 +10,7 @@ from support.recordings import write_beams
 
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
-from altd.ports import CameraEndedError, CameraTimeoutError
+from altd.ports import CameraEndedError, CameraError, CameraTimeoutError
 from altd.recording import open_recording
 
 
@@ -107,3 +108,18 @@ def test_each_turn_through_a_recording_is_a_playthrough_of_its_own(recording: Pa
         turns.append(front.next_frame(1.0).playthrough)
         rear.next_frame(1.0)
     assert turns == [0] * 8 + [1] * 8 + [2]
+
+
+def test_a_table_that_is_changed_meanwhile_is_played_no_further(recording: Path, tmp_path: Path) -> None:
+    """Nobody has looked at the frames that it names now. It is a camera that fails, and goes on failing."""
+    copy = tmp_path / "rec"
+    shutil.copytree(recording, copy)
+    front, rear = cameras(copy, repeat=True)
+    assert front.next_frame(1.0).sequence == rear.next_frame(1.0).sequence == 0
+    table = copy / "frames.csv"
+    table.write_text(table.read_text().replace("front0003", "front0002"))
+    for number in range(1, 8):  # what was read before it was changed
+        assert front.next_frame(1.0).sequence == rear.next_frame(1.0).sequence == number
+    for camera in (front, rear, front):
+        with pytest.raises(CameraError, match="was changed after it was checked"):
+            camera.next_frame(1.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -87,7 +88,7 @@ def check(example: Folder) -> None:
         recording = open_recording(path)
         recording.sha256()
         assert math.isfinite(1 / recording.header.fps)
-        for row in recording.rows[:8]:
+        for row in islice(recording.rows, 8):
             frame = recording.frame(row)
             camera = recording.header.cameras[row.camera]
             assert frame.pixels.shape == (camera.height, camera.width)
