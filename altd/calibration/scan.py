@@ -23,7 +23,7 @@ from altd.calibration.result import (
     residual_distances_mm,
 )
 from altd.calibration.scan_grid import relative_sigmas, scan_grid
-from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, look, printed_nodes
+from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, first_rows, look, printed_nodes
 from altd.calibration.spot_reference import spot_reference
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
@@ -115,7 +115,15 @@ def calibrate_scan(
 def _with_pattern(job: Job, target: TargetCalibration, pattern_px: float) -> TargetCalibration:
     """The target with what print and speckle do to a spot, and what its spots are like."""
     fitted = replace(target.map, noise_px=pattern_px)
-    reference = spot_reference(first_frames(job), target.localiser, target.flat, fitted, pattern_px)
+    rows = first_rows(job)
+    reference = spot_reference(
+        lambda node: job.recording.frame(rows[node]),
+        len(rows),
+        target.localiser,
+        target.flat,
+        fitted,
+        pattern_px,
+    )
     return replace(target, map=fitted, spot=reference or UNKNOWN_SPOT)
 
 
@@ -131,8 +139,13 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
         job = replace(job, localiser=_MOMENT)
     seen = look(job, progress)
     made = _fit_target(job, seen, None)
-    frames = [job.recording.frame(node.located[0]) for node in seen.usable]
-    found = find_print(frames, _spots_px(seen.usable), made.target.map, job.localiser)
+    rows = [node.located[0] for node in seen.usable]
+    found = find_print(
+        lambda node: job.recording.frame(rows[node]),
+        _spots_px(seen.usable),
+        made.target.map,
+        job.localiser,
+    )
     if found is not None:
         return _calibrate_printed(job, found, progress)
     remark = "plain, no print"

@@ -130,13 +130,18 @@ def look(job: Job, progress: Progress) -> Seen:
     return seen
 
 
-def first_frames(job: Job) -> Iterator[Frame]:
+def first_rows(job: Job) -> list[Row]:
     """The first exposure of each node."""
     first: dict[tuple[int, int], Row] = {}
     for row in job.rows:
         if row.position_mm is not None and not row.leds_on:
             first.setdefault(node_key(row.position_mm), row)
-    return (job.recording.frame(row) for row in first.values())
+    return list(first.values())
+
+
+def first_frames(job: Job) -> Iterator[Frame]:
+    """The first exposure of each node, seen."""
+    return (job.recording.frame(row) for row in first_rows(job))
 
 
 def printed_nodes(job: Job) -> tuple[int, int]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
 
+from altd.calibration.again import Again
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
-from altd.records import Frame, SpotShape
+from altd.records import FloatArray, Frame, SpotShape
 from altd.spot_shape import shape_in_mm
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile
 from altd.vision.misfit import misfit_of
-from altd.vision.profile import Profile
 from altd.vision.reference import Four, ShapeReference, SpotReference
 from altd.vision.settings import SpotSettings
 
@@ -24,17 +24,30 @@ _MAD_TO_SIGMA = 1.4826
 
 
 def spot_reference(
-    frames: Iterable[Frame], localiser: SpotSettings, flat: Flat | None, fitted: TensorMap, noise_px: float
+    frame_of: Callable[[int], Frame],
+    nodes: int,
+    localiser: SpotSettings,
+    flat: Flat | None,
+    fitted: TensorMap,
+    noise_px: float,
 ) -> SpotReference | None:
     """The reference of a target from a frame of each of its nodes; None where too few show a whole spot.
 
-    ``noise_px`` is what print and speckle do to a centre about the map ``fitted``. Medians over the nodes:
-    single bad spots do not count.
+    ``frame_of`` gives the frame of a node by its number. ``noise_px`` is what print and speckle do to a
+    centre about the map ``fitted``. Medians over the nodes: single bad spots do not count.
     """
-    profiles = [profile for f in frames if (profile := fitted_profile(f, localiser, flat)) is not None]
+    profiles = Again(
+        nodes,
+        lambda node: fitted_profile(frame_of(node), localiser, flat),
+        lambda profile: profile.residuals.nbytes,
+    )
     if len(profiles) < _MIN_SPOTS:
         return None
-    grain = float(np.median([profile.residuals.grain for profile in profiles]))
+    grains, spots = [], []
+    for profile in profiles:
+        grains.append(profile.residuals.grain)
+        spots.append((profile.centre.u_px, profile.centre.v_px, *profile.form, profile.order))
+    grain = float(np.median(grains))
     misfits = [misfit for p in profiles if (misfit := misfit_of(p.residuals, grain)) is not None]
     if len(misfits) < _MIN_SPOTS:
         return None
@@ -46,18 +59,20 @@ def spot_reference(
         misfit_ratio=max(float(np.median(chi2 / medians)), 1.0),
         pattern_px=float(np.median([misfit.pattern_px for misfit in misfits])),
         noise_px=noise_px,
-        shape=_shape_reference(profiles, fitted),
+        shape=_shape_reference(np.array(spots), fitted),
     )
 
 
-def _shape_reference(profiles: list[Profile], fitted: TensorMap) -> ShapeReference | None:
-    """Median shape in the unit frame, and the standard deviation by the median absolute deviation."""
-    centres = np.array([(profile.centre.u_px, profile.centre.v_px) for profile in profiles])
-    points_mm, jacobians, _ = InverseMap.of(fitted).to_mm(centres)
+def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | None:
+    """Median shape in the unit frame, and the standard deviation by the median absolute deviation.
+
+    ``spots`` (n, 6): centre (u, v) px, form a, b, c and order of each.
+    """
+    points_mm, jacobians, _ = InverseMap.of(fitted).to_mm(spots[:, :2])
     shapes = np.array(
         [
-            shape_in_mm(SpotShape(*profile.form, profile.order), jacobian)
-            for profile, point, jacobian in zip(profiles, points_mm, jacobians, strict=True)
+            shape_in_mm(SpotShape(*form), jacobian)
+            for form, point, jacobian in zip(spots[:, 2:].tolist(), points_mm, jacobians, strict=True)
             if np.isfinite(point).all()
         ]
     )

@@ -9,7 +9,7 @@ chi-square.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -52,6 +52,12 @@ class Residuals:
     spot_light: FloatArray
     flat_light: FloatArray
     direction: np.ndarray[tuple[int], np.dtype[np.complex128]]
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes in memory."""
+        values = (getattr(self, field.name) for field in fields(self))
+        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,12 @@ to the camera. The lattice is regular in the plane of the print, so it also tell
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from altd.calibration.again import Again
 from altd.calibration.printed.lattice import Lattice, find_lattice
 from altd.calibration.printed.plane import Plane
 from altd.calibration.printed.sample import Sample, sample_of
@@ -56,20 +57,23 @@ class _Model:
     sigma_mm: float
 
     @classmethod
-    def first(cls, lattice: Lattice, samples: Sequence[Sample], centres_mm: FloatArray) -> _Model:
+    def first(cls, lattice: Lattice, samples: Again[Sample], centres_mm: FloatArray) -> _Model:
         """As if the map were true; the blur that fits best stays."""
         series = Series.fit(lattice, samples, _BLURS_PX)
         return cls._through(series, np.zeros((_COEFFICIENTS, 2)), samples, centres_mm)
 
-    def next(self, samples: Sequence[Sample], centres_mm: FloatArray) -> _Model:
+    def next(self, samples: Again[Sample], centres_mm: FloatArray) -> _Model:
         """A better one, from samples that were taken through this one's flat."""
-        regular = [replace(sample, mm=self.moved(sample.mm)) for sample in samples]
-        series = Series.fit(self.series.lattice, regular, (self.series.blur_px,))
-        return self._through(series, self.bend, regular, centres_mm)
+        series = Series.fit(self.series.lattice, self._regular(samples), (self.series.blur_px,))
+        return self._through(series, self.bend, self._regular(samples), centres_mm)
+
+    def _regular(self, samples: Again[Sample]) -> Iterator[Sample]:
+        """The samples where the print has them."""
+        return (replace(sample, mm=self.moved(sample.mm)) for sample in samples)
 
     @classmethod
     def _through(
-        cls, series: Series, bend: FloatArray, regular: Sequence[Sample], centres_mm: FloatArray
+        cls, series: Series, bend: FloatArray, regular: Iterable[Sample], centres_mm: FloatArray
     ) -> _Model:
         """What a cubic explains of the nodes' offsets from the series is the bend, the rest their error."""
         cubic = _cubic(centres_mm)
@@ -86,42 +90,43 @@ class _Model:
 
 
 def find_print(
-    nodes: Sequence[Frame], nodes_px: FloatArray, first_map: TensorMap, settings: SpotSettings
+    frame_of: Callable[[int], Frame], nodes_px: FloatArray, first_map: TensorMap, settings: SpotSettings
 ) -> Print | None:
     """The print that the spots at a scan's nodes show; None when there is none or it is not regular.
 
-    ``nodes`` holds one exposure of each node, ``nodes_px`` (n, 2) where the spots are, ``first_map`` a map
-    that is good to a tenth of a dot pitch.
+    ``frame_of`` gives one exposure of a node by its number, ``nodes_px`` (n, 2) is where the spots are,
+    ``first_map`` a map that is good to a tenth of a dot pitch. No more than a bounded part of what the frames
+    show is held at a time; the rest is taken from them again.
     """
     plane = Plane(first_map)
-    seen, samples = _seen(nodes, plane, settings, None)
-    if len(seen) < _FEWEST_NODES:
+
+    def seen_through(flat: Flat | None) -> Again[Sample]:
+        """What the nodes show of the print, those that show any."""
+        return Again(
+            len(nodes_px),
+            lambda node: sample_of(frame_of(node), plane, settings, flat),
+            lambda sample: sample.nbytes,
+        )
+
+    samples = seen_through(None)
+    if len(samples) < _FEWEST_NODES:
         return None
-    lattice = find_lattice(samples, plane.to_mm(nodes_px[seen]))
+    lattice = find_lattice(samples, plane.to_mm(nodes_px[samples.nodes]))
     if lattice is None:
         return None
-    rows, columns = nodes[0].pixels.shape
+    rows, columns = frame_of(0).pixels.shape
     picture_mm = plane.grid_mm(rows, columns)
-    model = _Model.first(lattice, samples, plane.to_mm(nodes_px[seen]))
+    model = _Model.first(lattice, samples, plane.to_mm(nodes_px[samples.nodes]))
     if model.series.contrast < _LEAST_CONTRAST:
         return None
     for _ in range(_ROUNDS):
-        seen, samples = _seen(nodes, plane, settings, _flat(model, picture_mm))
-        if len(seen) < _FEWEST_NODES:
+        del samples  # two of them at a time would be twice the memory
+        samples = seen_through(_flat(model, picture_mm))
+        if len(samples) < _FEWEST_NODES:
             return None
-        model = model.next(samples, plane.to_mm(nodes_px[seen]))
-    return Print(lattice, _flat(model, picture_mm), Marks(nodes_px[seen], model.regular_mm, model.sigma_mm))
-
-
-def _seen(
-    nodes: Sequence[Frame], plane: Plane, settings: SpotSettings, flat: Flat | None
-) -> tuple[list[int], list[Sample]]:
-    """The nodes that show the print, and what they show."""
-    samples = [sample_of(frame, plane, settings, flat) for frame in nodes]
-    return (
-        [index for index, sample in enumerate(samples) if sample is not None],
-        [sample for sample in samples if sample is not None],
-    )
+        model = model.next(samples, plane.to_mm(nodes_px[samples.nodes]))
+    marks = Marks(nodes_px[samples.nodes], model.regular_mm, model.sigma_mm)
+    return Print(lattice, _flat(model, picture_mm), marks)
 
 
 def _cubic(mm: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
 _SHARE_OF_PEAK = 0.15
+_PART_PIXELS = 1 << 13
 _GRAIN = 0.15
 """Relative scatter that a pixel keeps beside the print: limits the weight of bright pixels."""
 
@@ -32,6 +34,17 @@ class Sample:
     ratio: FloatArray
     weight: FloatArray
     metric: FloatArray
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes in memory."""
+        return self.mm.nbytes + self.ratio.nbytes + self.weight.nbytes + self.metric.nbytes
+
+    def parts(self) -> Iterator[Sample]:
+        """The same pixels, some thousand at a time: what is made of each is a hundred times as large."""
+        for start in range(0, len(self.ratio), _PART_PIXELS):
+            part = slice(start, start + _PART_PIXELS)
+            yield Sample(self.mm[part], self.ratio[part], self.weight[part], self.metric)
 
 
 def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | None) -> Sample | None:

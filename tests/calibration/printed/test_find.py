@@ -22,7 +22,7 @@ def found(scene: Scene) -> Print:
     rng = np.random.default_rng(1)
     rough_px = scene.nodes_px() + rng.normal(0, 0.06, (len(NODES_MM), 2))
     first_map = fit_lens_map(NODES_MM, rough_px, convex_hull_mm(NODES_MM), (WIDTH_PX, HEIGHT_PX)).map
-    found = find_print(scene.frames(), scene.nodes_px(), first_map, SpotSettings())
+    found = find_print(scene.frames().__getitem__, scene.nodes_px(), first_map, SpotSettings())
     assert found is not None
     return found
 
@@ -52,9 +52,9 @@ def test_the_marks_are_the_regular_places_of_the_nodes(found: Print, scene: Scen
 def test_print_at_a_few_nodes_is_no_print(scene: Scene) -> None:
     plain = Scene(None, power_mw=2.0)
     frames = [*scene.frames()[:10], *plain.frames()[10:]]
-    assert find_print(frames, scene.nodes_px(), scene.first_map(), SpotSettings()) is None
+    assert find_print(frames.__getitem__, scene.nodes_px(), scene.first_map(), SpotSettings()) is None
 
 
 def test_too_few_spots_show_no_print(scene: Scene) -> None:
     frames = scene.frames()[:11]
-    assert find_print(frames, scene.nodes_px()[:11], scene.first_map(), SpotSettings()) is None
+    assert find_print(frames.__getitem__, scene.nodes_px()[:11], scene.first_map(), SpotSettings()) is None
