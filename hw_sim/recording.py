@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
 
 import cv2
 
@@ -26,13 +27,14 @@ Progress = Callable[[int, int], None]
 class Recorder:
     """Exposes both cameras of a unit at its rate and keeps the frames."""
 
-    def __init__(self, folder: Path, unit: Unit, planned: int, progress: Progress) -> None:
+    def __init__(self, folder: Path, table: TextIO, unit: Unit, planned: int, progress: Progress) -> None:
         self._folder = folder
+        self._table = csv.writer(table, lineterminator="\n")
+        self._table.writerow(HEADER)
         self._unit = unit
         self._planned = planned
         self._progress = progress
         self._sequence = 0
-        self.rows: list[tuple[str, ...]] = []
 
     @property
     def t_ns(self) -> int:
@@ -63,7 +65,7 @@ class Recorder:
             file = f"{camera}/{self._sequence:06d}.png"
             (self._folder / file).write_bytes(cv2.imencode(".png", frame.pixels)[1].tobytes())
             leds = "on" if frame.leds_on or even_mw_per_mm2 > 0.0 else "off"
-            self.rows.append((str(self._sequence), f"{t_ns * 1e-9:.6f}", camera, file, leds, *at))
+            self._table.writerow((self._sequence, f"{t_ns * 1e-9:.6f}", camera, file, leds, *at))
         self._sequence += 1
         self._progress(self._sequence, self._planned)
 
@@ -90,10 +92,8 @@ def recording(
     try:
         for camera in CAMERAS:
             (draft / camera).mkdir(parents=True)
-        recorder = Recorder(draft, unit, planned, progress)
-        yield recorder
         with (draft / "frames.csv").open("w", newline="") as table:
-            csv.writer(table, lineterminator="\n").writerows([HEADER, *recorder.rows])
+            yield Recorder(draft, table, unit, planned, progress)
         (draft / "recording.json").write_text(
             json.dumps({**_about(unit, kind), **(about or {})}, indent=1) + "\n"
         )

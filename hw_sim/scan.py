@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
 from hw_sim.beam import BeamPose
 from hw_sim.recording import Progress, recording
@@ -23,20 +24,34 @@ LED_REFERENCE = (False, True, False, True)
 """The frame LEDs in the exposures before the grid, with the beam in the middle."""
 
 
-def grid_mm(pitch_mm: float = PITCH_MM) -> list[tuple[float, float]]:
+def grid_mm(
+    pitch_mm: float = PITCH_MM, columns: int = COLUMNS, rows: int = ROWS
+) -> list[tuple[float, float]]:
     """The nodes (x, y) of the scan in mm, row by row from the smallest x and y."""
     return [
-        ((column - (COLUMNS - 1) / 2.0) * pitch_mm, (row - (ROWS - 1) / 2.0) * pitch_mm)
-        for row in range(ROWS)
-        for column in range(COLUMNS)
+        ((column - (columns - 1) / 2.0) * pitch_mm, (row - (rows - 1) / 2.0) * pitch_mm)
+        for row in range(rows)
+        for column in range(columns)
     ]
 
 
+def dense_pitch_mm(columns: int, rows: int) -> float:
+    """The widest pitch with which a grid of so many nodes lies within the usual one."""
+    return PITCH_MM * min((COLUMNS - 1) / (columns - 1), (ROWS - 1) / (rows - 1))
+
+
 def record_scan(
-    folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress, pitch_mm: float = PITCH_MM
+    folder: Path,
+    unit: Unit,
+    stage: Stage,
+    exposures: int,
+    progress: Progress,
+    pitch_mm: float = PITCH_MM,
+    columns: int = COLUMNS,
+    rows: int = ROWS,
 ) -> None:
     """Write the scan of a unit into ``folder``: LED reference pairs, then ``exposures`` a node."""
-    nodes = grid_mm(pitch_mm)
+    nodes = grid_mm(pitch_mm, columns, rows)
     planned = len(LED_REFERENCE) + len(nodes) * exposures
     with recording(folder, unit, "scan", planned, progress) as recorder:
         for leds_on in LED_REFERENCE:
@@ -52,6 +67,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_common_arguments(parser)
     parser.add_argument("--exposures", type=at_least_one, default=2, help="exposures a node (default 2)")
     parser.add_argument(
+        "--grid",
+        type=_grid,
+        default=(COLUMNS, ROWS),
+        metavar="C,R",
+        help="columns and rows of nodes, over the same area (default 6,5)",
+    )
+    parser.add_argument(
         "--stage", action="store_true", help="in real time: `altd scan` drives a simulated Grbl stage"
     )
 
@@ -61,8 +83,31 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.stage:
         from hw_sim.staged_scan import staged_scan
 
+        if arguments.grid != (COLUMNS, ROWS):
+            raise BadInputError("--grid", "goes without --stage: what altd scan makes is its own grid")
         return staged_scan(arguments.output, arguments.seed, arguments.exposures)
+    columns, rows = arguments.grid
     unit = Unit(UnitConfig(seed=arguments.seed))
     stage = Stage(np.random.default_rng([arguments.seed, STAGE_STREAM]))
-    record_scan(arguments.output, unit, stage, arguments.exposures, terminal_progress("scan"))
+    record_scan(
+        arguments.output,
+        unit,
+        stage,
+        arguments.exposures,
+        terminal_progress("scan"),
+        dense_pitch_mm(columns, rows),
+        columns,
+        rows,
+    )
     return 0
+
+
+def _grid(text: str) -> tuple[int, int]:
+    """Columns and rows."""
+    try:
+        columns, rows = (int(part) for part in text.split(","))
+    except ValueError:
+        columns = rows = 0
+    if not 4 <= min(columns, rows) <= max(columns, rows) <= 200:
+        raise argparse.ArgumentTypeError(f"{text!r} is no grid such as 6,5: 4 to 200 columns and rows")
+    return columns, rows

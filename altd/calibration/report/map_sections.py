@@ -11,6 +11,7 @@ from altd.calibration.model import TargetCalibration
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
 from altd.calibration.report.prediction import (
+    MOST_STACKED,
     common_area,
     difference_mm,
     node_covariance_px2,
@@ -199,7 +200,8 @@ def covariances(source: Source) -> list[Block]:
             "nodes",
             "Covariance of the mapped nodes' u (Eq. 3.53, Fig. 3.19); the nodes are stacked column by "
             "column, from the lowest x and y. The diagonal holds the nodes' variances; the corners, which "
-            "only few neighbours hold, are the most uncertain.",
+            "only few neighbours hold, are the most uncertain. Of more than "
+            f"{MOST_STACKED} nodes every second, third … one is shown.",
         ),
         (
             of_spectra,

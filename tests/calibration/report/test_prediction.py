@@ -106,5 +106,19 @@ def test_the_covariance_of_the_nodes_is_that_of_the_thesis() -> None:
     assert spectrum == pytest.approx(fitted.noise_px**2 * np.eye(12), abs=1e-9)
 
 
+def test_of_a_thousand_nodes_the_covariance_of_every_second_is_shown() -> None:
+    x_mm, y_mm = np.meshgrid(np.linspace(-70, 70, 40), np.linspace(-55, 55, 25))
+    places = np.column_stack([x_mm.ravel(), y_mm.ravel()])
+    fitted = fit_tensor_map(
+        nodes_mm(), straight_px("rear", nodes_mm()), convex_hull_mm(nodes_mm()), (3, 2)
+    ).map
+    noisy = replace(fitted, spread_px=np.random.default_rng(1).normal(0, 0.01, fitted.spread_px.shape))
+    shown = node_covariance_px2(noisy, places)
+    assert shown.shape == (500, 500)
+    by_columns = places[np.argsort(places[:, 0] * 1000 + places[:, 1])]
+    variances = noisy.spread_variance_px2(by_columns[::2])[:, 0]
+    assert shown.diagonal() == pytest.approx(variances)
+
+
 def test_a_map_without_errors_has_no_covariance() -> None:
     assert not node_covariance_px2(straight_map("front", shift_px=0.0), nodes_mm()).any()
