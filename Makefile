@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test fuzz check bench bench-area bench-guest bench-live bench-spray bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige test fuzz check bench bench-area bench-guest bench-live bench-memory bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -63,6 +63,9 @@ bench-guest: venv kernel ## a minute with two cameras of the kernel's test drive
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
+
+bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour
+	@exec $(python) -m benchmarks.memory
 
 bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
 	@exec unshare -rn $(python) -m benchmarks.live.spray --seconds $(SPRAY_S)

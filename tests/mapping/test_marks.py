@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,22 @@ def test_marks_make_a_map_between_noisy_nodes_better() -> None:
     alone_px, guided_px = (np.sqrt(np.mean(misses[guided])) for guided in (False, True))
     assert 0.01 < alone_px < 0.04
     assert guided_px < 0.8 * alone_px
+
+
+def test_a_fit_through_two_thousand_nodes_and_marks_takes_memory_in_proportion() -> None:
+    """A matrix of all nodes by all would be 128 MB, and the map must not be another one for lack of it."""
+    rng = np.random.default_rng(4)
+    lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
+    nodes_mm = np.array(grid_mm(2.8, 50, 40))
+    nodes_px = seen(lens, nodes_mm) + rng.normal(0, 0.03, nodes_mm.shape)
+    marks = Marks(nodes_px, nodes_mm + rng.normal(0, 0.003, nodes_mm.shape), 0.003)
+    tracemalloc.start()
+    try:
+        fit = fit_lens_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), (WIDTH_PX, HEIGHT_PX), marks=marks)
+        assert tracemalloc.get_traced_memory()[1] < 30e6
+    finally:
+        tracemalloc.stop()
+    assert 0 < fit.bound < fit.parameters == 13
+    assert fit.left_out_px == pytest.approx(0.03, rel=0.05)
+    dense_mm = fit.map.dense_mm()
+    assert np.abs(fit.map.to_px(dense_mm) - seen(lens, dense_mm)).max() < 0.02

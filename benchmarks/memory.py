@@ -1,0 +1,173 @@
+"""``python -m benchmarks.memory`` (``make bench-memory``): what commands take, against nodes and frames.
+
+Each command runs as a process of its own, one at a time; its peak is what the kernel counts (``ru_maxrss`` of
+wait4). A process begins with the peak of the one that starts it: so this module imports nothing large.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+NODES = 30, 120, 480, 2000
+FRAMES = 10, 1000, 10_000
+EXPOSURES_A_NODE = 2
+EXPOSURES_A_POSE = 5
+FPS = 20.0
+SEED = 1
+
+_CONFIG = """\
+[unit]
+serial = "SIM-1"
+calibration = "none.json"
+"""
+_CAMERA = """
+[[targets]]
+name = "{name}"
+z_mm = {z_mm}
+camera = "{name}"
+
+[cameras.{name}]
+driver = "recording"
+path = "{path}"
+pace = "fast"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """What one run of a command took; ``size`` is the nodes of its scan, or the frames of its recording."""
+
+    command: str
+    size: int
+    peak_mb: float
+    seconds: float
+    cpu_s: float
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Make the inputs, run the commands, print a line each."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.memory", description="Peak memory and time of altd's commands."
+    )
+    parser.add_argument("--nodes", type=_numbers, default=NODES, help="30,120,480,2000")
+    parser.add_argument("--frames", type=_numbers, default=FRAMES, help="10,1000,10000")
+    parser.add_argument("--exposures", type=int, default=EXPOSURES_A_NODE, help="a node (2)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    options = parser.parse_args(arguments)
+    print(f"{'command':<34}{'nodes, frames':>14}{'peak MB':>9}{'seconds':>9}{'CPU s':>8}")
+    figures = []
+    with tempfile.TemporaryDirectory(prefix="altd-bench-") as name:
+        for figure in measure(Path(name), options.nodes, options.frames, options.exposures):
+            figures.append(figure)
+            print(
+                f"{figure.command:<34}{figure.size:>14}{figure.peak_mb:>9.0f}{figure.seconds:>9.1f}"
+                f"{figure.cpu_s:>8.1f}",
+                flush=True,
+            )
+    if options.json:
+        options.json.write_text(json.dumps([asdict(figure) for figure in figures], indent=1) + "\n")
+    return 0
+
+
+def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures: int) -> Iterator[Figure]:
+    """All commands in ``folder``, the smallest input first."""
+    flat, scan, calibration = folder / "flat", folder / "scan", folder / "calibration.json"
+    _run(*_hw_sim("flat", flat))
+    for count in sorted(nodes):
+        made = _run(*_hw_sim("scan", scan), "--grid", _grid(count), "--exposures", str(exposures))
+        yield made.named("hw_sim scan", count)
+        output = "-o", str(calibration)
+        yield _run(*_altd("calibrate", scan), "--flat", str(flat), *output).named(
+            "altd calibrate --flat", count
+        )
+        yield _run(*_altd("calibrate", scan), *output).named("altd calibrate", count)
+        shutil.rmtree(scan)
+    if not nodes:
+        _run(*_hw_sim("scan", scan))
+        _run(*_altd("calibrate", scan), "-o", str(calibration))
+    for count in sorted(frames):
+        yield from _of_frames(folder, count, calibration)
+
+
+def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]:
+    """What makes, measures and copies a recording of so many frames of two cameras."""
+    played, copied = folder / "played", folder / "copied"
+    poses = max(frames // 2 // EXPOSURES_A_POSE, 1)
+    few = "--poses", str(poses), "--exposures", str(EXPOSURES_A_POSE), "--truth", str(folder / "truth.json")
+    yield _run(*_hw_sim("measure", played), *few).named("hw_sim measure", frames)
+    window = str(EXPOSURES_A_POSE)
+    ways = "--calibration", str(calibration), "--window", window, "--every", window
+    yield _run(*_altd("replay", played), *ways).named("altd replay", frames)
+    config = folder / "altd.toml"
+    cameras = (("front", 0.0), ("rear", 280.0))
+    config.write_text(
+        _CONFIG + "".join(_CAMERA.format(name=name, z_mm=z_mm, path=played) for name, z_mm in cameras)
+    )
+    seconds = str(math.ceil(frames / FPS) + 1)  # more than it plays
+    record = _run(*_altd("record"), "--config", str(config), "-o", str(copied), "--seconds", seconds)
+    yield record.named("altd record, played at full speed", frames)
+    shutil.rmtree(played)
+    shutil.rmtree(copied)
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    peak_mb: float
+    seconds: float
+    cpu_s: float
+
+    def named(self, command: str, size: int) -> Figure:
+        return Figure(command, size, self.peak_mb, self.seconds, self.cpu_s)
+
+
+def _run(*command: str) -> _Taken:
+    """Run a command to its end; raises RuntimeError with what it said when it fails."""
+    begun_s = time.monotonic()
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said)  # noqa: S603  our own
+        _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.monotonic() - begun_s
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            said.seek(0)
+            raise RuntimeError(f"{' '.join(command)}: status {process.returncode}: {said.read()}")
+    return _Taken(usage.ru_maxrss / 1024, seconds, usage.ru_utime + usage.ru_stime)
+
+
+def _altd(command: str, *paths: Path) -> tuple[str, ...]:
+    return sys.executable, "-m", "altd.cli", command, *map(str, paths)
+
+
+def _hw_sim(command: str, output: Path) -> tuple[str, ...]:
+    return sys.executable, "-m", "hw_sim", command, "-o", str(output), "--seed", str(SEED)
+
+
+def _grid(nodes: int) -> str:
+    """Columns and rows of so many nodes, nearest to 5 : 4, as the area has them."""
+    rows = min(
+        (rows for rows in range(4, nodes // 4 + 1) if nodes % rows == 0),
+        key=lambda rows: abs(math.log(nodes / rows**2 / 1.25)),
+        default=0,
+    )
+    if not rows:
+        raise SystemExit(f"benchmarks.memory: {nodes} nodes make no grid")
+    return f"{nodes // rows},{rows}"
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(",") if part)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
