@@ -7,13 +7,12 @@ import errno
 import hashlib
 import io
 import json
-import math
 import os
 import shutil
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,30 +25,21 @@ from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
-from altd.files.steady import SteadyFile
 from altd.measurement_json import utc_text
 from altd.ports import Camera
+from altd.recording_table import COLUMNS, MAX_POSITION_MM, Row, Rows
 from altd.records import CameraIdentity, Frame, Origin
 
 HEADER_FILE = "recording.json"
 FRAMES_FILE = "frames.csv"
-COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
 """What a recording shows."""
 
 _LARGEST_HEADER_BYTES = 1 << 20
-_LARGEST_TABLE_BYTES = _LARGEST_FILE_BYTES = 1 << 28
-"""A day of two cameras at 20 a second takes 210 MB."""
-
+_LARGEST_FILE_BYTES = 1 << 28
 
 MADE_BY = f"altd {__version__}"
-
-MAX_T_S = 1e9
-"""Thirty years: the times of a recording count from its start."""
-MAX_SEQUENCE = 2**53
-"""Whole numbers up to here are exact as floats, thus in every JSON reader."""
-MAX_POSITION_MM = 10_000.0
 
 Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
 Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
@@ -155,46 +145,6 @@ class RecordingHeader(_Header):
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """One line of ``frames.csv``; ``position_mm`` is where the stage put the beam, in a scan."""
-
-    number: int
-    sequence: int
-    t_s: float
-    camera: str
-    file: str
-    leds_on: bool
-    position_mm: tuple[float, float] | None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """The rows of a table that has been checked, in its order.
-
-    They are read from the table again whenever somebody goes through them, so a day of frames takes no more
-    memory than a second; that raises BadInputError when the table is not any more what was checked.
-    """
-
-    table: SteadyFile
-    header: RecordingHeader
-    count: Mapping[str, int]
-    """How many each camera has."""
-    first: Row
-    last: Row
-    largest_sequence: int
-
-    def __len__(self) -> int:
-        return sum(self.count.values())
-
-    def __iter__(self) -> Iterator[Row]:
-        return _read_rows(self.table, self.header)
-
-    def of(self, camera: str) -> Iterator[Row]:
-        """Those of one camera."""
-        return (row for row in self if row.camera == camera)
-
-
-@dataclass(frozen=True, slots=True)
 class Recording:
     """A recording whose header, rows and frame sizes have been checked."""
 
@@ -209,9 +159,9 @@ class Recording:
         try:
             pixels = decode_png(read_file(self.path / row.file, png_bytes(*size)), *size)
         except ValueError as error:
-            raise BadInputError(self._place(row), f"{row.file} {error}") from error
+            raise BadInputError(self.rows.place(row), f"{row.file} {error}") from error
         except BadInputError as error:
-            raise BadInputError(self._place(row), f"{row.file}: {error.message}") from error
+            raise BadInputError(self.rows.place(row), f"{row.file}: {error.message}") from error
         pixels.flags.writeable = False
         t_ns = round(row.t_s * 1e9)
         return Frame(row.camera, row.sequence, t_ns, pixels, camera.bits, row.leds_on)
@@ -225,9 +175,6 @@ class Recording:
             digest.update(read_file(self.path / row.file, _LARGEST_FILE_BYTES))
         return digest.hexdigest()
 
-    def _place(self, row: Row) -> str:
-        return f"{self.rows.table.path}: row {row.number}"
-
 
 def open_recording(path: Path) -> Recording:
     """Read header and rows and check every frame's file, size and depth without decoding it.
@@ -235,18 +182,8 @@ def open_recording(path: Path) -> Recording:
     Raises BadInputError that names the file and, in ``frames.csv``, the row (the first frame is row 2).
     """
     header = _read_header(path / HEADER_FILE)
-    table = SteadyFile(path / FRAMES_FILE, _LARGEST_TABLE_BYTES)
-    count: Counter[str] = Counter()
-    largest_sequence = 0
-    first = last = None
-    for row in _read_rows(table, header):
-        _check_png(path, header, row)
-        first, last = first or row, row
-        count[row.camera] += 1
-        largest_sequence = max(largest_sequence, row.sequence)
-    if first is None or last is None:
-        raise BadInputError(table.path, "has no frames")
-    return Recording(path, header, Rows(table, header, count, first, last, largest_sequence))
+    table = path / FRAMES_FILE
+    return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_png, path, header)))
 
 
 def _read_header(path: Path) -> RecordingHeader:
@@ -262,75 +199,6 @@ def _read_header(path: Path) -> RecordingHeader:
         raise BadInputError(path, f"{place}: {message}" if place else message) from error
     except ValueError as error:
         raise BadInputError(path, str(error)) from error
-
-
-def _read_rows(table: SteadyFile, header: RecordingHeader) -> Iterator[Row]:
-    path = table.path
-    try:
-        reader = csv.DictReader(table.lines(), strict=True)
-        columns = list(reader.fieldnames or ())
-        for column in COLUMNS:
-            if columns.count(column) != 1:
-                what = "stands twice" if column in columns else "is missing"
-                raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
-        last: dict[str, Row] = {}
-        for record in reader:
-            place = f"{path}: row {reader.line_num}"
-            row = _read_row(place, reader.line_num, record, header)
-            if (above := last.get(row.camera)) is not None:
-                _check_order(place, above, row)
-            last[row.camera] = row
-            yield row
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise BadInputError(path, f"is no CSV text: {error}") from error
-
-
-def _check_order(place: str, above: Row, row: Row) -> None:
-    """One camera's rows stand in the order of their exposures, and none stands there twice."""
-    for column, value, before in (
-        ("sequence", row.sequence, above.sequence),
-        ("t_s", row.t_s, above.t_s),
-    ):
-        if value <= before:
-            where = "that of" if value == before else "before"
-            raise BadInputError(
-                place, f"{column} {value} is {where} the camera's frame above it, row {above.number}"
-            )
-
-
-def _read_row(place: str, number: int, record: Mapping[str, str | None], header: RecordingHeader) -> Row:
-    if any(record[column] is None for column in COLUMNS):
-        raise BadInputError(place, f"is torn: {sum(v is not None for v in record.values())} fields")
-    text = {column: str(record[column]).strip() for column in COLUMNS}
-    if text["camera"] not in header.cameras:
-        raise BadInputError(place, f"camera {text['camera']!r} is not in {HEADER_FILE}")
-    if text["leds"] not in ("on", "off"):
-        raise BadInputError(place, f"leds must be on or off, not {text['leds']!r}")
-    if not text["file"] or Path(text["file"]).is_absolute() or ".." in Path(text["file"]).parts:
-        raise BadInputError(place, f"file {text['file']!r} is not a path inside the recording")
-    if bool(text["x_mm"]) != bool(text["y_mm"]):
-        raise BadInputError(place, "x_mm and y_mm must both be given or both be empty")
-    position = None
-    if text["x_mm"]:
-        x_mm = _number(place, "x_mm", text["x_mm"], MAX_POSITION_MM)
-        position = x_mm, _number(place, "y_mm", text["y_mm"], MAX_POSITION_MM)
-    sequence = _number(place, "sequence", text["sequence"], MAX_SEQUENCE)
-    if sequence != int(sequence) or sequence < 0:
-        raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
-    t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
-    return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position)
-
-
-def _number(place: str, column: str, text: str, limit: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise BadInputError(place, f"{column} {text!r} is not a number")
-    if abs(value) > limit:
-        raise BadInputError(place, f"{column} {text!r} is larger than {limit:g}")
-    return value
 
 
 def _check_png(path: Path, header: RecordingHeader, row: Row) -> None:

@@ -30,7 +30,8 @@ from altd.mapping.light_centre import (
     light_centre_shift_px,
     spot_moment_mm2,
 )
-from altd.recording import PlateHeader, Recording, Row
+from altd.recording import PlateHeader, Recording
+from altd.recording_table import Row
 from altd.records import FloatArray, Frame
 from altd.vision.background import Image
 from altd.vision.lattice import match_grid

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.calibration.result import Progress
-from altd.recording import Recording, Row
+from altd.recording import Recording
+from altd.recording_table import Row
 from altd.records import FloatArray, Frame, NoSpot, Reason, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds

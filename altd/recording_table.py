@@ -1,0 +1,153 @@
+"""``frames.csv`` of a recording: one row a frame, read anew whenever somebody goes through them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+from altd.errors import BadInputError
+from altd.files.steady import SteadyFile
+
+COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
+
+MAX_T_S = 1e9
+"""Thirty years: the times of a recording count from its start."""
+MAX_SEQUENCE = 2**53
+"""Whole numbers up to here are exact as floats, thus in every JSON reader."""
+MAX_POSITION_MM = 10_000.0
+
+_LARGEST_BYTES = 1 << 28
+"""A day of two cameras at 20 a second takes 210 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of ``frames.csv``; ``position_mm`` is where the stage put the beam, in a scan."""
+
+    number: int
+    sequence: int
+    t_s: float
+    camera: str
+    file: str
+    leds_on: bool
+    position_mm: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """The rows of a table that has been checked, in its order.
+
+    They are read from the table again whenever somebody goes through them, so a day of frames takes no more
+    memory than a second; that raises BadInputError when the table is not any more what was checked.
+    """
+
+    table: SteadyFile
+    count: Mapping[str, int]
+    """How many each camera has, 0 included."""
+    first: Row
+    last: Row
+    largest_sequence: int
+
+    @classmethod
+    def checked(cls, path: Path, cameras: Collection[str], look: Callable[[Row], None]) -> Self:
+        """Read all rows of the cameras and ``look`` at each, which may raise BadInputError like this."""
+        table = SteadyFile(path, _LARGEST_BYTES)
+        count = Counter(dict.fromkeys(cameras, 0))
+        largest_sequence = 0
+        first = last = None
+        for row in _read_rows(table, cameras):
+            look(row)
+            first, last = first or row, row
+            count[row.camera] += 1
+            largest_sequence = max(largest_sequence, row.sequence)
+        if first is None or last is None:
+            raise BadInputError(path, "has no frames")
+        return cls(table, count, first, last, largest_sequence)
+
+    def __len__(self) -> int:
+        return sum(self.count.values())
+
+    def __iter__(self) -> Iterator[Row]:
+        return _read_rows(self.table, self.count)
+
+    def of(self, camera: str) -> Iterator[Row]:
+        """Those of one camera."""
+        return (row for row in self if row.camera == camera)
+
+    def place(self, row: Row) -> str:
+        """Where the row stands, for a complaint."""
+        return f"{self.table.path}: row {row.number}"
+
+
+def _read_rows(table: SteadyFile, cameras: Collection[str]) -> Iterator[Row]:
+    path = table.path
+    try:
+        reader = csv.DictReader(table.lines(), strict=True)
+        columns = list(reader.fieldnames or ())
+        for column in COLUMNS:
+            if columns.count(column) != 1:
+                what = "stands twice" if column in columns else "is missing"
+                raise BadInputError(f"{path}: row 1", f"column {column!r} {what}")
+        last: dict[str, Row] = {}
+        for record in reader:
+            place = f"{path}: row {reader.line_num}"
+            row = _read_row(place, reader.line_num, record, cameras)
+            if (above := last.get(row.camera)) is not None:
+                _check_order(place, above, row)
+            last[row.camera] = row
+            yield row
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise BadInputError(path, f"is no CSV text: {error}") from error
+
+
+def _check_order(place: str, above: Row, row: Row) -> None:
+    """One camera's rows stand in the order of their exposures, and none stands there twice."""
+    for column, value, before in (
+        ("sequence", row.sequence, above.sequence),
+        ("t_s", row.t_s, above.t_s),
+    ):
+        if value <= before:
+            where = "that of" if value == before else "before"
+            raise BadInputError(
+                place, f"{column} {value} is {where} the camera's frame above it, row {above.number}"
+            )
+
+
+def _read_row(place: str, number: int, record: Mapping[str, str | None], cameras: Collection[str]) -> Row:
+    if any(record[column] is None for column in COLUMNS):
+        raise BadInputError(place, f"is torn: {sum(v is not None for v in record.values())} fields")
+    text = {column: str(record[column]).strip() for column in COLUMNS}
+    if text["camera"] not in cameras:
+        raise BadInputError(place, f"camera {text['camera']!r} is not in recording.json")
+    if text["leds"] not in ("on", "off"):
+        raise BadInputError(place, f"leds must be on or off, not {text['leds']!r}")
+    if not text["file"] or Path(text["file"]).is_absolute() or ".." in Path(text["file"]).parts:
+        raise BadInputError(place, f"file {text['file']!r} is not a path inside the recording")
+    if bool(text["x_mm"]) != bool(text["y_mm"]):
+        raise BadInputError(place, "x_mm and y_mm must both be given or both be empty")
+    position = None
+    if text["x_mm"]:
+        x_mm = _number(place, "x_mm", text["x_mm"], MAX_POSITION_MM)
+        position = x_mm, _number(place, "y_mm", text["y_mm"], MAX_POSITION_MM)
+    sequence = _number(place, "sequence", text["sequence"], MAX_SEQUENCE)
+    if sequence != int(sequence) or sequence < 0:
+        raise BadInputError(place, f"sequence {text['sequence']!r} is not a whole number")
+    t_s = _number(place, "t_s", text["t_s"], MAX_T_S)
+    return Row(number, int(sequence), t_s, text["camera"], text["file"], text["leds"] == "on", position)
+
+
+def _number(place: str, column: str, text: str, limit: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise BadInputError(place, f"{column} {text!r} is not a number")
+    if abs(value) > limit:
+        raise BadInputError(place, f"{column} {text!r} is larger than {limit:g}")
+    return value
