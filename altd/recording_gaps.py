@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
-from altd.recording import FRAMES_FILE, Recording, Row
+from altd.recording import FRAMES_FILE, Recording
+from altd.recording_table import Row
 
 _SAID = 3
 """So many places are named, the others counted."""
@@ -72,7 +73,7 @@ def gap_lines(recording: Recording) -> list[str]:
     """What a table lacks, a line each for the first places and one for the others."""
     table = recording.path / FRAMES_FILE
     cameras = list(recording.header.cameras)
-    empty = [camera for camera in cameras if next(_of(camera, recording.rows), None) is None]
+    empty = [camera for camera in cameras if not recording.rows.count[camera]]
     lines = [f"{table}: no row of camera {camera!r}" for camera in empty]
     more = exposures = 0
     for number, gap in enumerate(gaps(recording.rows, [name for name in cameras if name not in empty])):

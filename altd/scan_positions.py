@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from altd.calibration.scan_nodes import node_key
 from altd.errors import BadInputError
-from altd.recording import FRAMES_FILE, Recording, Row
+from altd.recording import FRAMES_FILE, Recording
+from altd.recording_table import Row
 from altd.records import Measurement
 from altd.service.chain import Place
 

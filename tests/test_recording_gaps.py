@@ -7,8 +7,8 @@ import pytest
 from support.cli import altd
 from support.played_unit import PlayedUnit
 
-from altd.recording import Row
 from altd.recording_gaps import gaps
+from altd.recording_table import Row
 
 CAMERAS = ("front", "rear")
 
