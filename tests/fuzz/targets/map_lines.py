@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
+import json
 import math
 import sys
 from functools import cache
 from pathlib import Path
 
-from fuzz.folder import folder, one_line
+from fuzz.folder import folder
 from fuzz.spoil import SCRAPS, spoilt_bytes
 from hypothesis import strategies as st
 from support import evidence
 
-from altd import commands
+from altd.answers.map import answer
 from altd.calibration.file import save_calibration
-from altd.errors import BadInputError
+from altd.tables.text import TextFormat
 
 NAME = "map_lines"
 
@@ -41,17 +41,28 @@ def _calibration() -> Path:
 
 
 def check(example: bytes) -> None:
-    """Each line gives four finite numbers or a reason, or one line says what is none."""
-    out, before = io.StringIO(), sys.stdin
+    """Each line gives four finite numbers or a reason, and is complained of when it is no ``u v``."""
+    rows, complaints, status = _answered(example, None)
+    for row in rows:
+        reason = row in ("invalid out_of_range", "invalid implausible", "invalid unreadable")
+        assert reason or [math.isfinite(float(field)) for field in row.split()] == [True] * 4, row
+    assert len(complaints) == rows.count("invalid unreadable")
+    assert all(complaint.isprintable() for complaint in complaints)
+    assert status == (2 if complaints else 0)
+    objects, again, _ = _answered(example, "jsonl")
+    assert [json.loads(line)["reason"] == "unreadable" for line in objects] == [
+        row == "invalid unreadable" for row in rows
+    ]
+    assert again == complaints
+
+
+def _answered(example: bytes, form: TextFormat | None) -> tuple[list[str], list[str], int]:
+    """The rows, what was complained of, and the status."""
+    out, complaints, before = io.StringIO(), list[str](), sys.stdin
     sys.stdin = io.TextIOWrapper(io.BytesIO(example), encoding="utf-8")
-    options = argparse.Namespace(command="map", calibration=_calibration(), target="rear")
     try:
         with contextlib.redirect_stdout(out):
-            assert commands.run(options) == 0
-    except BadInputError as error:
-        one_line(error)
+            status = answer(_calibration(), "rear", form, complaints.append)
     finally:
         sys.stdin = before
-    for line in out.getvalue().splitlines():
-        reason = line in ("invalid out_of_range", "invalid implausible")
-        assert reason or all(math.isfinite(float(field)) for field in line.split()), line
+    return out.getvalue().splitlines(), complaints, status
