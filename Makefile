@@ -18,6 +18,7 @@ SPRAY_S ?= 600
 # Pages of docs/ and the modules that write them.
 pages := \
     modbus:altd.publish.modbus.page \
+    reasons:tools.pages.reasons \
     telegram:altd.publish.serial.telegram_page \
     console:altd.publish.serial.console_page \
     http:altd.publish.http.page \

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.records import Exposure, Fault, FloatArray, MeanSpots, Reason, Spot, SpotShape
+from altd.reasons import Reason
+from altd.records import Exposure, Fault, FloatArray, MeanSpots, Spot, SpotShape
 
 _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 6.0

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from altd.config import ExposureControl
 from altd.ports import ExposureRange
-from altd.records import Frame, NoSpot, PixelArray, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot, PixelArray, Spot
 
 LOW, HIGH = 0.35, 0.8
 """The band of levels, shares of full scale, in which exposure is left alone."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 
 MAX_YAW_MM_PER_M = 110.0
 MAX_PITCH_MM_PER_M = 250.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Generic, Literal, TypeVar
 
-from altd.records import Reason
+from altd.reasons import Reason
 
 Item = TypeVar("Item")
 

@@ -14,6 +14,8 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from altd.reasons import Reason, Scope
+
 FloatArray = npt.NDArray[np.float64]
 """Vectors, matrices and covariances of the measuring chain."""
 
@@ -54,62 +56,6 @@ class CameraIdentity:
             if None not in (is_, should_be) and is_ != should_be:
                 return f"its {what} is {is_!r}, expected {should_be!r}"
         return ""
-
-
-class Reason(StrEnum):
-    """Why a measurement is invalid, or what a valid one warns of.
-
-    The first group concerns one target and is published with its name in front
-    (``front_spot_missing``), the others concern the whole unit.
-    """
-
-    SPOT_MISSING = "spot_missing"
-    AMBIGUOUS = "ambiguous"
-    SATURATED = "saturated"
-    CUT_BY_EDGE = "cut_by_edge"
-    WRONG_SIZE = "wrong_size"
-    WRONG_SHAPE = "wrong_shape"
-    DISTORTED = "distorted"
-    CAMERA_SILENT = "camera_silent"
-    EXPOSURE_CHANGING = "exposure_changing"
-    FRAME_REPEATED = "frame_repeated"
-    WRONG_CAMERA = "wrong_camera"
-    IMPLAUSIBLE = "implausible"
-
-    OUT_OF_STEP = "out_of_step"
-    OUT_OF_RANGE = "out_of_range"
-    UNSTEADY = "unsteady"
-    WARMING_UP = "warming_up"
-    STALE = "stale"
-    CHECK_FAILED = "check_failed"
-
-    EXPOSURES_LOST = "exposures_lost"
-    PLAYBACK = "playback"
-    SIMULATED = "simulated"
-
-    @property
-    def is_warning(self) -> bool:
-        """Whether a measurement that carries this reason may still be valid."""
-        return self in _WARNINGS
-
-
-_OF_ONE_TARGET = frozenset(
-    {
-        Reason.SPOT_MISSING,
-        Reason.AMBIGUOUS,
-        Reason.SATURATED,
-        Reason.CUT_BY_EDGE,
-        Reason.WRONG_SIZE,
-        Reason.WRONG_SHAPE,
-        Reason.DISTORTED,
-        Reason.CAMERA_SILENT,
-        Reason.EXPOSURE_CHANGING,
-        Reason.FRAME_REPEATED,
-        Reason.WRONG_CAMERA,
-        Reason.IMPLAUSIBLE,
-    }
-)
-_WARNINGS = frozenset({Reason.EXPOSURES_LOST, Reason.PLAYBACK, Reason.SIMULATED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +153,7 @@ class NoSpot:
 
     def fault(self, target: str) -> Fault:
         """The reason as a fault of the target, or of the whole unit where it concerns all of it."""
-        return Fault(self.reason, target if self.reason in _OF_ONE_TARGET else None, self.detail)
+        return Fault(self.reason, target if self.reason.scope is Scope.TARGET else None, self.detail)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.records import Fault, FloatArray, MeanSpots, Reason, SpotShape, TargetPoint
+from altd.reasons import Reason
+from altd.records import Fault, FloatArray, MeanSpots, SpotShape, TargetPoint
 from altd.vision.reference import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0

@@ -19,7 +19,8 @@ from altd.averaging import ExposureWindow
 from altd.beam import fit_beam, joint_covariance_mm2
 from altd.freshness import FreshnessCheck
 from altd.pairing import Pairer
-from altd.records import Exposure, Fault, Frame, MeanSpots, Reason, Spot, TargetPoint
+from altd.reasons import Reason
+from altd.records import Exposure, Fault, Frame, MeanSpots, Spot, TargetPoint
 from altd.service.chain import MeasuringChain, View
 from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate, spot_in

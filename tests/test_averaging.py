@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from altd.averaging import ExposureWindow, mean_spots
-from altd.records import Exposure, Fault, MeanSpots, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Exposure, Fault, MeanSpots, NoSpot, Spot
 
 TARGETS = ("front", "rear")
 PERIOD_NS = 50_000_000

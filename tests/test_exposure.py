@@ -20,7 +20,8 @@ from altd.exposure import (
     setting_for,
 )
 from altd.ports import ExposureRange
-from altd.records import Frame, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot, Spot
 
 LIMITS = ExposureRange(0.02, 20.0, 0.0, 12.0)
 WINDOW = 20

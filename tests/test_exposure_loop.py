@@ -14,7 +14,8 @@ from altd.app import Daemon
 from altd.calibration.model import Calibration
 from altd.config import Config, ExposureControl, Installation, Measuring
 from altd.exposure import HIGH, LOW, Seen, look
-from altd.records import Beam, Frame, Measurement, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Beam, Frame, Measurement, NoSpot, Spot
 from altd.service.chain import MeasuringChain, View
 from altd.service.clock import SystemClock
 from altd.service.exposing import ExposureKeeper

@@ -7,7 +7,8 @@ import pytest
 from support.measurements import BEAM, measurement
 
 from altd.gate import Gate, range_fault
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 
 NUMBERS = list(Beam.__dataclass_fields__)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from altd.pairing import Pair, Pairer
-from altd.records import Reason
+from altd.reasons import Reason
 
 MS = 1_000_000
 PERIOD = 50 * MS

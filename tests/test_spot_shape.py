@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from altd.records import Fault, MeanSpots, Reason, SpotShape, TargetPoint
+from altd.reasons import Reason
+from altd.records import Fault, MeanSpots, SpotShape, TargetPoint
 from altd.spot_shape import shape_doubts_mm, shape_in_mm
 from altd.vision.reference import ShapeReference
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from altd.records import Exposure, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Exposure, NoSpot, Spot
 from altd.synchrony import SynchronyCheck
 from hw_sim.beam import BeamPose
 from hw_sim.motion import SLOW_DRIVE, Vibration, driving, vibrating

@@ -11,7 +11,7 @@ from typing import Protocol
 from altd.calibration.file import load_calibration
 from altd.calibration.model import TargetCalibration
 from altd.errors import BadInputError
-from altd.records import Reason
+from altd.reasons import Reason
 from altd.tables.columns import POINT_COLUMNS, Row
 from altd.tables.text import TEXT_FORMATS, TextFormat
 

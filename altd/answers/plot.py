@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from altd.answers.history import History
 from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, look
-from altd.records import Reason
+from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
 _FEW = 120

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.calibration.result import Progress
+from altd.reasons import Reason
 from altd.recording import Recording
 from altd.recording_table import Row
-from altd.records import FloatArray, Frame, NoSpot, Reason, Spot
+from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
 from altd.vision.localise import locate, shows_print

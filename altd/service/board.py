@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 
 from altd.ports import Clock
-from altd.records import Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Fault, Measurement
 
 
 class Board:

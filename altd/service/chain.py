@@ -16,6 +16,7 @@ from altd.config import Installation, Measuring
 from altd.freshness import FreshnessCheck
 from altd.gate import Gate, range_fault
 from altd.pairing import Pair, Pairer
+from altd.reasons import Reason
 from altd.records import (
     Beam,
     CameraIdentity,
@@ -26,7 +27,6 @@ from altd.records import (
     MeanSpots,
     Measurement,
     NoSpot,
-    Reason,
     Spot,
     TargetPoint,
 )

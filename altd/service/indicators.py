@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from altd.ports import Clock, Indicator, Indicators
-from altd.records import Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Measurement
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 from altd.service.keeper import Keeper

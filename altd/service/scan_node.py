@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from altd.calibration.scan_nodes import node_spot
 from altd.pairing import Pair
-from altd.records import Frame, NoSpot, Reason
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot
 from altd.vision.settings import SpotSettings
 
 SpotPx = tuple[float, float]

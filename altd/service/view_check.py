@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from altd.calibration.model import TargetCalibration
-from altd.records import CameraIdentity, Frame, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.vision.fingerprint import ViewVerdict
 
 _INTERVAL_NS = 190_000_000

@@ -8,7 +8,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from altd.records import FloatArray, Frame, NoSpot, PixelArray, Reason, Spot
+from altd.reasons import Reason
+from altd.records import FloatArray, Frame, NoSpot, PixelArray, Spot
 from altd.vision.disc import fit_disc
 from altd.vision.localise import spot_in
 from altd.vision.search import Region, search

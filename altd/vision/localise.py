@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import Frame, NoSpot, Reason, Spot, SpotShape
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.vision.background import pixel_noise
 from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse

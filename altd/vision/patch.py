@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import Frame, NoSpot, PixelArray, Reason
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot, PixelArray
 from altd.vision.background import Image
 from altd.vision.flat import BLOCK_PX
 from altd.vision.search import Region, Search

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 from benchmarks.campaign import table
 from benchmarks.campaign.judge import Judged, Outcome, Tally, Verdict, judge, truth_of
 

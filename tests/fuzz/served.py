@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from support.clock import FakeClock
 
 from altd.publish.example import MEASURED
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 from altd.service.board import Board
 from altd.service.health import Component, Health
 

@@ -7,7 +7,7 @@ import pytest
 from support.clock import FakeClock, settle
 from support.measurements import measurement
 
-from altd.records import Reason
+from altd.reasons import Reason
 from altd.service.board import Board
 
 

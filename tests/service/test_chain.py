@@ -12,8 +12,9 @@ from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
 from altd.mapping.tensor_map import TensorMap
+from altd.reasons import Reason
 from altd.recording import open_recording
-from altd.records import Fault, Frame, Measurement, NoSpot, Reason, Spot
+from altd.records import Fault, Frame, Measurement, NoSpot, Spot
 from altd.service.chain import MeasuringChain, View
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target

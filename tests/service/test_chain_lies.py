@@ -9,7 +9,8 @@ import pytest
 
 from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
-from altd.records import Frame, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Frame, Measurement
 from altd.service.chain import MeasuringChain, View
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Vibration

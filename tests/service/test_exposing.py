@@ -7,7 +7,8 @@ from support.clock import FakeClock
 from altd.config import ExposureControl
 from altd.exposure import Setting
 from altd.ports import CameraLostError, CameraRefusedError, ExposureRange
-from altd.records import Frame, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Frame, NoSpot, Spot
 from altd.service.exposing import MARKED_FRAMES, ExposureKeeper, ExposureSetter
 from altd.service.health import Component, Health
 

@@ -8,7 +8,8 @@ from support.clock import FakeClock, stop
 from support.measurements import measurement
 
 from altd.ports import Indicator
-from altd.records import Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Measurement
 from altd.service.board import Board
 from altd.service.health import Health, State
 from altd.service.indicators import OK_LIGHT, DataFlash, IndicatorPanel, Light, error_light, standing_of

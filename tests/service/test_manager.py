@@ -8,7 +8,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import measurement
 
-from altd.records import Reason
+from altd.reasons import Reason
 from altd.service.board import Board
 from altd.service.manager import ServiceManager
 

@@ -9,7 +9,8 @@ from support.clock import FakeClock, settle, stop
 from support.frames import Blob, frame, light
 from support.measurements import measurement
 
-from altd.records import Frame, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Frame, Measurement
 from altd.service.board import Board
 from altd.service.health import Health, State
 from altd.service.inbox import Inbox

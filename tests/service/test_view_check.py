@@ -11,7 +11,8 @@ from support.frames import Blob, frame, light
 
 from altd.calibration.cross_check import CrossCheck
 from altd.calibration.model import TargetCalibration
-from altd.records import CameraIdentity, Frame, NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.service.view_check import ViewCheck
 from altd.vision.fingerprint import Fingerprint, ViewVerdict
 from altd.vision.hot_pixels import HotPixels, places_of

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.frames import HEIGHT, WIDTH, frame, light
 
-from altd.records import NoSpot, Reason
+from altd.reasons import Reason
+from altd.records import NoSpot
 from altd.vision.background import coarse_picture, fit_background
 from altd.vision.localise import locate
 from hw_sim.faults import Fault

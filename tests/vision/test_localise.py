@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
-from altd.records import NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import NoSpot, Spot
 from altd.vision.localise import locate
 from altd.vision.reference import UNKNOWN_SPOT
 from altd.vision.settings import SpotSettings

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
-from altd.records import NoSpot, Reason, Spot
+from altd.reasons import Reason
+from altd.records import NoSpot, Spot
 from altd.vision.localise import fitted_profile, locate
 from altd.vision.misfit import Residuals, excess_sigmas, misfit_of
 from altd.vision.reference import SpotReference

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.records import Frame, Reason, Spot
+from altd.reasons import Reason
+from altd.records import Frame, Spot
 from altd.vision.bound import cramer_rao
 from altd.vision.flat import Flat
 from altd.vision.localise import locate

@@ -16,7 +16,7 @@ from altd.config import Http
 from altd.measurement_json import as_line
 from altd.publish.http.server import listen, serve
 from altd.publish.http.stream import EventStream, Streams
-from altd.records import Reason
+from altd.reasons import Reason
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 

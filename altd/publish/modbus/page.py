@@ -126,7 +126,7 @@ The other bits are 0 and may get a meaning later: mask what you test.
 `reason_front` and `reason_rear` say why there is no point on that target, `reason_unit` what is wrong with
 the whole unit; 0 is none. Codes may be added later.
 
-{_table(("code", "reason", "meaning"), ((row.code, f"`{row.reason}`", row.meaning) for row in REASON_CODES))}
+{_table(("code", "reason", "meaning"), ((row.modbus_code, f"`{row}`", row.brief) for row in REASON_CODES))}
 
 ## Example
 

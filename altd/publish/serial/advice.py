@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from altd.records import Fault, Reason
+from altd.reasons import Reason
+from altd.records import Fault
 from altd.service.health import MEASURING, Component, State
 from altd.service.seen import LEDS_LIT
 
@@ -19,50 +20,6 @@ class Advice(NamedTuple):
 
 _CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
 _RIGHT_CAMERA = "swap the cameras' cables or put the old camera back"
-_NOT_LIVE = "do not steer by it"
-
-ADVICE: dict[Reason, Advice] = {
-    Reason.SPOT_MISSING: Advice(
-        "no laser spot", "switch the laser on and check that its beam enters the window"
-    ),
-    Reason.AMBIGUOUS: Advice(
-        "more than one spot", "look for reflections and other lasers or lamps in the window"
-    ),
-    Reason.SATURATED: Advice("the spot is overexposed", "shorten the exposure or take power off the laser"),
-    Reason.CUT_BY_EDGE: Advice(
-        "the spot is cut by the edge of the image", "bring the beam nearer to the middle"
-    ),
-    Reason.WRONG_SIZE: Advice(
-        "the spot has a wrong size", "clean the window and check the focus of the laser"
-    ),
-    Reason.WRONG_SHAPE: Advice("the spot has a wrong shape", _CLEAN_AND_LOOK),
-    Reason.DISTORTED: Advice(
-        "the spot is distorted", "clean the window, look for reflections and other light"
-    ),
-    Reason.CAMERA_SILENT: Advice("the camera delivers nothing", "check the camera's cable and supply"),
-    Reason.EXPOSURE_CHANGING: Advice(
-        "the exposure is being set anew", "wait a second; if it stays, look for light that flickers"
-    ),
-    Reason.FRAME_REPEATED: Advice("the camera repeats one picture", "unplug the camera and plug it in again"),
-    Reason.WRONG_CAMERA: Advice(
-        "not the calibrated camera", "check the cameras' cables and the calibration file"
-    ),
-    Reason.IMPLAUSIBLE: Advice(
-        "two maps of the target contradict each other", "load or make the calibration anew"
-    ),
-    Reason.OUT_OF_STEP: Advice("the cameras are out of step", "check the trigger of the cameras"),
-    Reason.OUT_OF_RANGE: Advice("outside the calibrated area", "bring the beam nearer to the middle"),
-    Reason.UNSTEADY: Advice("the spot moves too much", "wait until the machine stands, look for vibration"),
-    Reason.WARMING_UP: Advice("too few exposures so far", "wait some seconds"),
-    Reason.STALE: Advice("nothing new is measured", "look in `status` for the component that has stopped"),
-    Reason.CHECK_FAILED: Advice(
-        "numbers that cannot be", "restart the unit, check its config and calibration"
-    ),
-    Reason.EXPOSURES_LOST: Advice("exposures were lost", "if it stays, check the cameras' cables"),
-    Reason.PLAYBACK: Advice("a recording is played, this is NOT LIVE", _NOT_LIVE),
-    Reason.SIMULATED: Advice("frames or calibration are simulated, this is NOT LIVE", _NOT_LIVE),
-}
-"""Where no more was seen than the reason says."""
 
 _LEDS = Advice(
     LEDS_LIT,
@@ -142,7 +99,7 @@ def advice(fault: Fault, status: Iterable[Fault], components: Iterable[Component
         return _ONE_TARGET_DARK
     if fault.reason is Reason.CAMERA_SILENT and any(map(is_ill_camera, components)):
         return _CAMERA_BELOW
-    return ADVICE[fault.reason]
+    return Advice(fault.reason.brief, fault.reason.remedy)
 
 
 def is_ill_camera(component: Component) -> bool:

@@ -9,7 +9,8 @@ from pathlib import Path
 from altd.config import SerialPort
 from altd.publish.example import MEASURED
 from altd.publish.serial.publisher import console_message, telegram_message
-from altd.records import Fault, Reason
+from altd.reasons import Reason
+from altd.records import Fault
 from altd.service.health import MEASURING, Health, State
 
 SPOT_LOST = replace(

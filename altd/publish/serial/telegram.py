@@ -16,7 +16,8 @@ from operator import xor
 from typing import Any, Self
 
 from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, whole
-from altd.records import Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Measurement
 
 LONGEST_SENTENCE = 82
 """Characters from ``$`` to LF that NMEA 0183 allows."""

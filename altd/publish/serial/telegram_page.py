@@ -7,7 +7,6 @@ from pathlib import Path
 
 from altd.config import SerialPort
 from altd.publish.example import MEASURED
-from altd.publish.serial.advice import ADVICE
 from altd.publish.serial.examples import SPOT_LOST
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
@@ -18,7 +17,8 @@ from altd.publish.serial.telegram import (
     Sentence,
     encode,
 )
-from altd.records import Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Measurement
 from altd.serial_port.port import seconds_on_line
 
 
@@ -76,7 +76,7 @@ Codes that find no room are replaced by `{MORE}`; `status` on the console and `/
 
 | code | means | what to do |
 |---|---|---|
-{"".join(_row(str(reason), *advice) for reason, advice in ADVICE.items())}{too_large}
+{"".join(_row(str(reason), reason.brief, reason.remedy) for reason in Reason)}{too_large}
 
 A valid measurement may carry {warnings}; every other code makes it invalid.
 """

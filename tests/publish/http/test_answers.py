@@ -12,7 +12,8 @@ from support.clock import FakeClock
 
 from altd.measurement_json import as_object
 from altd.publish.http.publisher import PATHS
-from altd.records import Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Fault, Measurement
 from altd.service.board import Board
 from altd.service.health import Component, Health, State
 

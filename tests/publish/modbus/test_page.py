@@ -20,5 +20,5 @@ def test_the_page_names_every_register_bit_and_code() -> None:
         assert f"| {row.address} |" in text
     for bit in STATUS_BITS:
         assert f"| {bit.bit} | {bit.name} |" in text
-    for code in REASON_CODES:
-        assert f"| {code.code} | `{code.reason}` |" in text
+    for reason in REASON_CODES:
+        assert f"| {reason.modbus_code} | `{reason}` |" in text

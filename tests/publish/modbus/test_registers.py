@@ -22,7 +22,8 @@ from altd.publish.modbus.registers import (
     image,
 )
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 
 
 def decode(words: list[int], address: int, layout: str) -> Any:
@@ -173,13 +174,13 @@ def test_every_fault_has_its_bit_and_code(
 
 def test_no_reason_is_without_a_bit_and_none_but_warnings_without_a_code() -> None:
     assert {reason for row in STATUS_BITS for reason in row.reasons} == set(Reason)
-    assert {row.reason for row in REASON_CODES} == {reason for reason in Reason if not reason.is_warning}
+    assert set(REASON_CODES) == {reason for reason in Reason if not reason.is_warning}
 
 
 def test_bits_and_codes_are_used_once() -> None:
     assert len({row.bit for row in STATUS_BITS}) == len(STATUS_BITS)
     assert all(0 <= row.bit < 16 for row in STATUS_BITS)
-    assert len({row.code for row in REASON_CODES}) == len(REASON_CODES)
+    assert len({reason.modbus_code for reason in REASON_CODES}) == len(REASON_CODES)
 
 
 def test_a_valid_measurement_may_warn(measured: Measured) -> None:

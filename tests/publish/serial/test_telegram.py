@@ -21,7 +21,8 @@ from altd.publish.serial.telegram import (
     encode,
     parse,
 )
-from altd.records import Beam, Fault, Measurement, Reason
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
 
 MEASURED = Measurement(
     sequence=160,

@@ -1,0 +1,211 @@
+"""Why a measurement is invalid, or what a valid one warns of: the one table of reasons.
+
+Every face and every page takes from here what it says of a reason: its code, its meaning, what to do about
+it, its number and bit on Modbus. Codes, numbers and bits are contracts: new ones come, old ones never change.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Scope(StrEnum):
+    """What a reason concerns, and whether a measurement that carries it may be valid."""
+
+    TARGET = "target"
+    """One target; published with its name in front, such as ``front_spot_missing``."""
+    UNIT = "unit"
+    WARNING = "warning"
+    """The whole unit, and the numbers may be used."""
+
+
+class StatusGroup(StrEnum):
+    """The bits of Modbus' status word that reasons set; those of a target have one bit a target."""
+
+    SPOT_BAD = "spot bad"
+    CAMERA_SILENT = "camera silent"
+    IMPLAUSIBLE = "implausible"
+    NOT_TRUSTED = "not trusted"
+    STALE = "stale"
+    WARMING_UP = "warming up"
+    OUT_OF_RANGE = "out of range"
+    OUT_OF_STEP = "out of step"
+    UNSTEADY = "unsteady"
+    EXPOSURES_LOST = "exposures lost"
+    PLAYBACK = "playback"
+    SIMULATED = "simulated"
+
+
+_TARGET, _UNIT, _WARNING = Scope
+_CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
+_NOT_LIVE = "do not steer by it"
+
+
+class Reason(StrEnum):
+    """A row of the table: code, scope, Modbus' number (0: none) and group, brief, remedy, meaning.
+
+    ``brief`` says what is wrong in a few words, ``remedy`` what the technician does where no more was seen
+    than the reason says, ``meaning`` when exactly the reason is given, in Markdown.
+    """
+
+    SPOT_MISSING = (
+        "spot_missing", _TARGET, 1, StatusGroup.SPOT_BAD,
+        "no laser spot",
+        "switch the laser on and check that its beam enters the window",
+        "nothing stands out of background and noise, or it is too dim to be located",
+    )  # fmt: skip
+    AMBIGUOUS = (
+        "ambiguous", _TARGET, 2, StatusGroup.SPOT_BAD,
+        "more than one spot",
+        "look for reflections and other lasers or lamps in the window",
+        "a second spot has 30 % of the first one's light or more",
+    )  # fmt: skip
+    SATURATED = (
+        "saturated", _TARGET, 3, StatusGroup.SPOT_BAD,
+        "the spot is overexposed",
+        "shorten the exposure or take power off the laser",
+        "more than half of the spot's bright pixels, or the background, is at full scale",
+    )  # fmt: skip
+    CUT_BY_EDGE = (
+        "cut_by_edge", _TARGET, 4, StatusGroup.SPOT_BAD,
+        "the spot is cut by the edge of the image",
+        "bring the beam nearer to the middle",
+        "too much of the spot lies beyond the edge of the image",
+    )  # fmt: skip
+    WRONG_SIZE = (
+        "wrong_size", _TARGET, 5, StatusGroup.SPOT_BAD,
+        "the spot has a wrong size",
+        "clean the window and check the focus of the laser",
+        "a diameter that no laser spot has",
+    )  # fmt: skip
+    WRONG_SHAPE = (
+        "wrong_shape", _TARGET, 6, StatusGroup.SPOT_BAD,
+        "the spot has a wrong shape",
+        _CLEAN_AND_LOOK,
+        "an elongation or an outline that no laser spot has",
+    )  # fmt: skip
+    DISTORTED = (
+        "distorted", _TARGET, 10, StatusGroup.SPOT_BAD,
+        "the spot is distorted",
+        "clean the window, look for reflections and other light",
+        "the light is not that of one spot as the unit was calibrated with: a reflection, dirt, a torn "
+        "picture",
+    )  # fmt: skip
+    CAMERA_SILENT = (
+        "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT,
+        "the camera delivers nothing",
+        "check the camera's cable and supply",
+        "its camera delivers no frames",
+    )  # fmt: skip
+    EXPOSURE_CHANGING = (
+        "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD,
+        "the exposure is being set anew",
+        "wait a second; if it stays, look for light that flickers",
+        "its camera's exposure is being set anew; over within a second",
+    )  # fmt: skip
+    FRAME_REPEATED = (
+        "frame_repeated", _TARGET, 11, StatusGroup.NOT_TRUSTED,
+        "the camera repeats one picture",
+        "unplug the camera and plug it in again",
+        "the camera delivers the same picture, or a part of it, again: it is frozen",
+    )  # fmt: skip
+    WRONG_CAMERA = (
+        "wrong_camera", _TARGET, 12, StatusGroup.NOT_TRUSTED,
+        "not the calibrated camera",
+        "check the cameras' cables and the calibration file",
+        "not the camera, or not the view, that was calibrated",
+    )  # fmt: skip
+    IMPLAUSIBLE = (
+        "implausible", _TARGET, 8, StatusGroup.IMPLAUSIBLE,
+        "two maps of the target contradict each other",
+        "load or make the calibration anew",
+        "the target's two maps lie further apart at the spot than the calibration's bound",
+    )  # fmt: skip
+
+    OUT_OF_STEP = (
+        "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP,
+        "the cameras are out of step",
+        "check the trigger of the cameras",
+        "the cameras' frames do not belong to the same instants, by their times or by how the spots move",
+    )  # fmt: skip
+    OUT_OF_RANGE = (
+        "out_of_range", _UNIT, 21, StatusGroup.OUT_OF_RANGE,
+        "outside the calibrated area",
+        "bring the beam nearer to the middle",
+        "a spot lies farther outside the nodes of the calibration than its map is known: half a pitch, or "
+        "where sigma reaches 0.05 mm; or the beam is steeper than the unit's ranges: yaw ±110, "
+        "pitch ±250 mm/m",
+    )  # fmt: skip
+    UNSTEADY = (
+        "unsteady", _UNIT, 22, StatusGroup.UNSTEADY,
+        "the spot moves too much",
+        "wait until the machine stands, look for vibration",
+        "the beam jumped while it was averaged, or scatters more than `max_sigma_mm` allows",
+    )  # fmt: skip
+    WARMING_UP = (
+        "warming_up", _UNIT, 23, StatusGroup.WARMING_UP,
+        "too few exposures so far",
+        "wait some seconds",
+        "not yet half a window of exposures",
+    )  # fmt: skip
+    STALE = (
+        "stale", _UNIT, 24, StatusGroup.STALE,
+        "nothing new is measured",
+        "look in `status` for the component that has stopped",
+        "the last exposure is older than `stale_after_s`, or nothing new was put on the board for so long",
+    )  # fmt: skip
+    CHECK_FAILED = (
+        "check_failed", _UNIT, 25, StatusGroup.NOT_TRUSTED,
+        "numbers that cannot be",
+        "restart the unit, check its config and calibration",
+        "the numbers did not pass the last check before publishing: finite, ordered, within what the unit "
+        "can measure",
+    )  # fmt: skip
+
+    EXPOSURES_LOST = (
+        "exposures_lost", _WARNING, 0, StatusGroup.EXPOSURES_LOST,
+        "exposures were lost",
+        "if it stays, check the cameras' cables",
+        "some exposures of the window were not usable",
+    )  # fmt: skip
+    PLAYBACK = (
+        "playback", _WARNING, 0, StatusGroup.PLAYBACK,
+        "a recording is played, this is NOT LIVE",
+        _NOT_LIVE,
+        "the frames are those of a recording",
+    )  # fmt: skip
+    SIMULATED = (
+        "simulated", _WARNING, 0, StatusGroup.SIMULATED,
+        "frames or calibration are simulated, this is NOT LIVE",
+        _NOT_LIVE,
+        "a simulator made the frames, or those of the calibration",
+    )  # fmt: skip
+
+    scope: Scope
+    modbus_code: int
+    group: StatusGroup
+    brief: str
+    remedy: str
+    meaning: str
+
+    def __new__(
+        cls,
+        code: str,
+        scope: Scope,
+        modbus_code: int,
+        group: StatusGroup,
+        brief: str,
+        remedy: str,
+        meaning: str,
+    ) -> Reason:
+        """A member that is equal to its code."""
+        reason = str.__new__(cls, code)
+        reason._value_ = code
+        reason.scope, reason.modbus_code, reason.group = scope, modbus_code, group
+        reason.brief, reason.remedy, reason.meaning = brief, remedy, meaning
+        return reason
+
+    @property
+    def is_warning(self) -> bool:
+        """Whether a measurement that carries this reason may still be valid."""
+        return self.scope is Scope.WARNING
