@@ -17,13 +17,13 @@ SPRAY_S ?= 600
 
 # Pages of docs/ and the modules that write them.
 pages := \
-    modbus:altd.publish.modbus.page \
+    modbus:tools.pages.modbus \
     reasons:tools.pages.reasons \
-    telegram:altd.publish.serial.telegram_page \
-    console:altd.publish.serial.console_page \
-    http:altd.publish.http.page \
-    tables:altd.tables.page \
-    config:altd.config_page \
+    telegram:tools.pages.telegram \
+    console:tools.pages.console \
+    http:tools.pages.http \
+    tables:tools.pages.tables \
+    config:tools.pages.config \
     licences:tools.licences.page
 
 help:

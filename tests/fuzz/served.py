@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 from hypothesis import strategies as st
 from support.clock import FakeClock
 
-from altd.publish.example import MEASURED
 from altd.reasons import Reason
 from altd.records import Beam, Fault, Measurement
 from altd.service.board import Board
 from altd.service.health import Component, Health
+from tools.pages.example import MEASURED
 
 Result = TypeVar("Result")
 

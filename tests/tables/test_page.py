@@ -3,13 +3,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
-from altd.tables.page import page
+from tools.pages.tables import page
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_the_page_is_generated_from_the_code() -> None:
-    assert (DOCS / "tables.md").read_text() == page(), "run python -m altd.tables.page"
+    assert (DOCS / "tables.md").read_text() == page(), "run python -m tools.pages.tables"
 
 
 def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:

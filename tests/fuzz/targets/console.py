@@ -15,10 +15,10 @@ from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
 from altd.config import SerialPort
-from altd.publish.example import MEASURED
 from altd.publish.serial import publisher as serial_publisher
 from altd.publish.serial.keys import PASTE_S
 from altd.publish.serial.publisher import ConsolePublisher
+from tools.pages.example import MEASURED
 
 NAME = "console"
 WIDTH = 80

@@ -15,8 +15,8 @@ import pytest
 from support.foreign import need_program
 
 from altd.measurement_json import as_object
-from altd.publish.example import MEASURED
 from altd.publish.http import publisher
+from tools.pages.example import MEASURED
 
 HERE = Path(__file__).parent
 PAGE = Path(publisher.__file__).with_name("index.html")

@@ -16,11 +16,11 @@ from support.clock import FakeClock
 from support.foreign import need_program
 
 from altd.config import SerialPort
-from altd.publish.modbus import page
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.service.board import Board
 from altd.service.health import Component
+from tools.pages import modbus as page
 
 
 async def mbpoll(*arguments: object) -> list[str]:

@@ -2,15 +2,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from altd.publish.modbus.page import page
 from altd.publish.modbus.registers import REGISTERS
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
+from tools.pages.modbus import page
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "modbus.md"
 
 
 def test_the_page_in_docs_is_the_generated_one() -> None:
-    assert COMMITTED.read_text() == page(), "run: python -m altd.publish.modbus.page > docs/modbus.md"
+    assert COMMITTED.read_text() == page(), "run: python -m tools.pages.modbus > docs/modbus.md"
 
 
 def test_the_page_names_every_register_bit_and_code() -> None:

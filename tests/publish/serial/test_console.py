@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from altd.publish.serial.console import COMMANDS, MORE, PROMPT, Console
-from altd.publish.serial.examples import MEASURED, SPOT_LOST, health
 from altd.publish.serial.words import WIDTH
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.service.health import MEASURING, Health, State
 from altd.service.seen import LEDS_LIT
+from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
 
 def console(measurement: Measurement | None = MEASURED) -> Console:

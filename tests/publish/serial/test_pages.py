@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from altd.publish.serial import console_page, telegram_page
 from altd.publish.serial.telegram import SENTENCES
+from tools.pages import console as console_page
+from tools.pages import telegram as telegram_page
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 

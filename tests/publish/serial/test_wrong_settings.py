@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from altd.publish.example import MEASURED
 from altd.publish.serial.console import Console
-from altd.publish.serial.examples import health
+from tools.pages.example import MEASURED
+from tools.pages.serial_examples import health
 
 WRONG = b"wrong baud rate or parity"
 SAMPLES = 16

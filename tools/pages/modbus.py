@@ -1,4 +1,4 @@
-"""``docs/modbus.md``, written from the tables: ``python -m altd.publish.modbus.page > docs/modbus.md``."""
+"""``docs/modbus.md``, written from the tables: ``python -m tools.pages.modbus > docs/modbus.md``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterable
 
 from altd.config import ModbusTcp, SerialPort
-from altd.publish.example import MEASURED
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -26,6 +25,7 @@ from altd.publish.modbus.registers import (
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
 from altd.publish.modbus.tcp import MAX_CLIENTS
+from tools.pages.example import MEASURED
 
 EXAMPLE = Snapshot(
     MEASURED,
@@ -45,7 +45,7 @@ def page() -> str:
     return f"""\
 # Modbus: what the controller reads
 
-Generated from the register table: `python -m altd.publish.modbus.page > docs/modbus.md`.
+Generated from the register table: `python -m tools.pages.modbus > docs/modbus.md`.
 
 ## Connect
 

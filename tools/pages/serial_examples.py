@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.config import SerialPort
-from altd.publish.example import MEASURED
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.service.health import MEASURING, Health, State
+from tools.pages.example import MEASURED
 
 SPOT_LOST = replace(
     MEASURED,
