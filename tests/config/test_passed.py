@@ -165,9 +165,11 @@ def test_two_faces_have_one_port_only_where_the_kernel_gives_it_to_both(
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
 
-    with listen(one, 0) as first:
+    with listen("0.0.0.0", 0) as free:  # on every address: a port of another program is no answer
+        port = free.getsockname()[1]
+    with listen(one, port):
         try:
-            listen(other, first.getsockname()[1]).close()
+            listen(other, port).close()
             given = True
         except OSError:
             given = False
