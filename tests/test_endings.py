@@ -170,10 +170,17 @@ def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     )
 
 
+def _take_signals() -> None:
+    """None is ignored, as they may be where the tests run in the background or under nohup."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+
+
 def run(folder: Path, command: list[str]) -> Ended:
     temporary = folder.parent / "temporary"
     done = subprocess.run(
         command,
+        preexec_fn=_take_signals,
         cwd=folder,
         input="375 240\n380 240\n385 240\n",
         capture_output=True,
