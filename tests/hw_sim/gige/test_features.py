@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import subprocess
 import time
 
@@ -157,8 +156,7 @@ def test_registers_that_no_chip_can_follow_send_nothing_and_harm_nothing(
         assert rear.next(within_us=300_000) is None
         rear.stop()
         rear.poke(register, before)
-        with contextlib.suppress(AssertionError):
-            rear.take(1)  # one start in some dozens brings no frame, for a cause that is not known yet
+        time.sleep(0.3)  # a start within a frame of a stop now and then brings no frame: not known why
         assert rear.take(1)[0].pixels.shape == (480, 752)
 
 
