@@ -79,7 +79,7 @@ campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=
 	@exec $(python) -m benchmarks.campaign --seconds $(CAMPAIGN_S)
 
 studies: venv ## the thesis' experiments on simulated parts: docs/studies/, takes minutes
-	@exec $(python) -m hw_sim study -o docs/studies
+	@exec $(python) -m studies -o docs/studies
 
 docs: venv ## write the generated pages and pictures of docs/
 	@for page in $(pages); do
@@ -95,7 +95,7 @@ lock: ## write the three locks with today's newest packages
 
 clean: ## remove .venv and all that tools leave behind
 	@rm -rf .venv .venv-peers build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	find altd hw_sim tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+	find altd hw_sim studies tests benchmarks tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 venv:
 	@.ci/venv

@@ -40,6 +40,9 @@ _TARGET, _UNIT, _WARNING = Scope
 _CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
 _NOT_LIVE = "do not steer by it"
 
+LEDS_LIT = "the frame LEDs are lit"
+"""How the detail of a spot that was refused begins where it is they that shine."""
+
 
 class Reason(StrEnum):
     """A row of the table: code, scope, Modbus' number (0: none) and group, brief, remedy, meaning.

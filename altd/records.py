@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from enum import StrEnum
 
 import numpy as np
@@ -143,6 +143,13 @@ class Spot:
     excess_px: float = 0.0
     shape: SpotShape | None = None
 
+    def __str__(self) -> str:
+        """For the technician who aims the beam."""
+        return (
+            f"spot at u {self.u_px:.1f} v {self.v_px:.1f} px, diameter {self.diameter_px:.0f} px, "
+            f"peak {self.peak:.0f} counts"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class NoSpot:
@@ -150,6 +157,10 @@ class NoSpot:
 
     reason: Reason
     detail: str = ""
+
+    def __str__(self) -> str:
+        """For the technician who looks for what is wrong."""
+        return f"{self.reason}, {self.detail}" if self.detail else str(self.reason)
 
     def fault(self, target: str) -> Fault:
         """The reason as a fault of the target, or of the whole unit where it concerns all of it."""
@@ -268,3 +279,8 @@ class Measurement:
     def valid(self) -> bool:
         """Whether the numbers may be used."""
         return self.beam is not None
+
+
+def utc_text(time: datetime) -> str:
+    """ISO 8601 in UTC with milliseconds and ``Z``."""
+    return time.astimezone(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

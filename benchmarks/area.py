@@ -21,12 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.flat import flats_of
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
+from altd.recording.reader import open_recording
 from altd.records import Measurement
-from altd.service.chain import MeasuringChain, View
 from hw_sim.assembly import SEEN_HALF_MM
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat

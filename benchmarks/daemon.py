@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
 from altd.config import Config
 from benchmarks.cameras import Source
 from benchmarks.frames import CAMERAS, FPS, WINDOW, Material, make_config

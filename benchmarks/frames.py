@@ -10,10 +10,10 @@ import numpy as np
 
 from altd.calibration.file import save_calibration
 from altd.calibration.flat import flats_of
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target, Unit
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 from altd.records import Frame
 from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose

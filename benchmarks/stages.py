@@ -15,14 +15,14 @@ import numpy as np
 
 import altd.vision.localise as localise_room
 import altd.vision.search as search_room
-from altd.averaging import ExposureWindow
-from altd.beam import fit_beam, joint_covariance_mm2
-from altd.freshness import FreshnessCheck
-from altd.pairing import Pairer
+from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
+from altd.measuring.averaging import ExposureWindow
+from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.pairing import Pairer
+from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
 from altd.records import Exposure, Fault, Frame, MeanSpots, Spot, TargetPoint
-from altd.service.chain import MeasuringChain, View
-from altd.synchrony import SynchronyCheck
 from altd.vision.localise import locate, spot_in
 from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
 

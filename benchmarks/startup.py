@@ -16,7 +16,7 @@ from benchmarks.daemon import free_port
 from benchmarks.frames import FPS, WINDOW, Material, write_run_folder
 
 _PATIENCE_S = 15.0
-_IMPORTS = "import altd.commands, altd.config, altd.app, altd.publish.http.publisher"
+_IMPORTS = "import altd.cli.main, altd.config, altd.app.daemon, altd.publish.http.publisher"
 
 
 @dataclass(frozen=True, slots=True)

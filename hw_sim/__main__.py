@@ -5,11 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from altd.arguments import Parser
-from altd.endings import run_to_end
+from altd.cli.arguments import Parser
+from altd.process.endings import run_to_end
 from hw_sim import demo, flat, measure, plate, scan
 from hw_sim.gige import command as gige
-from hw_sim.study import command as study
 
 COMMANDS = {
     "scan": (scan, "record a calibration scan"),
@@ -18,7 +17,6 @@ COMMANDS = {
     "demo": (demo, "run the whole unit, simulated, and watch it"),
     "gige": (gige, "serve the unit's cameras on the network, by GigE Vision"),
     "measure": (measure, "record poses of the beam, with their truth"),
-    "study": (study, "repeat the thesis' experiments; its figures beside ours"),
 }
 """Each command is a module with ``add_arguments(parser)`` and ``run(arguments) -> exit status``."""
 

@@ -15,11 +15,11 @@ import tempfile
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
+from altd.app.parts import calibration_of, cameras_of
 from altd.config import Config, Http, ModbusTcp, SerialPort, Target
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, bare
-from altd.parts import calibration_of, cameras_of
 from altd.ports import Camera
 from hw_sim.arguments import natural, seconds
 from hw_sim.camera import make_cameras

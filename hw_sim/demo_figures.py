@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
 from altd.records import Beam, Measurement
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit

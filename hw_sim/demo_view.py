@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
 from altd.records import Measurement
 from hw_sim.demo_figures import QUANTITIES, Figures, memory_mib, truth_of
 from hw_sim.demo_lines import Line

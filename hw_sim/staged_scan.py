@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.app import scanner_of
-from altd.commands import run_scan
+from altd.app.scan import scanner_of
+from altd.cli.scan import run_scan
+from altd.cli.scan_screen import ScanScreen
 from altd.config import Config, GrblStage, Scan, Target
 from altd.config import Unit as UnitTable
-from altd.scan_screen import ScanScreen
 from hw_sim.camera import make_cameras
 from hw_sim.grbl_table import GrblTable
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig

@@ -14,13 +14,12 @@ import pytest
 from support import own_network
 from support.cli import altd
 from support.foreign import need
+from support.places import SHARED_DATA
 from support.played_unit import PlayedUnit
 from support.wire import Wire
 
 from altd.calibration.file import load_calibration
-from altd.calibration.model import Calibration
-
-SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+from altd.measuring.calibration import Calibration
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,7 @@ from support.pngs import png
 from support.recordings import write_beams, write_scan
 
 from altd.calibration.file import save_calibration
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 
 HUGE = png(40_000, 40_000)
 BEAM = (10.0, 5.0, 0.02, -0.03)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from support.clock import stop
 
-from altd.app import Daemon
-from altd.calibration.model import Calibration
+from altd.acquisition.auto_exposure.control import ExposureKeeper
+from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
+from altd.app.daemon import Daemon
 from altd.config import Config, ExposureControl, Installation, Measuring
-from altd.exposure import HIGH, LOW, Seen, look
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import Beam, Frame, Measurement, NoSpot, Spot
-from altd.service.chain import MeasuringChain, View
-from altd.service.clock import SystemClock
-from altd.service.exposing import ExposureKeeper
-from altd.service.health import Health
+from altd.runtime.clock import SystemClock
+from altd.status.health import Health
 from hw_sim.beam import BeamPose, Laser
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault

@@ -19,9 +19,9 @@ from support.guest import run_in_guest
 
 from altd.calibration.file import load_calibration
 from altd.config import Installation, Measuring
+from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
-from altd.service.chain import MeasuringChain, View
 from hw_sim.unit import CAMERAS
 
 SEED = 1

@@ -12,9 +12,9 @@ from typing import Any
 from support.clock import stop
 from support.played_unit import free_port
 
-from altd.app import Daemon
-from altd.calibration.model import Calibration
+from altd.app.daemon import Daemon
 from altd.config import Config
+from altd.measuring.calibration import Calibration
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig

@@ -7,14 +7,14 @@ import json
 import pytest
 from support.clock import FakeClock
 
-from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
-from altd.measurement_json import as_line
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
 from altd.ports import CameraTimeoutError
 from altd.publish.serial.words import status_text
 from altd.records import Measurement
-from altd.service.chain import MeasuringChain, View
-from altd.service.health import Health
+from altd.status.health import Health
+from altd.status.measurement_json import as_line
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault

@@ -15,7 +15,8 @@ from support.recordings import write_beams, write_scan
 
 SWALLOWED = """
 import os, signal, sys, time
-from altd import cli, parts
+from altd.cli import main as cli
+from altd.app import parts
 
 class Lamps:
     def open(self):

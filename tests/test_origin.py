@@ -31,7 +31,7 @@ from support.plates import View, plate_light, write_plate
 from support.played_unit import free_port
 from support.recordings import header, write_beams, write_scan
 
-from altd.app import scanner_of
+from altd.app.scan import scanner_of
 from altd.config import Config, Scan
 from benchmarks.live.parts import write_config as write_live_config
 from benchmarks.live.unit import FRONT, REAR, both_cameras

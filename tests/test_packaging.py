@@ -9,17 +9,16 @@ import sys
 import tomllib
 import zipfile
 from importlib.metadata import entry_points, version
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from support.cli import altd
 from support.foreign import need
+from support.places import ROOT
 
 import altd as package
 
-ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "peers.lock", "aravis.lock")}
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 from support.foreign import need
+from support.places import ROOT
 
-PAGE = (Path(__file__).parents[1] / "docs" / "install.md").read_text()
+PAGE = (ROOT / "docs" / "install.md").read_text()
 ARCHIVE = "altd-0.1.0.tar.gz"
 
 

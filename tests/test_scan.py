@@ -19,22 +19,17 @@ import pytest
 from support.cli import altd, refusal, write_config
 from support.recordings import write_beams
 
-from altd.app import scanner_of
+from altd.acquisition import frame_sets as exposures
+from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
+from altd.app.scan import scanner_of
 from altd.calibration.scan import calibrate_scan
 from altd.config import Config, Scan
 from altd.devices.grbl import driver
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
-from altd.recording import (
-    CameraHeader,
-    Recording,
-    RecordingHeader,
-    RecordingWriter,
-    UnitHeader,
-    open_recording,
-)
-from altd.service import exposures
-from altd.service.scan import ScanResult, ScanStoppedError
+from altd.recording.header import CameraHeader, RecordingHeader, UnitHeader
+from altd.recording.reader import Recording, open_recording
+from altd.recording.writer import RecordingWriter
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
 from hw_sim.grbl_table import GrblTable

@@ -17,9 +17,10 @@ from pathlib import Path
 import pytest
 from support.cli import altd, refusal, write_config
 from support.foreign import need
+from support.places import ROOT
 from support.recordings import write_beams, write_scan
 
-UNIT = Path(__file__).parents[1] / "systemd" / "altd.service"
+UNIT = ROOT / "systemd" / "altd.service"
 WIDEST_PAUSE_S = 2.0
 """Between two words of a daemon that is well: ten times what it aims at, for a busy machine."""
 

@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.config import Config, Installation, Measuring
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
+from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Measurement
-from altd.service.chain import MeasuringChain, View
 from altd.vision.hot_pixels import HotPixels, places_of
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras

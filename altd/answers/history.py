@@ -65,7 +65,7 @@ class History:
         self._per_bin = 1
 
     def add(self, t_s: float, document: Mapping[str, Any]) -> None:
-        """Take a measurement's object (``altd.measurement_json``) and the time of its last exposure."""
+        """Take a measurement's object (``status.measurement_json``) and the time of its last exposure."""
         new = Bin(t_s, t_s, codes=dict.fromkeys(document["status"]))
         if document["valid"]:
             new.valid = 1

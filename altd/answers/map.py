@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from altd.calibration.file import load_calibration
-from altd.calibration.model import TargetCalibration
 from altd.errors import BadInputError
+from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
 from altd.tables.columns import POINT_COLUMNS, Row
 from altd.tables.text import TEXT_FORMATS, TextFormat

@@ -13,12 +13,13 @@ from typing import Any, Literal
 
 from altd import __version__
 from altd.answers.history import History
+from altd.app.replay import Replay, open_replay
 from altd.errors import BadInputError
+from altd.files.documents import line_of
 from altd.files.writing import check_replaceable, replacing
-from altd.measurement_json import line_of, utc_text
-from altd.recording import FRAMES_FILE, HEADER_FILE
-from altd.recording_gaps import gap_lines
-from altd.replay import Replay, open_replay
+from altd.recording.gaps import gap_lines
+from altd.recording.header import FRAMES_FILE, HEADER_FILE
+from altd.records import utc_text
 from altd.tables.columns import Column, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet
 from altd.tables.text import CsvTable, Write

@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from altd.calibration.cross_check import CrossCheck
 from altd.calibration.fingerprint_file import FingerprintTable, as_document, from_table
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
@@ -25,8 +23,9 @@ from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model, TensorMap
-from altd.measurement_json import utc_text
-from altd.records import CameraIdentity, FloatArray, Origin
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.measuring.cross_check import CrossCheck
+from altd.records import CameraIdentity, FloatArray, Origin, utc_text
 from altd.vision.flat import Flat, Source
 from altd.vision.reference import UNKNOWN_SPOT, ShapeReference, SpotReference
 from altd.vision.settings import Method, SpotSettings

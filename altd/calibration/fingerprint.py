@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.recording import Recording
-from altd.recording_table import Row
+from altd.recording.reader import Recording
+from altd.recording.table import Row
 from altd.records import FloatArray, Spot
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat

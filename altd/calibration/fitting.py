@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.cross_check import CrossCheck
 from altd.calibration.evidence import Candidate
 from altd.calibration.margin import OuterRow, outer_rows, with_margin
 from altd.mapping.camera import Optics
@@ -16,6 +15,7 @@ from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
 from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
+from altd.measuring.cross_check import CrossCheck
 from altd.records import FloatArray
 
 _OUTLIER_SIGMAS = 6.0

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from altd.calibration.result import Progress
 from altd.errors import BadInputError
-from altd.recording import Recording, RecordingHeader
+from altd.recording.header import RecordingHeader
+from altd.recording.reader import Recording
 from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.flat import Flat, Image
 from altd.vision.localise import SATURATED_FROM

@@ -16,7 +16,6 @@ import numpy as np
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.result import (
     CalibrationResult,
     Progress,
@@ -30,12 +29,14 @@ from altd.mapping.light_centre import (
     light_centre_shift_px,
     spot_moment_mm2,
 )
-from altd.recording import PlateHeader, Recording
-from altd.recording_table import Row
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.header import PlateHeader
+from altd.recording.reader import Recording
+from altd.recording.table import Row
 from altd.records import FloatArray, Frame
 from altd.vision.background import Image
-from altd.vision.lattice import match_grid
 from altd.vision.plate import Disc, disc_centres_px, find_discs
+from altd.vision.plate_grid import match_grid
 from altd.vision.settings import SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import Fit
+from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 
 Progress = Callable[[int, int], None]

@@ -13,7 +13,6 @@ from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.flat import flat_likeness
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.result import (
@@ -28,7 +27,8 @@ from altd.calibration.spot_reference import spot_reference
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
-from altd.recording import Recording
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.reader import Recording
 from altd.records import FloatArray
 from altd.vision.flat import Flat
 from altd.vision.reference import UNKNOWN_SPOT

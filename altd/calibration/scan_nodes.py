@@ -10,8 +10,8 @@ import numpy as np
 
 from altd.calibration.result import Progress
 from altd.reasons import Reason
-from altd.recording import Recording
-from altd.recording_table import Row
+from altd.recording.reader import Recording
+from altd.recording.table import Row
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds

@@ -9,9 +9,9 @@ import itertools
 
 import numpy as np
 
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import TensorMap
+from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 
 _MOST_NODES = 256

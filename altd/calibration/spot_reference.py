@@ -10,8 +10,8 @@ import numpy as np
 from altd.calibration.again import Again
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
+from altd.measuring.spot_shape import shape_in_mm
 from altd.records import FloatArray, Frame, SpotShape
-from altd.spot_shape import shape_in_mm
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile
 from altd.vision.misfit import misfit_of

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from altd.app.settings import load_settings
 from altd.config import Config
 from altd.doctor import devices, network, system
 from altd.doctor.finding import Finding, better
 from altd.doctor.machine import Machine
-from altd.settings import load_settings
 
 Check = Callable[[], Iterator[Finding]]
 

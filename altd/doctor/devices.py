@@ -75,7 +75,7 @@ def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
 
 def gpio_lines(config: Config) -> Iterator[Finding]:
     """The lines that lamps are to hang on, of chips that may be opened: are they there, each another one."""
-    from altd.devices.gpio.inventory import find_chip, find_line
+    from altd.devices.gpio.find_chips import find_chip, find_line
     from altd.ports import LampsError
 
     named: list[tuple[str, str, str]] = []

@@ -62,7 +62,7 @@ def disk(machine: Machine) -> Iterator[Finding]:
 
 def calibration(config: Config, place: Path) -> Iterator[Finding]:
     """The recordings that are played, the calibration file, and whether it is that of this unit."""
-    from altd.parts import calibration_of, cameras_of
+    from altd.app.parts import calibration_of, cameras_of
 
     path = config.unit.calibration
     played = all(isinstance(camera, RecordingCamera) for camera in config.cameras.values())

@@ -6,6 +6,7 @@ import json
 import re
 import tomllib
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 _MOST_DOTS = 64
@@ -31,6 +32,11 @@ def parse_json(content: bytes) -> Any:
         raise ValueError("is nested too deeply") from error
     except ValueError as error:
         raise ValueError(f"is not JSON: {error}") from error
+
+
+def line_of(document: Mapping[str, object]) -> str:
+    """Plain JSON types as one line of JSON, without the line end; NaN is refused, not written."""
+    return json.dumps(document, allow_nan=False)
 
 
 class TomlError(ValueError):

@@ -6,7 +6,7 @@ import csv
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from altd.measurement_json import line_of
+from altd.files.documents import line_of
 from altd.tables.columns import Column, Row, Value
 
 Write = Callable[[str], object]

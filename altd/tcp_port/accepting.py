@@ -16,7 +16,7 @@ import socket
 from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
-from altd.service.health import Component
+from altd.status.health import Component
 
 log = logging.getLogger("altd")
 

@@ -8,7 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from altd.reasons import Reason
+from altd.reasons import LEDS_LIT, Reason
 from altd.records import FloatArray, Frame, NoSpot, PixelArray, Spot
 from altd.vision.disc import fit_disc
 from altd.vision.localise import spot_in
@@ -101,3 +101,10 @@ def _cut(difference: Frame, region: Region, usual_px: float | None) -> Spot | No
 def _in_words(region: Region, spot: NoSpot) -> str:
     place = f"u {(region.left + region.right) / 2:.0f} v {(region.top + region.bottom) / 2:.0f} px"
     return f"LED at {place}: {spot.reason}" + (f" ({spot.detail})" if spot.detail else "")
+
+
+def told_from_leds(refused: NoSpot, lit: int, leds: int) -> NoSpot:
+    """What was refused, told from the frame LEDs where it is they that shine."""
+    if lit < 2 or 2 * lit < leds:
+        return refused
+    return replace(refused, detail=f"{LEDS_LIT}, {lit} of {leds} shine at their places")

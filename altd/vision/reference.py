@@ -12,7 +12,7 @@ class ShapeReference:
     """Mean and standard deviation of a spot's shape over a target, in the unit frame.
 
     Logarithm of the mean 1/e² radius in mm, two components of the stretch, and the profile's order, as
-    ``altd.spot_shape.shape_in_mm`` gives them.
+    ``altd.measuring.spot_shape.shape_in_mm`` gives them.
     """
 
     mean: Four

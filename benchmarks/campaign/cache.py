@@ -13,9 +13,9 @@ import numpy as np
 
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.flat import flats_of
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
 from hw_sim.flat import record_flat
 from hw_sim.scan import STAGE_STREAM, record_scan
@@ -27,7 +27,7 @@ RECORDINGS = ROOT.parent / "shared/data" / RECORDED
 
 _EXPOSURES_A_NODE = 2
 _FLAT_EXPOSURES = 10
-_CALIBRATES = ("vision", "mapping", "calibration", "recording.py", "records.py")
+_CALIBRATES = ("vision", "mapping", "measuring", "calibration", "recording", "records.py")
 
 
 def folder() -> Path:

@@ -11,8 +11,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from altd.calibration.model import Calibration
-from altd.recording import Recording, open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import Recording, open_recording
 from altd.records import FloatArray, PixelArray
 from benchmarks.campaign.cache import RECORDINGS, calibrated
 from benchmarks.campaign.scene import Exposing, Image, Noise, Scene, SpotShape, exposing, snapshot

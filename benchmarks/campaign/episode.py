@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, Measurement
-from altd.service.chain import MeasuringChain, View
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
 from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge, truth_of
 from benchmarks.campaign.numbers import Misnumbered, accepted

@@ -16,8 +16,8 @@ from functools import cache
 import numpy as np
 
 from altd.config import Installation, Measuring
+from altd.measuring.chain import MeasuringChain, View
 from altd.records import FloatArray, Frame, NoSpot, Spot
-from altd.service.chain import MeasuringChain, View
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
 from benchmarks.campaign.scene import Noise, exposing, snapshot

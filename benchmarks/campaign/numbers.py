@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.model import Calibration
 from altd.config import Installation, Measuring, load_config
 from altd.errors import BadInputError
+from altd.measuring.calibration import Calibration
 from benchmarks.campaign.way import Draw, Way
 
 _ABSURD = ("nan", "inf", "-inf", "1e200", "-1e200", "1e15", "-1e9", "1e308")

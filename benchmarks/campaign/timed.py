@@ -8,15 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from altd.acquisition.inbox import Inbox
+from altd.acquisition.pipeline import Pipeline
+from altd.acquisition.timestamps import StampCheck
 from altd.config import Installation, Measuring
 from altd.devices.aravis.device_clock import DeviceClock
+from altd.measuring.chain import MeasuringChain, View
 from altd.records import FloatArray, Frame, Measurement, PixelArray
-from altd.service.board import Board
-from altd.service.chain import MeasuringChain, View
-from altd.service.health import Health
-from altd.service.inbox import Inbox
-from altd.service.pipeline import Pipeline
-from altd.service.stamps import StampCheck
+from altd.status.board import Board
+from altd.status.health import Health
 from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
 from benchmarks.campaign.held_clock import HeldClock
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Judged, Outcome, Verdict, arrays, judge

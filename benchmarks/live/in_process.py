@@ -14,10 +14,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
+from altd.app.parts import calibration_of
 from altd.config import load_config
-from altd.measurement_json import as_object
-from altd.parts import calibration_of
+from altd.status.measurement_json import as_object
 from benchmarks.live.truth import truthfulness
 from hw_sim.camera import make_cameras
 from hw_sim.gige.command import make_unit

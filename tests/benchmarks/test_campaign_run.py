@@ -10,11 +10,10 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from support.places import ROOT
 
 from benchmarks.campaign.cache import RECORDINGS
 from benchmarks.campaign.good import Count
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from altd.calibration.file import _checksum, load_calibration, save_calibration
-from altd.calibration.model import Calibration
 from altd.errors import BadInputError
+from altd.measuring.calibration import Calibration
 
 Key = tuple[str | int, ...]
 

@@ -12,10 +12,10 @@ import pytest
 from support.recordings import Shot, place_px, write, write_beams, write_scan
 
 from altd.calibration.file import _checksum, check_image_size, load_calibration, save_calibration
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 from altd.vision.flat import Flat
 
 
@@ -137,7 +137,7 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
 
 
 def test_maps_that_lie_too_far_apart_are_doubted(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("altd.calibration.cross_check._BOUND_SIGMAS", 0.1)
+    monkeypatch.setattr("altd.measuring.cross_check._BOUND_SIGMAS", 0.1)
     front, rear = calibrate_scan(open_recording(scan)).doubts
     assert re.match(r"front: the \S+ and the \S+ map lie up to 0\.0\d px apart; ", front)
     assert rear.endswith(" px a measurement will be implausible")

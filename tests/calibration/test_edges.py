@@ -12,7 +12,7 @@ from support.recordings import Shot, place_px, write
 from altd.calibration.result import CalibrationResult
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 
 COLUMNS_MM = -70.0, -42.0, -14.0, 14.0, 42.0, 70.0
 ROWS_MM = -55.0, -27.5, 0.0, 27.5, 55.0

@@ -9,10 +9,10 @@ import pytest
 from support.recordings import write_scan
 
 from altd.calibration.file import _checksum, load_calibration, save_calibration
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
-from altd.recording import open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 from altd.records import CameraIdentity
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat

@@ -14,10 +14,11 @@ from support.cli import refusal_of
 from support.recordings import header, write_scan
 
 from altd.calibration.flat import flat_likeness, flats_of
-from altd.calibration.model import Calibration
 from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
-from altd.recording import RecordingHeader, open_recording
+from altd.measuring.calibration import Calibration
+from altd.recording.header import RecordingHeader
+from altd.recording.reader import open_recording
 from altd.records import Spot
 from altd.vision.flat import Flat
 from altd.vision.localise import locate

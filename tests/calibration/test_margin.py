@@ -12,7 +12,7 @@ from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.margin import outer_rows
 from altd.calibration.scan import calibrate_scan
 from altd.mapping.inverse import InverseMap
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 from altd.records import FloatArray
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens

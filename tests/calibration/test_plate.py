@@ -13,7 +13,7 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.plate import LASER_SPOT_SIGMA_MM, calibrate_plate
 from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 from altd.records import Spot
 from altd.vision.localise import locate
 from hw_sim.measure import random_poses

@@ -7,6 +7,7 @@ from typing import Any, get_args
 import pytest
 from pydantic import ValidationError
 from support.cli import CONFIG
+from support.places import ROOT
 
 from altd.config import Config, Table, load_config
 from altd.errors import BadInputError
@@ -34,7 +35,7 @@ def test_paths_are_relative_to_the_config_file(tmp_path: Path) -> None:
 
 
 def test_the_shipped_config_is_good() -> None:
-    shipped = Path(__file__).resolve().parents[2] / "config" / "altd.toml"
+    shipped = ROOT / "config" / "altd.toml"
     config = load_config(shipped)
     assert [target.name for target in config.targets] == ["front", "rear"]
 

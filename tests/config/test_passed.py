@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from support.played_unit import PlayedUnit
 
-from altd.app import Daemon, daemon_of
+from altd.app.daemon import Daemon, daemon_of
+from altd.app.parts import check_files
+from altd.app.settings import load_settings
 from altd.config.addresses import overlap
 from altd.errors import BadInputError
-from altd.parts import check_files
-from altd.settings import load_settings
 
 PLAYED = """\
 [unit]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from altd.cli import main
+from altd.app.settings import load_settings
+from altd.cli.main import main
 from altd.errors import BadInputError
-from altd.settings import load_settings
 
 from .spoilt import BASE, CASES, NO_TOML
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 from support.guest import run_in_guest
+from support.places import ROOT
 
-UNIT = Path(__file__).parents[2] / "systemd" / "altd.service"
+UNIT = ROOT / "systemd" / "altd.service"
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from support.recordings import write_beams
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.ports import CameraEndedError, CameraError, CameraTimeoutError
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 
 
 @pytest.fixture(scope="module")

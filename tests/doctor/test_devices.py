@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support.guest import run_in_guest
 
-from altd.devices.gpio import inventory
-from altd.devices.gpio.inventory import GpioChip, GpioLine
+from altd.devices.gpio import find_chips as inventory
+from altd.devices.gpio.find_chips import GpioChip, GpioLine
 from altd.doctor import devices
 from altd.doctor.finding import Verdict
 from altd.doctor.machine import Account, group_name

@@ -157,7 +157,7 @@ class TestCommand:
     def test_it_ends_with_0_when_nothing_is(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        from altd.cli import main
+        from altd.cli.main import main
 
         monkeypatch.setattr(checks, "_checks", lambda *_: {"all": lambda: iter([good("all", "is well")])})
         assert main(["doctor"]) == 0

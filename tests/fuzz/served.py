@@ -17,8 +17,8 @@ from support.clock import FakeClock
 
 from altd.reasons import Reason
 from altd.records import Beam, Fault, Measurement
-from altd.service.board import Board
-from altd.service.health import Component, Health
+from altd.status.board import Board
+from altd.status.health import Component, Health
 from tools.pages.example import MEASURED
 
 Result = TypeVar("Result")

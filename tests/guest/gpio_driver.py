@@ -10,7 +10,7 @@ from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
 
 from altd.config import GpiodLamps, IndicatorLamps
-from altd.devices.gpio.inventory import chip_paths, look_at
+from altd.devices.gpio.find_chips import chip_paths, look_at
 from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators
 from altd.devices.gpio.lines import OutputLines
 from altd.ports import Indicator, LampsError

@@ -8,7 +8,7 @@ import re
 from cameras import nodes, plug_in, v4l2_ctl
 from support.guest import leave_results
 
-from altd.devices.v4l2.inventory import FoundCamera, find_cameras
+from altd.devices.v4l2.find_cameras import FoundCamera, find_cameras
 
 CAPTURE = nodes("vid-cap")[0]
 plug_in("pci-0000:00:14.0-usb-0:2:1.0-video-index0", CAPTURE)

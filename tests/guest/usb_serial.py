@@ -28,10 +28,10 @@ from altd.config import SerialPort
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
-from altd.service.board import Board
-from altd.service.clock import SystemClock
-from altd.service.health import Health, State
-from altd.service.supervision import Publisher, keep_running
+from altd.runtime.clock import SystemClock
+from altd.runtime.supervision import Publisher, keep_running
+from altd.status.board import Board
+from altd.status.health import Health, State
 
 GADGET = Path("/sys/kernel/config/usb_gadget/adapter")
 NAMES = Path("by-id")

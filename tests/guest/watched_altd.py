@@ -12,7 +12,7 @@ from typing import Any
 import gpiod
 from support.gpio_sim import levels_of
 
-from altd.cli import main
+from altd.cli.main import main
 
 NOTES = Path(os.environ["PIN_NOTES"])
 LABEL, LINES = os.environ["PIN_CHIP"], os.environ["PIN_LINES"].split()

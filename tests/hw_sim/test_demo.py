@@ -25,10 +25,10 @@ from typing import Any, cast
 
 import pytest
 
-from altd.app import Daemon
+from altd.app.daemon import Daemon
 from altd.records import Measurement
-from altd.service.clock import SystemClock
-from altd.service.health import Health
+from altd.runtime.clock import SystemClock
+from altd.status.health import Health
 from hw_sim.demo_figures import Figures
 from hw_sim.demo_lines import Line
 from hw_sim.unit import Unit

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 from hw_sim.__main__ import main
 from hw_sim.fisheye import FisheyeLens
 from hw_sim.lens import PIXEL_MM, rotation

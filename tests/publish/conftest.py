@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from support.clock import FakeClock
 
-from altd.service.board import Board
-from altd.service.health import Health
+from altd.status.board import Board
+from altd.status.health import Health
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from altd.cli import main
+from altd.cli.main import main
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from altd.calibration.cross_check import CrossCheck
 from altd.calibration.evidence import Candidate, TargetEvidence
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.measuring.cross_check import CrossCheck
 from altd.records import FloatArray
 from altd.vision.settings import SpotSettings
 from support.recordings import PX_PER_MM

@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 from support.foreign import need
+from support.places import ROOT
 
-_PROJECT = Path(__file__).resolve().parents[2]
-_GUEST = _PROJECT / "tests" / "guest"
+_GUEST = ROOT / "tests" / "guest"
 _MEMORY = "768M"
 RESULTS = "results.json"
 
@@ -60,7 +60,7 @@ def run_in_guest(
     kernel, why_not = _kernel()
     need(bool(kernel), why_not)
     folder = folder.resolve()
-    words = ["env", f"PYTHONPATH={_PROJECT}:{_PROJECT / 'tests'}", "PYTHONUNBUFFERED=1"]
+    words = ["env", f"PYTHONPATH={ROOT}:{ROOT / 'tests'}", "PYTHONUNBUFFERED=1"]
     words += [sys.executable, str(_GUEST / program), *map(str, arguments)]
     (folder / "command").write_text(f"exec {shlex.join(words)}\n")
     try:
@@ -113,6 +113,6 @@ def _kernel() -> tuple[str, str]:
         name: value for name, value in os.environ.items() if name != "CI"
     }  # asks, and may be told no
     found = subprocess.run(
-        [_PROJECT / ".ci" / "kernel", "find"], capture_output=True, text=True, check=False, env=environment
+        [ROOT / ".ci" / "kernel", "find"], capture_output=True, text=True, check=False, env=environment
     )
     return found.stdout.strip(), found.stderr.strip()

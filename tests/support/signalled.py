@@ -1,6 +1,6 @@
 """Runs a command line in this process and sends it a signal in the middle of its work.
 
-    python -m support.signalled SIGTERM altd.recording:Recording.frame 5 altd.cli calibrate …
+    python -m support.signalled SIGTERM altd.recording.reader:Recording.frame 5 altd.cli calibrate …
 
 When the named function is called for the fifth time the process gets the signal, from itself: at the same
 place on a fast and on a slow computer.
@@ -35,7 +35,7 @@ def main() -> int:
         return function(*args, **more)
 
     setattr(owner, last, signalled)
-    status: int = importlib.import_module(module).main(arguments)
+    status: int = importlib.import_module(f"{module}.__main__").main(arguments)
     return status
 
 

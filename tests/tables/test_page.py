@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-from pathlib import Path
+from support.places import DOCS
 
 from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
 from tools.pages.tables import page
-
-DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def test_the_page_is_generated_from_the_code() -> None:

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 from support.clock import FakeClock
 
-from altd.service.health import Component
+from altd.status.health import Component
 from altd.tcp_port import accepting
 from altd.tcp_port.accepting import accept, is_among_last, listen
 

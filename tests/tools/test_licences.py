@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from PIL import features
 from support.foreign import need
+from support.places import ROOT
 
 from tools.licences import installed
 from tools.licences.check import faults
@@ -20,7 +21,6 @@ from tools.licences.installed import Component, NotAsLockedError, run_time_packa
 from tools.licences.page import page
 from tools.licences.spdx import canonical, goes, names
 
-ROOT = Path(__file__).parents[2]
 GPL = "License :: OSI Approved :: GNU General Public License v3 (GPLv3)"
 GPL_TITLE = "GNU GENERAL PUBLIC LICENSE"
 MIT = "License :: OSI Approved :: MIT License"

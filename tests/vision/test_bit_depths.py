@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from altd.calibration.model import Calibration
+from altd.measuring.calibration import Calibration
 from altd.records import Spot
 from altd.vision.localise import locate
 from hw_sim.beam import BeamPose

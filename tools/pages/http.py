@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import sys
 
-from altd.measurement_json import as_line, as_object
 from altd.publish.http.publisher import NOTHING_YET, PATHS
 from altd.publish.http.server import CONNECTIONS, HEADER_BYTES, REQUEST_S, STALLED_S
 from altd.publish.http.stream import CLIENTS, QUIET_S
+from altd.status.measurement_json import as_line, as_object
 from tools.pages.example import MEASURED
 
 

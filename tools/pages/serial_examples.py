@@ -10,7 +10,7 @@ from altd.config import SerialPort
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
 from altd.records import Fault
-from altd.service.health import MEASURING, Health, State
+from altd.status.health import MEASURING, Health, State
 from tools.pages.example import MEASURED
 
 SPOT_LOST = replace(

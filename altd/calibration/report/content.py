@@ -9,7 +9,6 @@ import matplotlib
 import numpy as np
 
 from altd import __version__
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
@@ -17,8 +16,9 @@ from altd.calibration.report.picture_sections import pictures
 from altd.calibration.report.prediction import Prediction, predict
 from altd.calibration.report.source import Source
 from altd.calibration.report.verdict import Level, Verdict, judge
-from altd.measurement_json import utc_text
-from altd.recording import CameraHeader
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.header import CameraHeader
+from altd.records import utc_text
 
 
 def report_on(source: Source) -> Document:

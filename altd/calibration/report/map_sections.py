@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from altd.calibration.evidence import Candidate, TargetEvidence
-from altd.calibration.model import TargetCalibration
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
 from altd.calibration.report.prediction import (
@@ -23,6 +22,7 @@ from altd.calibration.report.prediction import (
 from altd.calibration.report.source import Source
 from altd.calibration.report.target_plots import Plane, nice_length
 from altd.mapping.hull import contains
+from altd.measuring.calibration import TargetCalibration
 
 _LONGEST_ARROW_MM = 20.0
 _LONGEST_DIFFERENCE_MM = 15.0

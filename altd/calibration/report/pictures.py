@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from altd.recording import Recording
+from altd.recording.reader import Recording
 from altd.records import PixelArray
 
 _WIDEST_PX = 480

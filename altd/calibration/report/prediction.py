@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.beam import fit_beam, joint_covariance_mm2
 from altd.calibration.evidence import Candidate
-from altd.calibration.model import Calibration, TargetCalibration
+from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.mapping.hull import contains
 from altd.mapping.tensor_map import TensorMap, tensor_basis
+from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray, MeanSpots, TargetPoint
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")

@@ -27,7 +27,7 @@ from altd.calibration.report.document import (
     Table,
     Words,
 )
-from altd.calibration.report.page import MARKS
+from altd.calibration.report.html import MARKS
 from altd.calibration.report.verdict import Level
 
 _WIDTH_IN, _HEIGHT_IN = 8.27, 11.69

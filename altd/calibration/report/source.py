@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.model import Calibration, TargetCalibration
-from altd.recording import RecordingHeader
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.header import RecordingHeader
 from altd.records import PixelArray
 
 

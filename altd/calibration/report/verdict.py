@@ -9,8 +9,8 @@ from enum import IntEnum
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.model import Calibration, TargetCalibration
 from altd.calibration.report.prediction import CAUSES, Prediction
+from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
 _GOOD_MM, _USABLE_MM = 0.0120, 0.0500

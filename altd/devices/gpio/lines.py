@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import gpiod
 from gpiod.line import Direction, Value
 
-from altd.devices.gpio.inventory import find_chip, find_line
+from altd.devices.gpio.find_chips import find_chip, find_line
 from altd.ports import LampsError
 
 CONSUMER = "altd"

@@ -13,12 +13,12 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from altd.config import Http
-from altd.measurement_json import as_line
 from altd.publish.http.server import listen, serve
 from altd.publish.http.stream import EventStream, Streams
 from altd.reasons import Reason
-from altd.service.board import Board
-from altd.service.health import Component, Health, State
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+from altd.status.measurement_json import as_line
 
 _PAGE = Path(__file__).with_name("index.html")
 

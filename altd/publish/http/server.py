@@ -20,7 +20,7 @@ from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 from altd.config import Http
-from altd.service.health import Component
+from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
 

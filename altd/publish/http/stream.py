@@ -9,10 +9,10 @@ from collections.abc import AsyncGenerator
 from starlette.responses import JSONResponse, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from altd.measurement_json import as_line
 from altd.records import Measurement
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
+from altd.status.measurement_json import as_line
 
 CLIENTS = 16
 """Streams that are served at a time."""

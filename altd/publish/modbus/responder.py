@@ -16,8 +16,8 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from altd.publish.modbus.identification import READ_DEVICE_IDENTIFICATION, identification
 from altd.publish.modbus.registers import SIZE, Snapshot, image
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 
 READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
 """What is served beside the identification (Modbus Application Protocol V1.1b3, 6.3, 6.4); the rest is an

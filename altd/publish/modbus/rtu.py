@@ -15,8 +15,8 @@ from altd.config import SerialPort
 from altd.publish.modbus.bus import LONGEST, Bus
 from altd.publish.modbus.responder import Responder
 from altd.serial_port.port import Port, describe, opened
-from altd.service.board import Board
-from altd.service.health import Component, State
+from altd.status.board import Board
+from altd.status.health import Component, State
 
 BITS_PER_CHARACTER = 11
 

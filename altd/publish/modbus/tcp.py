@@ -17,8 +17,8 @@ from pymodbus.constants import ExcCodes
 
 from altd.config import ModbusTcp
 from altd.publish.modbus.responder import Responder
-from altd.service.board import Board
-from altd.service.health import Component, State
+from altd.status.board import Board
+from altd.status.health import Component, State
 from altd.tcp_port.accepting import accept, is_among_last, listen
 
 MBAP = struct.Struct(">HHHB")

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from altd.reasons import Reason
+from altd.reasons import LEDS_LIT, Reason
 from altd.records import Fault
-from altd.service.health import MEASURING, Component, State
-from altd.service.seen import LEDS_LIT
+from altd.status.health import MEASURING, Component, State
 
 
 class Advice(NamedTuple):

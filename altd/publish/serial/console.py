@@ -10,7 +10,7 @@ from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
 from altd.records import Measurement
-from altd.service.health import Health
+from altd.status.health import Health
 
 PROMPT = b"> "
 PAGE_LINES = 23

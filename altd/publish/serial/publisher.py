@@ -11,8 +11,8 @@ from altd.ports import Clock
 from altd.publish.serial.console import Console
 from altd.publish.serial.telegram import LINE_END, LONGEST_TELEGRAM, encode
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
-from altd.service.board import Board
-from altd.service.health import Component, Health, State
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
 
 CONSOLE_WAITING = 16384
 """Bytes of console output that may wait for a slow line."""

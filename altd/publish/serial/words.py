@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from textwrap import fill
 
-from altd.measurement_json import utc_text
 from altd.publish.serial.advice import advice, component_steps
-from altd.records import Beam, Fault, Measurement
-from altd.service.health import MEASURING, Component, Health, State, duration
+from altd.records import Beam, Fault, Measurement, utc_text
+from altd.status.health import MEASURING, Component, Health, State, duration
 
 WIDTH = 79
 """A line of 80 would make some terminals wrap."""

@@ -20,7 +20,9 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def calibrate_without_matplotlib(*arguments: object) -> Outcome:
-    program = f"{WITHOUT_MATPLOTLIB}; from altd.cli import main; sys.exit(main(['calibrate', *sys.argv[1:]]))"
+    program = (
+        f"{WITHOUT_MATPLOTLIB}; from altd.cli.main import main; sys.exit(main(['calibrate', *sys.argv[1:]]))"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
         capture_output=True,

@@ -19,10 +19,10 @@ from support.recordings import header
 
 from altd.calibration.report.content import report_on
 from altd.calibration.report.document import Document, Heading, Row, Table
-from altd.calibration.report.page import html_page
+from altd.calibration.report.html import html_page
 from altd.calibration.report.sheets import pdf_sheets
 from altd.calibration.report.source import Source
-from altd.recording import RecordingHeader
+from altd.recording.header import RecordingHeader
 
 SIZE = {"width": 752, "height": 480, "bits": 8}
 CAMERA = {"model": "acA <1>", "serial": "50-7", "driver": "aravis", "exposure_ms": 2.5, "gain_db": 6.0}

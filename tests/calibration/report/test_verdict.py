@@ -7,9 +7,9 @@ import pytest
 from support.evidence import calibration, evidence, target
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.model import Calibration
 from altd.calibration.report.prediction import predict
 from altd.calibration.report.verdict import Check, Level, Verdict, judge
+from altd.measuring.calibration import Calibration
 from altd.vision.flat import Flat
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import tomllib
-from pathlib import Path
 from typing import Any
 
 from fuzz.folder import folder, one_line
 from fuzz.spoil import SCRAPS, spoilt_bytes, spoilt_document
 from hypothesis import strategies as st
+from support.places import ROOT
 
 from altd.config import load_config
 from altd.errors import BadInputError
 
 NAME = "config"
 
-SHIPPED = (Path(__file__).resolve().parents[3] / "config" / "altd.toml").read_bytes()
+SHIPPED = (ROOT / "config" / "altd.toml").read_bytes()
 FULL = b"""
 unit = {serial = "A-1", calibration = "cal.json"}
 cameras.front = {driver = "v4l2", device = "/dev/video0", controls = {gamma = 3}, exposure.control = "fixed"}

@@ -10,12 +10,12 @@ from typing import Any, NoReturn
 import pynmea2
 from fuzz.served import measurements
 
-from altd.measurement_json import as_line
 from altd.publish.http.stream import event
 from altd.publish.modbus.registers import Snapshot, image
 from altd.publish.serial.telegram import encode
 from altd.publish.serial.words import measurement_text, watch_line
 from altd.records import Measurement
+from altd.status.measurement_json import as_line
 
 NAME = "measurement"
 EXAMPLES = measurements

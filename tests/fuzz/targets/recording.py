@@ -16,7 +16,7 @@ from fuzz.spoil import SCRAPS, spoilt_bytes, spoilt_document
 from hypothesis import strategies as st
 
 from altd.errors import BadInputError
-from altd.recording import open_recording
+from altd.recording.reader import open_recording
 
 NAME = "recording"
 

@@ -16,8 +16,8 @@ import pytest
 from altd.config import Http
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Beam, Measurement
-from altd.service.board import Board
-from altd.service.health import Component, Health
+from altd.status.board import Board
+from altd.status.health import Component, Health
 
 
 @dataclass

@@ -10,12 +10,12 @@ from dataclasses import replace
 import pytest
 from support.clock import FakeClock
 
-from altd.measurement_json import as_object
 from altd.publish.http.publisher import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
-from altd.service.board import Board
-from altd.service.health import Component, Health, State
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+from altd.status.measurement_json import as_object
 
 from .conftest import Served
 

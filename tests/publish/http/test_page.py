@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from support.places import DOCS
 
 from altd.publish.http.publisher import PATHS
 from tools.pages.http import page
-
-DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
 def test_the_page_is_generated_from_the_code() -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from support.foreign import need_program
 
-from altd.measurement_json import as_object
 from altd.publish.http import publisher
+from altd.status.measurement_json import as_object
 from tools.pages.example import MEASURED
 
 HERE = Path(__file__).parent

@@ -17,8 +17,8 @@ from support.foreign import need
 from altd.config import Http
 from altd.publish.http import server
 from altd.publish.http.publisher import HttpPublisher
-from altd.service.board import Board
-from altd.service.health import Component, Health
+from altd.status.board import Board
+from altd.status.health import Component, Health
 
 from .conftest import Served
 

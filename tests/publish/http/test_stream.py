@@ -10,11 +10,11 @@ from dataclasses import replace
 import pytest
 from support.clock import FakeClock
 
-from altd.measurement_json import as_object
 from altd.publish.http import server, stream
 from altd.records import Measurement
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
+from altd.status.measurement_json import as_object
 
 from .conftest import Served
 

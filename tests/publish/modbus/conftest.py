@@ -16,8 +16,8 @@ from support.clock import FakeClock
 from altd.config import ModbusTcp
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Beam, Measurement
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 
 
 @pytest.fixture

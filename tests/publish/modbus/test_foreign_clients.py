@@ -18,8 +18,8 @@ from support.foreign import need_program
 from altd.config import SerialPort
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 from tools.pages import modbus as page
 
 

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from pathlib import Path
+from support.places import ROOT
 
 from altd.publish.modbus.registers import REGISTERS
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
 from tools.pages.modbus import page
 
-COMMITTED = Path(__file__).parents[3] / "docs" / "modbus.md"
+COMMITTED = ROOT / "docs" / "modbus.md"
 
 
 def test_the_page_in_docs_is_the_generated_one() -> None:

@@ -17,8 +17,8 @@ from publish.modbus.wire import ONE, ONE_ANSWER, UNIT, Serving
 from altd.config import SerialPort
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 
 
 class Controller:

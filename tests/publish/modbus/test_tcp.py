@@ -14,8 +14,8 @@ from altd import __version__
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Beam
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 
 VERSION = __version__.encode()
 

@@ -28,8 +28,8 @@ from publish.modbus.wire import (
 from altd.config import ModbusTcp
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
-from altd.service.board import Board
-from altd.service.health import Component
+from altd.status.board import Board
+from altd.status.health import Component
 
 
 def timers_of_connections(port: int) -> list[str]:

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from altd.records import Beam, Measurement
-from altd.service.health import Component, Health
+from altd.status.health import Component, Health
 
 
 @pytest.fixture

@@ -11,14 +11,13 @@ from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
 import altd
-from altd.gate import range_fault
+from altd.measuring.gate import range_fault
+from altd.measuring.spot_shape import unlike_a_laser
 from altd.publish.serial.advice import _SEEN, advice, component_steps
-from altd.reasons import Reason
+from altd.reasons import LEDS_LIT, Reason
 from altd.records import Beam, CameraIdentity, Fault, NoSpot
-from altd.service.health import MEASURING, Health, State
-from altd.service.seen import LEDS_LIT, told_from_leds
-from altd.spot_shape import unlike_a_laser
-from altd.vision.leds import lit_leds
+from altd.status.health import MEASURING, Health, State
+from altd.vision.leds import lit_leds, told_from_leds
 from altd.vision.localise import locate
 
 LEDS = np.array([(100.0, 60.0), (376.0, 60.0), (650.0, 60.0), (100.0, 420.0), (376.0, 420.0), (650.0, 420.0)])

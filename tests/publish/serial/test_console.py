@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from altd.publish.serial.console import COMMANDS, MORE, PROMPT, Console
 from altd.publish.serial.words import WIDTH
-from altd.reasons import Reason
+from altd.reasons import LEDS_LIT, Reason
 from altd.records import Fault, Measurement
-from altd.service.health import MEASURING, Health, State
-from altd.service.seen import LEDS_LIT
+from altd.status.health import MEASURING, Health, State
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
+from support.places import DOCS
 
 from altd.publish.serial.telegram import SENTENCES
 from tools.pages import console as console_page
 from tools.pages import telegram as telegram_page
-
-DOCS = Path(__file__).resolve().parents[3] / "docs"
 
 
 @pytest.mark.parametrize(("name", "page"), [("telegram", telegram_page.page), ("console", console_page.page)])

@@ -23,9 +23,9 @@ from altd.config import SerialPort
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 from altd.publish.serial.telegram import parse
 from altd.records import Measurement
-from altd.service.board import Board
-from altd.service.clock import SystemClock
-from altd.service.health import Component, Health, State
+from altd.runtime.clock import SystemClock
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
 from hw_sim.demo_lines import Line
 
 GONE = "the port is gone"

@@ -1,0 +1,1 @@
+"""Cameras, lamps and the stage, in threads and tasks: frames in, settings out."""

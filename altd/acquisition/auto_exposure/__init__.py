@@ -1,0 +1,1 @@
+"""What exposure and gain a camera should have next, and how it gets them."""

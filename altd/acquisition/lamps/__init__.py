@@ -1,0 +1,1 @@
+"""Frame LEDs and indicators kept as they should be."""

@@ -1,0 +1,126 @@
+"""What the lamps on the housing tell the technician beside the unit (App. A.1.4)."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from enum import Enum, auto
+
+from altd.acquisition.lamps.keeper import Keeper
+from altd.ports import Clock, Indicator, Indicators
+from altd.reasons import Reason
+from altd.records import Measurement
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+
+TICK_S = 0.08
+"""How often the lamps follow, and how long a flash of Data lasts: short, yet seen."""
+
+BLINK_HALF_NS = 500_000_000
+"""Half a period of blinking: 1 Hz, all lamps in step."""
+
+START_S = 2.0
+"""A daemon that started so recently is warming up, whatever else it says: cameras take time to open."""
+
+
+class Standing(Enum):
+    """How the measurement is, as far as a lamp can tell."""
+
+    VALID = auto()
+    WARNED = auto()
+    WARMING_UP = auto()
+    INVALID = auto()
+
+
+class Light(Enum):
+    """What one lamp does."""
+
+    DARK = auto()
+    BLINKS = auto()
+    STEADY = auto()
+
+    def lit_at(self, t_ns: int) -> bool:
+        """Whether it shines at an instant of the monotonic clock."""
+        return self is Light.STEADY or (self is Light.BLINKS and t_ns // BLINK_HALF_NS % 2 == 0)
+
+
+OK_LIGHT = {
+    Standing.VALID: Light.STEADY,
+    Standing.WARNED: Light.BLINKS,
+    Standing.WARMING_UP: Light.BLINKS,
+    Standing.INVALID: Light.DARK,
+}
+
+
+def standing_of(measurement: Measurement | None, running_s: float) -> Standing:
+    """The standing of a daemon with this on its board (None: nothing yet), so long after its start."""
+    if measurement is not None and measurement.valid:
+        return Standing.WARNED if measurement.status else Standing.VALID
+    status = measurement.status if measurement is not None else ()
+    reasons = {fault.reason for fault in status if not fault.reason.is_warning}
+    if running_s < START_S or reasons == {Reason.WARMING_UP}:
+        return Standing.WARMING_UP
+    return Standing.INVALID
+
+
+def error_light(standing: Standing, something_failed: bool) -> Light:
+    """What Error does, when some component has failed and when none has."""
+    if standing is Standing.INVALID:
+        return Light.STEADY
+    return Light.BLINKS if something_failed else Light.DARK
+
+
+@dataclass(slots=True)
+class DataFlash:
+    """Data shines for one tick after data was given and is dark for one at least: a stream is a flicker."""
+
+    _seen: int = 0
+    _lit: bool = False
+
+    def lit(self, given: int) -> bool:
+        """Whether it shines in this tick, after data was given so often altogether."""
+        self._lit = given > self._seen and not self._lit
+        if self._lit:
+            self._seen = given
+        return self._lit
+
+
+class IndicatorPanel:
+    """The lamps on the housing, following board and health."""
+
+    def __init__(
+        self, indicators: Indicators, board: Board, health: Health, component: Component, clock: Clock
+    ) -> None:
+        dark: frozenset[Indicator] = frozenset()
+        self._keeper: Keeper[frozenset[Indicator]] = Keeper(
+            indicators, indicators.show, dark, component, clock
+        )
+        self._board = board
+        self._health = health
+        self._clock = clock
+        self._flash = DataFlash()
+
+    async def run(self) -> None:
+        """Follow until cancelled; then all are dark."""
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._keeper.run(), name="indicator-keeper")
+            await self._follow()
+
+    async def _follow(self) -> None:
+        started_ns = self._clock.monotonic_ns()
+        while True:
+            now_ns = self._clock.monotonic_ns()
+            self._keeper.want(self._lit(now_ns, (now_ns - started_ns) * 1e-9))
+            await self._clock.sleep(TICK_S)
+
+    def _lit(self, now_ns: int, running_s: float) -> frozenset[Indicator]:
+        components = list(self._health)
+        standing = standing_of(self._board.read(), running_s)
+        failed = any(component.state is State.FAILED for component in components)
+        lit = {
+            Indicator.POWER: True,
+            Indicator.OK: OK_LIGHT[standing].lit_at(now_ns),
+            Indicator.ERROR: error_light(standing, failed).lit_at(now_ns),
+            Indicator.DATA: self._flash.lit(sum(component.data_given for component in components)),
+        }
+        return frozenset(indicator for indicator, shines in lit.items() if shines)

@@ -1,0 +1,159 @@
+"""Keep frames for replay: every exposure of all cameras, paired as the measurement would pair them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+
+from altd.acquisition.auto_exposure.control import ExposureSetter
+from altd.acquisition.grabbing import grab
+from altd.acquisition.inbox import Inbox
+from altd.config import Measuring
+from altd.errors import BadInputError
+from altd.measuring.pairing import Pair, Pairer
+from altd.ports import Camera
+from altd.recording.header import (
+    MADE_BY,
+    CameraHeader,
+    Kind,
+    RecordingHeader,
+    UnitHeader,
+    camera_header,
+    note_of,
+)
+from altd.recording.writer import RecordingWriter
+from altd.records import Frame
+from altd.status.health import Health
+
+
+async def record(
+    cameras: Sequence[Camera],
+    path: Path,
+    unit: UnitHeader,
+    measuring: Measuring,
+    health: Health,
+    utc: Callable[[int], datetime | None],
+    seconds: float,
+    kind: Kind = "measurement",
+    fps: float = 20.0,
+    setters: Mapping[str, ExposureSetter] | None = None,
+    progress: Callable[[int, int], None] = lambda done, planned: None,
+) -> int:
+    """Write a recording of a kind; returns the number of exposures.
+
+    Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
+    written until then is whole. Exposure is set by ``setters`` when a camera is opened, and holds still; what
+    was exposed while it was being set is not kept. ``progress`` is told after each exposure how many of how
+    many are kept. Raises BadInputError when the folder cannot be used, and
+    a driver's own failure; a camera that is merely lost is waited for.
+    """
+    names = tuple(camera.name for camera in cameras)
+    inbox = Inbox(names)
+    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns)
+    sink = _Sink(path, unit, cameras, kind, fps, utc)
+    grabbers = [
+        asyncio.create_task(
+            grab(camera, inbox, health.component(f"camera {camera.name}"), (setters or {}).get(camera.name))
+        )
+        for camera in cameras
+    ]
+    sources = asyncio.gather(*grabbers)
+    sources.add_done_callback(lambda _: inbox.tick())
+    sources.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
+    try:
+        while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
+            for frame in await inbox.take():
+                for pair in pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
+                    changing = any(taken.changing for taken in pair.items.values())
+                    if sink.length_s < seconds and not changing:
+                        sink.write(pair)
+                        progress(sink.exposures, round(seconds * fps))
+        if sources.done():
+            sources.result()  # a source that failed, not one at its end
+        return sink.exposures
+    finally:
+        sink.close()
+        sources.cancel()
+        await asyncio.gather(sources, *grabbers, return_exceptions=True)
+
+
+class _Sink:
+    """Opens the writer with the first exposure, when sizes and depths are known."""
+
+    def __init__(
+        self,
+        path: Path,
+        unit: UnitHeader,
+        cameras: Sequence[Camera],
+        kind: Kind,
+        fps: float,
+        utc: Callable[[int], datetime | None],
+    ) -> None:
+        self._path = path
+        self._unit = unit
+        self._kind: Kind = kind
+        self._fps = fps
+        self._utc = utc
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._writer: RecordingWriter | None = None
+        self._headers: dict[str, CameraHeader] = {}
+        self._first_ns = 0
+        self._first_sequence = 0
+        self._last: tuple[int, float] = (-1, -1.0)
+        """Number and time of the last exposure that was kept."""
+        self.exposures = 0
+        self.length_s = 0.0
+
+    def write(self, pair: Pair[Frame]) -> None:
+        if self._writer is None:
+            if len(pair.items) < len(self._cameras):
+                return
+            self._first_ns, self._first_sequence = pair.t_ns, pair.sequence
+            self._headers = {
+                name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
+            }
+            self._writer = RecordingWriter(self._path, self._header())
+        self._see_that_cameras_stay()
+        t_s = (pair.t_ns - self._first_ns) * 1e-9
+        last_sequence, last_s = self._last
+        if t_s <= last_s:
+            return  # a recording stands in the order of time
+        if pair.sequence - self._first_sequence <= last_sequence:  # counted anew
+            self._first_sequence = pair.sequence - last_sequence - 1
+        sequence = pair.sequence - self._first_sequence
+        self._last = sequence, t_s
+        try:
+            for frame in pair.items.values():
+                self._writer.write(frame, sequence, t_s)
+        except OSError as error:
+            raise BadInputError(self._path, error.strerror or str(error)) from error
+        self.exposures += 1
+        self.length_s = t_s + 1 / self._fps
+
+    def _see_that_cameras_stay(self) -> None:
+        """A camera that was changed for another would have its frames taken for those of the first."""
+        for name, header in self._headers.items():
+            camera = self._cameras[name]
+            difference = (camera.identity or header.identity).difference_from(header.identity)
+            if camera.origin is not header.origin:
+                difference = f"its frames are {camera.origin} now, they were {header.origin}"
+            if difference:
+                raise BadInputError(self._path, f"camera {name} is another than at the start: {difference}")
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def _header(self) -> RecordingHeader:
+        return RecordingHeader(
+            format="altd-recording/1",
+            kind=self._kind,
+            fps=self._fps,
+            cameras=self._headers,
+            unit=self._unit,
+            note=note_of("altd record", self._cameras.values()),
+            made_by=MADE_BY,
+            start=self._utc(self._first_ns),
+        )

@@ -1,0 +1,1 @@
+"""The calibration scan: the stage moves, the cameras record."""

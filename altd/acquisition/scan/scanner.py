@@ -1,0 +1,259 @@
+"""The calibration scan: the stage carries the beam from node to node, and what the cameras see is kept."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, Protocol, TypeVar
+
+from altd.acquisition.auto_exposure.control import ExposureSetter
+from altd.acquisition.frame_sets import Exposures
+from altd.acquisition.scan.folder import DoneNode, ScanFolder
+from altd.acquisition.scan.node import SpotPx, judge
+from altd.acquisition.scan.plan import Node, fingerprint, nodes_of
+from altd.config import Config
+from altd.errors import BadInputError
+from altd.mapping.grid import Block
+from altd.measuring.pairing import Pair
+from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
+from altd.recording.header import UnitHeader, note_of
+from altd.records import Frame
+from altd.status.health import Health
+
+Result = TypeVar("Result")
+
+LARGEST_SHIFT_PX = 1.0
+"""A resumed scan looks at its last node again; a spot further than this from where it was is no longer the
+same stage, laser and cameras."""
+
+
+class ScanStoppedError(Exception):
+    """The scan cannot go on; what was done is kept, and the sentence says where it stopped and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResult:
+    """A finished scan: its exposures, and the nodes that it does without, each with the reason."""
+
+    exposures: int
+    refused: tuple[str, ...]
+
+
+class Teller(Protocol):
+    """Who is told how the scan does."""
+
+    def say(self, line: str) -> None:
+        """Something that a person wants to know even afterwards."""
+
+    def progress(self, done: int, total: int, doing: str) -> None:
+        """How many nodes of how many are behind us, and what is being done."""
+
+
+class Scanner:
+    """One scan. ``cameras``, ``stage`` and ``lamps`` stand behind their ports; the caller chooses them.
+
+    Exposure is set by ``setters`` when a camera is opened, and holds still from node to node.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        output: Path,
+        cameras: Sequence[Camera],
+        stage: Stage,
+        lamps: Lamps | None,
+        clock: Clock,
+        teller: Teller,
+        setters: Mapping[str, ExposureSetter] | None = None,
+    ) -> None:
+        """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
+        self._config = config.scan
+        self._stage = stage
+        self._lamps = lamps
+        self._clock = clock
+        self._teller = teller
+        self._nodes = nodes_of(config.scan)
+        places_mm = [target.z_mm for target in config.targets]
+        self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
+        self._cameras = cameras
+        self._folder = ScanFolder(
+            output,
+            fingerprint(config),
+            clock.utc,
+            cameras,
+        )
+        self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
+        self._doing = "getting ready"
+
+    async def run(self) -> ScanResult:
+        """Scan to the end, or go on with a scan that was interrupted.
+
+        Cancellation stops the stage; what was kept until then stays. Raises ScanStoppedError, BadInputError
+        for a stage that is not there, and a camera driver's own failure.
+        """
+        try:
+            async with self._exposures, self._ready_stage(), self._ready_lamps():
+                await self._scan()
+                return self._finished()
+        except StageNotFoundError as error:
+            raise BadInputError("[stage] device", str(error)) from error
+        except (StageError, CameraError, LampsError) as error:
+            raise ScanStoppedError(f"{self._doing}: {error}") from error
+        except OSError as error:
+            raise ScanStoppedError(f"{self._folder.path}: {error.strerror or error}") from error
+        finally:
+            self._folder.close()
+
+    async def _scan(self) -> None:
+        state = self._folder.state
+        if self._lamps is None and self._config.led_pairs:
+            self._teller.say("no lamps are configured: the scan has no LED reference pairs")
+        if self._folder.resumed:
+            self._teller.say(
+                f"going on with {self._folder.path}: {len(state.nodes)} of {len(self._nodes)} nodes are done"
+            )
+            state.refused.clear()  # they are tried again
+            await self._see_that_nothing_moved()
+        await self._led_pairs("before")
+        for node in self._nodes:
+            if _key(node) not in state.nodes:
+                await self._expose(node)
+        await self._led_pairs("after")
+
+    @asynccontextmanager
+    async def _ready_stage(self) -> AsyncIterator[None]:
+        """The cameras deliver, then the stage is made ready; at the end it is let go."""
+        self._tell("waiting for the cameras")
+        await self._exposures.after(self._clock.monotonic_ns(), 1)
+        try:
+            self._tell("opening the stage")
+            await self._in_thread(self._stage.open)
+            self._tell("homing the stage")
+            await self._in_thread(self._stage.home)
+            yield
+        finally:
+            await asyncio.shield(asyncio.to_thread(self._stage.close))
+
+    @asynccontextmanager
+    async def _ready_lamps(self) -> AsyncIterator[None]:
+        """The lamps are ours, and dark; at the end they are let go, dark."""
+        if self._lamps is None:
+            yield
+            return
+        try:
+            self._tell("opening the lamps")
+            await self._in_thread(self._lamps.open)
+            yield
+        finally:
+            await asyncio.shield(asyncio.to_thread(self._lamps.close))
+
+    async def _expose(self, node: Node) -> None:
+        """Go to a node and keep its exposures, or refuse it after as many tries as there may be."""
+        self._tell(f"node {node}")
+        await self._go(node.x_mm, node.y_mm)
+        position_mm = await self._in_thread(self._stage.position)
+        state, complaint = self._folder.state, ""
+        for _ in range(1 + self._config.retries):
+            exposures = await self._settled(self._config.exposures)
+            seen = judge(exposures)
+            if not isinstance(seen, str):
+                self._folder.keep(exposures, self._unit, note_of("altd scan", self._cameras), position_mm)
+                state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=dict(seen))
+                state.refused.pop(_key(node), None)
+                self._folder.commit()
+                return
+            complaint = seen
+        state.refused[_key(node)] = complaint
+        self._folder.commit()
+        self._teller.say(f"node {node} refused: {complaint}")
+        refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
+        left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
+        if not left.is_sufficient:
+            raise ScanStoppedError(
+                f"{len(refused)} of {len(self._nodes)} nodes are refused, the others are no sufficient grid; "
+                f"the last one, {node}: {complaint}"
+            )
+
+    async def _led_pairs(self, when: Literal["before", "after"]) -> None:
+        """Reference exposures with the beam in the middle of the grid, LEDs off and on in turn."""
+        lamps, state = self._lamps, self._folder.state
+        if lamps is None or not self._config.led_pairs or when in state.led_pairs:
+            return
+        self._tell(f"LED reference {when} the grid")
+        await self._go(self._config.centre_x_mm, self._config.centre_y_mm)
+        kept: list[Pair[Frame]] = []
+        try:
+            for on in (False, True) * self._config.led_pairs:
+                await self._in_thread(lamps.switch, on)
+                (pair,) = await self._settled(1)
+                lit = {name: replace(frame, leds_on=on) for name, frame in pair.items.items()}
+                kept.append(replace(pair, items=lit))
+        finally:
+            await asyncio.shield(asyncio.to_thread(lamps.switch, False))
+        self._folder.keep(kept, self._unit, note_of("altd scan", self._cameras), None)
+        state.led_pairs.append(when)
+        self._folder.commit()
+
+    async def _see_that_nothing_moved(self) -> None:
+        """Raise ScanStoppedError unless the spots of the last node that was kept are where they were."""
+        done = self._folder.state.nodes
+        if not done:
+            return
+        node = next(n for n in self._nodes if _key(n) == list(done)[-1])
+        self._tell(f"looking at node {node} again")
+        await self._go(node.x_mm, node.y_mm)
+        seen = judge(await self._settled(self._config.exposures))
+        if isinstance(seen, str):
+            raise ScanStoppedError(f"node {node}, which was good, is not any more: {seen}")
+        shift_px, camera = _largest_shift(done[_key(node)].spots_px, seen)
+        if shift_px > LARGEST_SHIFT_PX:
+            raise ScanStoppedError(
+                f"node {node}: the {camera} spot lies {shift_px:.1f} px from where it was before the "
+                f"interruption; the stage has another zero, or something was moved. Put it right, or remove "
+                f"{self._folder.path} to scan anew"
+            )
+
+    async def _go(self, x_mm: float, y_mm: float) -> None:
+        await self._in_thread(self._stage.move_to, x_mm, y_mm)
+
+    async def _settled(self, count: int) -> list[Pair[Frame]]:
+        """Exposures that begin once stage and lamps have settled."""
+        await self._clock.sleep(self._config.settle_s)
+        return await self._exposures.after(self._clock.monotonic_ns(), count)
+
+    def _finished(self) -> ScanResult:
+        state = self._folder.state
+        self._folder.finish()
+        refused = {_key(node): node for node in self._nodes if _key(node) not in state.nodes}
+        return ScanResult(
+            state.exposures, tuple(f"node {node}: {state.refused[key]}" for key, node in refused.items())
+        )
+
+    def _tell(self, doing: str) -> None:
+        self._doing = doing
+        self._teller.progress(len(self._folder.state.nodes), len(self._nodes), doing)
+
+    async def _in_thread(self, call: Callable[..., Result], *arguments: object) -> Result:
+        """A blocking call; cancellation stops the stage and waits until it stands."""
+        work = asyncio.ensure_future(asyncio.to_thread(call, *arguments))
+        try:
+            return await asyncio.shield(work)
+        except asyncio.CancelledError:
+            self._stage.stop()
+            await asyncio.wait({work})
+            work.exception()  # it was told to fail
+            raise
+
+
+def _key(node: Node) -> str:
+    """A node's name in ``scan.json``."""
+    return f"{node.column},{node.row}"
+
+
+def _largest_shift(before: Mapping[str, SpotPx], now: Mapping[str, SpotPx]) -> tuple[float, str]:
+    """The largest distance between two looks at the same spots, px, and whose it is."""
+    return max((math.dist(before[camera], now[camera]), camera) for camera in before)

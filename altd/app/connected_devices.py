@@ -1,0 +1,107 @@
+"""``altd devices``: what is connected to this computer, in the words that ``altd.toml`` wants.
+
+Nothing is taken hold of that another program uses, and no setting is changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from textwrap import wrap
+
+_WIDTH = 110
+_INDENT = " " * 6
+
+
+def lines() -> Iterator[str]:
+    """All of it for a person, section by section; a section that has nothing says so, or why."""
+    yield 'Cameras: [cameras.NAME], driver = "v4l2"'
+    yield from _or_none(_video_cameras())
+    yield ""
+    yield 'Cameras: [cameras.NAME], driver = "aravis"'
+    yield from _or_none(_gige_cameras())
+    yield ""
+    yield "GPIO chips: [lamps], [indicators]"
+    yield from _or_none(_gpio_chips())
+    yield ""
+    yield "Serial ports: [[serial]], [stage]"
+    yield from _or_none(_serial_ports())
+
+
+def _or_none(entries: Iterator[str]) -> Iterator[str]:
+    empty = True
+    for line in entries:
+        empty = False
+        yield line
+    if empty:
+        yield "  none"
+
+
+def _video_cameras() -> Iterator[str]:
+    from altd.devices.v4l2.find_cameras import UnreadableCamera, find_cameras
+
+    for found in find_cameras():
+        yield f'  device = "{found.path}"'
+        if isinstance(found, UnreadableCamera):
+            yield from _remark(f"cannot be looked at: {found.why}")
+            continue
+        yield from _remark(f"{found.card}, kernel driver {found.driver}")
+        if found.serial is not None:
+            yield f'  serial = "{found.serial}"'
+        for pixel_format, sizes in found.formats.items():
+            yield from _remark(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
+        if not found.formats:
+            yield from _remark("sends no grey picture that altd can use")
+        settable = [f"{c.name} {c.smallest} to {c.largest}" for c in found.controls if c.writes]
+        if settable:
+            yield from _remark(f"controls: {', '.join(settable)}")
+
+
+def _gige_cameras() -> Iterator[str]:
+    try:
+        from altd.devices.aravis.find_cameras import find_cameras
+    except ImportError as error:
+        yield f"  cannot be looked for: {error}"
+        return
+    for found in find_cameras():
+        yield f'  device = "{found.serial or found.address}"'
+        yield from _remark(f"{found.vendor} {found.model} at {found.address}; as an id {found.id!r}")
+        if found.in_use:
+            yield from _remark("a program controls it now: what it can do is not asked")
+        elif found.formats:
+            yield from _remark("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
+        else:
+            yield from _remark("sends no grey picture that altd can use, or did not answer")
+
+
+def _gpio_chips() -> Iterator[str]:
+    from altd.devices.gpio.find_chips import chip_paths, look_at
+    from altd.ports import LampsError
+
+    for path in chip_paths():
+        try:
+            chip = look_at(path)
+        except LampsError as error:
+            yield f"  {error}"
+            continue
+        yield f'  chip = "{chip.label}"'
+        yield from _remark(f"{chip.path}, {len(chip.lines)} lines")
+        told = [
+            f'"{line.name or line.offset}"' + (f" (used by {line.used_by})" if line.used_by else "")
+            for line in chip.lines
+        ]
+        yield from _remark(f"lines: {', '.join(told)}")
+
+
+def _serial_ports() -> Iterator[str]:
+    from altd.serial_port.find_ports import find_ports
+
+    for found in find_ports():
+        yield f'  device = "{found.path}"'
+        now = "" if found.path == found.device else f", now {found.device}"
+        yield from _remark(f"{found.about}{now}")
+
+
+def _remark(text: str) -> Iterator[str]:
+    """Below an entry, in as many lines as it needs."""
+    for number, line in enumerate(wrap(text, _WIDTH - len(_INDENT) - 2, break_on_hyphens=False)):
+        yield f"{_INDENT}{line}" if number == 0 else f"{_INDENT}  {line}"

@@ -1,0 +1,172 @@
+"""The parts that a config asks for, each behind its port; a driver is imported only when it is wanted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.acquisition.auto_exposure.control import ExposureSetter
+from altd.calibration.file import check_camera, check_image_size, load_calibration
+from altd.config import AravisCamera, CameraLamps, Config, LiveCamera, RecordingCamera, V4l2Camera
+from altd.devices.playback import Playback, PlaybackCamera
+from altd.errors import BadInputError
+from altd.measuring.calibration import Calibration
+from altd.ports import Camera, Indicators, Lamps, Stage, SwitchingCamera
+from altd.recording.reader import open_recording
+
+
+@dataclass(frozen=True, slots=True)
+class MissingFile:
+    """A file or folder that a config names and that is not there, and the command that makes it."""
+
+    keys: str
+    path: Path
+    maker: str
+
+
+def missing_files(config: Config) -> list[MissingFile]:
+    """What `altd run` will not find."""
+    played: dict[Path, list[str]] = {}
+    for name, camera in config.cameras.items():
+        if isinstance(camera, RecordingCamera):
+            played.setdefault(camera.path, []).append(f"cameras.{name}.path")
+    named = [MissingFile("unit.calibration", config.unit.calibration, "altd calibrate")]
+    named += [MissingFile(", ".join(keys), path, "altd record") for path, keys in played.items()]
+    return [file for file in named if not os.path.lexists(file.path)]
+
+
+def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]]:
+    """The calibration, and what is wrong with those files of a config that are there."""
+    missing = {file.path for file in missing_files(config)}
+    cameras: dict[str, Camera] = {}
+    errors: dict[str, BadInputError] = {}
+    playbacks = _Playbacks()
+    for name, settings in config.cameras.items():
+        if isinstance(settings, RecordingCamera) and settings.path not in missing:
+            try:
+                cameras[name] = playbacks.camera(name, settings)
+            except BadInputError as error:
+                errors.setdefault(str(error), error)
+    calibration = None
+    if config.unit.calibration not in missing:
+        try:
+            calibration = calibration_of(config, cameras)
+        except BadInputError as error:
+            errors.setdefault(str(error), error)
+    return calibration, list(errors.values())
+
+
+def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
+    """The cameras that a config asks for; raises BadInputError that names ``place`` or the recording."""
+    if not config.cameras:
+        raise BadInputError(place, "cameras: no [cameras.…] table")
+    playbacks = _Playbacks()
+    cameras: dict[str, Camera] = {}
+    for name in (target.camera for target in config.targets):
+        settings = config.cameras[name]
+        if isinstance(settings, RecordingCamera):
+            cameras[name] = playbacks.camera(name, settings)
+        else:
+            cameras[name] = live_camera(name, settings)
+    return cameras
+
+
+class _Playbacks:
+    """Recordings that are played, one for all cameras of it."""
+
+    def __init__(self) -> None:
+        self._playbacks: dict[Path, Playback] = {}
+
+    def camera(self, name: str, settings: RecordingCamera) -> PlaybackCamera:
+        """A camera of a recording; raises BadInputError that names the recording."""
+        playback = self._playbacks.get(settings.path)
+        if playback is None:
+            recording = open_recording(settings.path)
+            playback = Playback(recording, settings.pace == "realtime", settings.repeat)
+            self._playbacks[settings.path] = playback
+        return PlaybackCamera(name, playback)
+
+
+def live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
+    """The driver behind a camera's table. Imported only when wanted."""
+    if isinstance(settings, V4l2Camera):
+        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
+
+        return Video4LinuxCamera(name, settings)
+    try:
+        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
+    except ImportError as error:
+        raise BadInputError(f"cameras.{name}", str(error)) from error
+    return GigeVisionCamera(name, settings)
+
+
+def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
+    """The config's calibration, checked against its unit, targets and cameras; raises BadInputError."""
+    path = config.unit.calibration
+    calibration = load_calibration(path, config.unit.serial)
+    for target in config.targets:
+        known = calibration.target(target.name)
+        if known is None:
+            raise BadInputError(path, f"does not know target {target.name!r}")
+        if abs(known.z_mm - target.z_mm) > 1e-3:
+            raise BadInputError(
+                path, f"target {target.name!r} was calibrated at z {known.z_mm:g} mm, not {target.z_mm:g}"
+            )
+        camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
+        if isinstance(camera, PlaybackCamera):
+            check_image_size(calibration, path, target.name, camera.width, camera.height)
+            check_camera(calibration, path, target.name, camera.identity)
+        elif isinstance(settings, LiveCamera):
+            check_image_size(calibration, path, target.name, settings.width, settings.height)
+    return calibration
+
+
+def setters_of(config: Config) -> dict[str, ExposureSetter]:
+    """For a recording or a scan: each live camera gets its exposure from the config once, and keeps it."""
+    return {
+        name: ExposureSetter(settings.exposure, settings.fps)
+        for name, settings in config.cameras.items()
+        if isinstance(settings, LiveCamera) and settings.exposure.control != "camera"
+    }
+
+
+def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
+    """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
+
+    ``alone``: nobody takes frames of these cameras. Raises BadInputError that names ``place``.
+    """
+    if config.lamps is None:
+        return None
+    if not isinstance(config.lamps, CameraLamps):
+        from altd.devices.gpio.lamps import GpioFrameLamps
+
+        return GpioFrameLamps(config.lamps)
+    from altd.devices.camera_lamps import CameraLamps as LampsOnCameras
+
+    switching: dict[str, SwitchingCamera] = {}
+    for name in config.lamps.cameras:
+        camera = cameras[name]
+        if not isinstance(camera, SwitchingCamera):
+            raise BadInputError(place, f"lamps: camera {name!r} has no output to switch")
+        switching[name] = camera
+    return LampsOnCameras(switching, config.lamps.line, alone)
+
+
+def indicators_of(config: Config) -> Indicators | None:
+    """The lamps on the housing that a config asks for; None when it has none."""
+    if config.indicators is None:
+        return None
+    from altd.devices.gpio.lamps import GpioIndicators
+
+    return GpioIndicators(config.indicators)
+
+
+def stage_of(config: Config, place: Path) -> Stage:
+    """The stage that a config asks for; raises BadInputError that names ``place``."""
+    if config.stage is None:
+        raise BadInputError(place, "stage: no [stage] table")
+    from altd.devices.grbl.driver import GrblStage
+
+    return GrblStage(config.stage)

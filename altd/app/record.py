@@ -1,0 +1,45 @@
+"""``altd record``: the cameras of a config, recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from altd.acquisition.record import record
+from altd.app.parts import cameras_of, setters_of
+from altd.config import Config
+from altd.recording.header import Kind, UnitHeader
+from altd.recording.writer import refuse_used_folder
+from altd.runtime.clock import SystemClock
+from altd.status.health import Health
+
+
+async def record_of(
+    config: Config,
+    place: Path,
+    folder: Path,
+    seconds: float,
+    kind: Kind,
+    progress: Callable[[int, int], None] = lambda done, planned: None,
+) -> int:
+    """Record from the config's cameras into ``folder``; returns the number of exposures.
+
+    ``progress`` is told after each of them how many of how many there are.
+    """
+    refuse_used_folder(folder)
+    cameras = cameras_of(config, place)
+    clock = SystemClock()
+    distance_mm = max(target.z_mm for target in config.targets) - min(t.z_mm for t in config.targets)
+    unit = UnitHeader(serial=config.unit.serial, target_distance_mm=distance_mm)
+    return await record(
+        list(cameras.values()),
+        folder,
+        unit,
+        config.measuring,
+        Health(clock),
+        clock.utc,
+        seconds,
+        kind,
+        setters=setters_of(config),
+        progress=progress,
+    )

@@ -1,0 +1,117 @@
+"""``altd calibrate``: from scans or plates to the calibration file."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from altd.cli.options import add_output, progress_on
+from altd.errors import BadInputError
+from altd.process.standard_streams import complain
+
+if TYPE_CHECKING:
+    from altd.calibration.result import CalibrationResult
+    from altd.recording.reader import Recording
+
+SUMMARY = "fit the maps from a scan or an LED plate; prints the residuals"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    parser.add_argument("recording", type=Path, metavar="RECORDING")
+    add_output(parser, "FILE")
+    parser.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate, write file and report together, and print what was reached."""
+    from altd.calibration.file import save_calibration
+    from altd.calibration.report.write import check_report, write_together
+    from altd.files.writing import check_replaceable
+    from altd.recording.gaps import gap_lines
+    from altd.recording.reader import open_recording
+
+    check_replaceable(options.output)
+    if options.report is not None:
+        check_report(options.report)
+    recording = open_recording(options.recording)
+    for line in gap_lines(recording):
+        complain(f"altd calibrate: {line}")
+    result = _calibrated(recording, options.flat)
+    report = {} if options.report is None else _report(options, recording, result)
+    save_calibration(result.calibration, options.output)
+    if options.report is not None:
+        write_together(options.report, report)
+    _print_result(result)
+    if report:
+        print(f"report: {', '.join(str(options.report / name) for name in report)}")
+    return 0
+
+
+def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
+    from altd.calibration.flat import flats_of
+    from altd.calibration.plate import calibrate_plate
+    from altd.calibration.scan import calibrate_scan
+    from altd.recording.reader import open_recording
+
+    progress = progress_on("frames")
+    if recording.header.kind == "plate":
+        if flat is not None:
+            raise BadInputError(flat, "is for a scan; a plate shows no laser spot")
+        return calibrate_plate(recording, progress=progress)
+    flats = flats_of(open_recording(flat), recording.header, progress) if flat else {}
+    return calibrate_scan(recording, flats, progress=progress)
+
+
+def _print_result(result: CalibrationResult) -> None:
+    for line in result.refused:
+        complain(f"altd calibrate: left out: {line}")
+    for line in result.doubts:
+        complain(f"altd calibrate: doubtful: {line}")
+    print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+    if result.calibration.simulated:
+        print("made from SIMULATED frames: every measurement with it says `simulated`")
+    print(
+        "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
+        "   cross-check    apart / bound px"
+    )
+    for target in result.calibration.targets:
+        print(
+            f"{target.name:<7} {target.map.name:<14} {target.left_out_px:.3f}         "
+            f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
+            f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
+            f"            {len(target.leds_px)}"
+            f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
+            f"{target.cross_check.bound_px:.2f}"
+        )
+    for line in result.remarks:
+        print(line)
+
+
+def _report(options: argparse.Namespace, recording: Recording, result: CalibrationResult) -> dict[str, bytes]:
+    """The report's files by name; matplotlib is there, somebody looked."""
+    from altd.calibration.report.content import report_on
+    from altd.calibration.report.html import html_page
+    from altd.calibration.report.pictures import scan_negatives
+    from altd.calibration.report.sheets import pdf_sheets
+    from altd.calibration.report.source import Source
+    from altd.calibration.report.write import PAGE, SHEETS
+
+    given = [options.recording, *(["--flat", options.flat] if options.flat else [])]
+    given += ["-o", options.output, "--report", options.report]
+    command = shlex.join(["altd", "calibrate", *map(str, given)])
+    show = progress_on("files of the report")
+    show(0, 2)
+    try:
+        negatives = scan_negatives(recording)
+        document = report_on(
+            Source(result.calibration, result.evidence, negatives, command, recording.header)
+        )
+    except ValueError as error:
+        raise BadInputError(options.recording, str(error)) from error
+    files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
+    show(2, 2)
+    return files

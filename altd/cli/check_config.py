@@ -1,0 +1,34 @@
+"""``altd check-config``: whether settings can be used."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from altd.cli.options import DEFAULT_CONFIG
+from altd.process.standard_streams import complain
+
+SUMMARY = "say whether a config can be used"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    parser.add_argument("config", type=Path, nargs="?", metavar="FILE", help=f"({DEFAULT_CONFIG})")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Say so, and which files are not there yet; 2 for what cannot be used."""
+    from altd.app.parts import check_files, missing_files
+    from altd.app.settings import load_settings
+
+    config = load_settings(options.config)
+    calibration, errors = check_files(config)
+    for error in errors:
+        complain(f"altd check-config: {error}")
+    if errors:
+        return 2
+    simulated = ", calibrated from SIMULATED frames" if calibration and calibration.simulated else ""
+    print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
+    for missing in missing_files(config):
+        print(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
+    return 0

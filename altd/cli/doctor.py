@@ -1,0 +1,24 @@
+"""``altd doctor``: what is wrong on this computer, and what mends it."""
+
+from __future__ import annotations
+
+import argparse
+
+from altd.cli.options import add_config
+
+SUMMARY = "say what is wrong on this computer, and what mends it"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_config(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """1 when something is wrong."""
+    from altd.doctor.checks import examine
+    from altd.doctor.finding import Verdict, in_lines
+
+    findings = examine(options.config)
+    print("\n".join(in_lines(findings)))
+    return int(any(finding.verdict is Verdict.WRONG for finding in findings))

@@ -1,0 +1,75 @@
+"""``altd lamps``: frame LEDs and indicators, while the daemon is stopped."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType
+
+from altd.cli.options import add_config
+from altd.errors import BadInputError
+from altd.process.endings import EndedBySignal
+from altd.process.standard_streams import complain
+
+SUMMARY = "switch frame LEDs and indicators while the daemon is stopped"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    parser.add_argument(
+        "look",
+        choices=("off", "on", "test", "stopped"),
+        help="off: dark; on: all lit until Ctrl-C; test: each in turn, by name; "
+        "stopped: dark but for Error if the service has failed (for systemd, reads $SERVICE_RESULT)",
+    )
+    add_config(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show what was asked for; 1 when the lamps cannot be had."""
+    from altd.app.lamps_by_hand import LampsByHand
+    from altd.app.parts import cameras_of, indicators_of, lamps_of
+    from altd.app.settings import load_settings
+    from altd.config import CameraLamps
+    from altd.ports import Indicator, LampsError
+
+    config, place = load_settings(options.config), options.config
+    stopped = options.look == "stopped"
+    if stopped and isinstance(config.lamps, CameraLamps):
+        config = config.model_copy(
+            update={"lamps": None}
+        )  # of a dead daemon's camera nobody gets hold at once
+    if config.lamps is None and config.indicators is None and not stopped:
+        raise BadInputError(place, "no [lamps] and no [indicators] table")
+    cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLamps) else {}
+    fitted = [Indicator(key) for key in config.indicators.lines] if config.indicators is not None else []
+    lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
+    by_hand = LampsByHand(lamps, indicators, fitted, lambda line: print(line, flush=True))
+    failed = os.environ.get("SERVICE_RESULT", "success") != "success"
+    looks: dict[str, Callable[[], None]] = {
+        "off": lambda: by_hand.leave(frozenset()),
+        "on": lambda: by_hand.light_until(interrupted.wait),
+        "test": by_hand.light_in_turn,
+        "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
+    }
+    interrupted, interrupts = threading.Event(), list[EndedBySignal]()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        """What is lit gets dark on the way out; a library's callback swallows what is raised in it."""
+        interrupts.append(EndedBySignal(number))
+        interrupted.set()
+        raise interrupts[0]
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+    try:
+        looks[options.look]()
+        if interrupts:
+            raise interrupts[0]
+    except LampsError as error:
+        complain(f"altd lamps: {error}")
+        return 1
+    return 0

@@ -1,0 +1,107 @@
+"""The command line: ``altd COMMAND``. Exit status 0 good, 2 bad arguments or bad file, 1 anything else.
+
+Each command is a module of this package with a ``SUMMARY``, ``add_arguments(parser)`` and ``run(options)``,
+which returns the exit status; it imports what is heavy only when it runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from types import ModuleType
+
+from altd import __version__
+from altd.cli import (
+    calibrate,
+    check_config,
+    devices,
+    doctor,
+    lamps,
+    locate,
+    map,  # noqa: A004  the command's name
+    record,
+    replay,
+    run,
+    scan,
+)
+from altd.cli.arguments import Parser
+from altd.cli.options import DEFAULT_CONFIG
+from altd.process.endings import run_to_end
+
+COMMANDS: dict[str, ModuleType] = {
+    "run": run,
+    "calibrate": calibrate,
+    "replay": replay,
+    "record": record,
+    "scan": scan,
+    "lamps": lamps,
+    "locate": locate,
+    "map": map,
+    "check-config": check_config,
+    "devices": devices,
+    "doctor": doctor,
+}
+
+_FIRST_STEPS = """first steps:
+  altd doctor             what this computer lacks, and what mends it
+  altd devices            which cameras, GPIO lines and serial ports are connected
+  altd check-config FILE  whether settings can be used, and where not
+  altd COMMAND --help     what a command takes
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse and run; the return value is the process' exit status."""
+    name = "altd"
+
+    def work() -> int:
+        nonlocal name
+        parser = _parser()
+        options = parser.parse_command(arguments)
+        if options is None:
+            return 2
+        name = f"altd {options.command}"
+        _choose_config(parser, options)
+        _set_up_libraries()
+        status: int = COMMANDS[options.command].run(options)
+        return status
+
+    return run_to_end(work, lambda: name)
+
+
+def _set_up_libraries() -> None:
+    # Before numpy is there: our matrices are small, and threads of the linear algebra would mostly wait
+    # for each other, at the cost of a core: beside a busy process a calibration took 22 s, and takes 5 s.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))  # 16384 × 16384; before cv2 is there
+    import cv2
+
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # an unreadable image is our own error line, not OpenCV's
+    cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
+
+
+def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
+    """Where no config is named, the one of the service, if there is one; only the doctor does without."""
+    if "config" not in options or options.config is not None:
+        return
+    if DEFAULT_CONFIG.is_file():
+        options.config = DEFAULT_CONFIG
+    elif options.command != "doctor":
+        argument = "FILE" if options.command == "check-config" else "--config FILE"
+        parser.refuse(options.command, f"missing: {argument}, for there is no {DEFAULT_CONFIG}")
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="altd",
+        description="The measuring daemon of an Active Laser Target.",
+        epilog=_FIRST_STEPS,
+    )
+    parser.add_argument("--version", action="version", version=f"altd {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+    for name, command in COMMANDS.items():
+        command.add_arguments(commands.add_parser(name, help=command.SUMMARY))
+    return parser

@@ -1,0 +1,28 @@
+"""``altd map``: px to mm."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from altd.process.standard_streams import complain
+
+SUMMARY = "px to mm: reads 'u v' lines"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    parser.add_argument("--calibration", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--target", required=True, metavar="NAME")
+    parser.add_argument(
+        "--format", choices=("jsonl", "csv"), help="without: 'x_mm y_mm sigma_x_mm sigma_y_mm'"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """A row a line of standard input."""
+    from altd.answers.map import answer
+
+    return answer(
+        options.calibration, options.target, options.format, lambda line: complain(f"altd map: {line}")
+    )

@@ -1,0 +1,42 @@
+"""``altd run``: the daemon."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+import os
+
+from altd.cli.options import add_config
+from altd.errors import BadInputError
+from altd.process.endings import EndedBySignal, until_signal
+from altd.process.logs import logging_to_stderr
+
+SUMMARY = "the daemon"
+
+log = logging.getLogger("altd")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_config(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure and publish until a signal ends it: status 0, as a service ends."""
+    from altd.app.daemon import daemon_of
+    from altd.app.settings import load_settings
+
+    prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
+    with logging_to_stderr(logging.INFO, prefix):
+        daemon = daemon_of(load_settings(options.config), options.config)
+        try:
+            asyncio.run(until_signal(daemon.run()))
+        except BadInputError:
+            raise
+        except EndedBySignal:
+            return 0  # how a service ends
+        except Exception:
+            log.critical("a defect ended the daemon", exc_info=True)
+            return 1
+    return 0

@@ -1,0 +1,58 @@
+"""``altd scan``: a calibration scan with the stage."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import logging
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from altd.cli.options import add_config, add_output
+from altd.process.endings import EndedBySignal, until_signal
+from altd.process.logs import logging_to_stderr
+
+if TYPE_CHECKING:
+    from altd.acquisition.scan.scanner import Scanner
+    from altd.cli.scan_screen import ScanScreen
+
+SUMMARY = "make a calibration scan with the stage; goes on where it stopped"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_config(parser)
+    add_output(parser, "DIR")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Scan with the config's stage and cameras."""
+    from altd.app.scan import scanner_of
+    from altd.app.settings import load_settings
+    from altd.cli.scan_screen import ScanScreen
+
+    screen = ScanScreen()
+    with logging_to_stderr(logging.ERROR):
+        scanner = scanner_of(load_settings(options.config), options.config, options.output, screen)
+        return run_scan(scanner, options.output, screen)
+
+
+def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
+    """Scan until done, stopped or interrupted, and say how it ended; the exit status."""
+    from altd.acquisition.scan.scanner import ScanStoppedError
+
+    again = "the same command goes on from there"
+    try:
+        result = asyncio.run(until_signal(scanner.run()))
+    except ScanStoppedError as error:
+        screen.say(f"stopped: {error}; {again}")
+        return 1
+    except EndedBySignal:
+        screen.say(f"interrupted; {again}")
+        raise
+    finally:
+        screen.clear()
+    for line in result.refused:
+        screen.say(f"without {line}")
+    screen.say(f"{result.exposures} exposures in {output}")
+    return 0

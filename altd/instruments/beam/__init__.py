@@ -1,0 +1,1 @@
+"""The Active Laser Target: one beam through two targets or more."""

@@ -1,0 +1,1 @@
+"""Pure: frames of one instant, windows, means, and the calibration they are measured with."""

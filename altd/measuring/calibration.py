@@ -1,0 +1,106 @@
+"""What a calibration knows of a unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cached_property
+
+import numpy as np
+
+from altd.mapping.inverse import InverseMap
+from altd.mapping.tensor_map import TensorMap
+from altd.measuring.cross_check import CrossCheck
+from altd.records import CameraIdentity, FloatArray, Origin, TargetPoint
+from altd.vision.fingerprint import Fingerprint
+from altd.vision.flat import Flat
+from altd.vision.reference import UNKNOWN_SPOT, SpotReference
+from altd.vision.settings import SpotSettings
+
+
+@dataclass(frozen=True)
+class TargetCalibration:
+    """One target: how its spot is localised, the map, how well it fits, and the map that checks it.
+
+    ``flat`` is the target's response to even light, None for a target taken as plain.
+    ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
+    ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
+    ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
+    are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
+    that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known. ``origin`` is that of
+    the frames it was calibrated with, a recorded flat's aside: see ``simulated``.
+    """
+
+    name: str
+    z_mm: float
+    width: int
+    height: int
+    localiser: SpotSettings
+    flat: Flat | None
+    map: TensorMap
+    cross_check: CrossCheck
+    left_out_px: float
+    residual_mean_mm: float
+    residual_std_mm: float
+    residual_max_mm: float
+    repeatability_px: FloatArray
+    leds_px: FloatArray
+    spot: SpotReference = UNKNOWN_SPOT
+    camera: CameraIdentity = field(default_factory=CameraIdentity)
+    fingerprint: Fingerprint | None = None
+    origin: Origin = Origin.CAMERA
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any frame that this rests on was simulated."""
+        frames = self.origin, self.origin if self.flat is None else self.flat.origin
+        return Origin.SIMULATED in frames
+
+    @cached_property
+    def inverse(self) -> InverseMap:
+        """The map from px to mm."""
+        return InverseMap.of(self.map)
+
+    def point(self, u_px: float, v_px: float) -> TargetPoint | None:
+        """Where the beam meets the target; None outside what was calibrated."""
+        point, jacobian, covariance = self.inverse.to_mm(np.array([[u_px, v_px]]))
+        if not np.isfinite(point).all():
+            return None
+        return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
+
+    def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str:
+        """Why the point that ``point`` found for (u, v) cannot be believed, in words; empty when it can."""
+        apart_px = self.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
+        outside_mm = self.inverse.outside_mm(point.x_mm, point.y_mm)
+        bound_px = self.cross_check.allowed_px(self.map, outside_mm)
+        if apart_px <= bound_px:
+            return ""
+        return (
+            f"the {self.map.model} and the {self.cross_check.map.model} map are {apart_px:.2f} px apart at "
+            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {bound_px:.2f} px"
+        )
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One unit's targets in beam order, and where the knowledge comes from."""
+
+    unit_serial: str
+    created: datetime
+    recording_note: str
+    recording_sha256: str
+    targets: tuple[TargetCalibration, ...]
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any frame that this rests on was simulated."""
+        return any(target.simulated for target in self.targets)
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The targets' names in beam order."""
+        return tuple(target.name for target in self.targets)
+
+    def target(self, name: str) -> TargetCalibration | None:
+        """The target of that name, or None."""
+        return next((target for target in self.targets if target.name == name), None)

@@ -1,0 +1,385 @@
+"""The measuring chain: frames in, measurements out. ``run`` and ``replay`` use this very code."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+
+import numpy as np
+
+from altd.config import Installation, Measuring
+from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
+from altd.measuring.averaging import ExposureWindow
+from altd.measuring.calibration import Calibration
+from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.gate import Gate, range_fault
+from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.spot_shape import shape_doubts_mm
+from altd.measuring.synchrony import SynchronyCheck
+from altd.measuring.view_check import ViewCheck
+from altd.reasons import Reason
+from altd.records import (
+    Beam,
+    CameraIdentity,
+    Exposure,
+    Fault,
+    FloatArray,
+    Frame,
+    MeanSpots,
+    Measurement,
+    NoSpot,
+    Spot,
+    TargetPoint,
+)
+from altd.vision.leds import lit_leds, told_from_leds
+from altd.vision.localise import locate
+
+_CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
+_SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
+
+    Those are frames that were exposed during a change, and the second and later ones of a row that are not
+    new: one that comes twice is lost, with two in a row the camera stands still.
+    """
+
+    spot: Spot | NoSpot
+    breaks: int
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A target and the camera that looks at it."""
+
+    target: str
+    camera: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the beam stood still, in a recording that knows; no window mixes two places.
+
+    ``window`` is how many exposures are averaged there; None: as many as the settings say.
+    """
+
+    number: int
+    window: int | None = None
+
+
+class MeasuringChain:
+    """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
+
+    ``origins`` tells what every measurement has to say of where the frames come from; that the calibration
+    is of simulated frames is said as well.
+    ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
+    camera stands behind a name, ``expected`` which should, beside the one that was calibrated. ``place``
+    tells where an exposure was made, by its sequence.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        calibration: Calibration,
+        measuring: Measuring,
+        installation: Installation,
+        origins: Callable[[], Iterable[Fault]] = tuple,
+        utc: Callable[[int], datetime | None] = lambda t_ns: None,
+        watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+        identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
+        expected: Mapping[str, CameraIdentity] | None = None,
+        place: Callable[[int], Place | None] = lambda sequence: None,
+    ) -> None:
+        self._views = {view.camera: view for view in views}
+        self._targets = tuple(view.target for view in views)
+        self._calibration = {target.name: target for target in calibration.targets}
+        self._measuring = measuring
+        self._installation = installation
+        self._silent_after_ns = round(measuring.silent_after_s * 1e9)
+        self._pairer: Pairer[_Found] = Pairer(
+            tuple(self._views),
+            measuring.pair_by,
+            measuring.max_skew_ns,
+            measuring.max_lag_ns,
+        )
+        self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
+        self._origins = origins
+        self._calibration_origin = calibration_faults(calibration)
+        self._utc = utc
+        self._watch = watch
+        self._identity = identity
+        self._place = place
+        self._last_place: Place | None = None
+        self._view_checks: dict[str, ViewCheck] = {}
+        for view in views:
+            target = self._calibration[view.target]
+            also = (expected or {}).get(view.camera, CameraIdentity())
+            self._view_checks[view.camera] = ViewCheck(target, (target.camera, also))
+        self._fresh = {camera: FreshnessCheck() for camera in self._views}
+        self._standing_still: set[str] = set()
+        """Cameras whose last frame was not new."""
+        self._synchrony = SynchronyCheck(self._targets)
+        self._gate = Gate()
+        self._breaks = dict.fromkeys(self._views, 0)
+        self._breaks_in_window = dict(self._breaks)
+        self._last_exposure: Exposure | None = None
+        self._last_spots: dict[str, Spot | NoSpot] = {}
+        self._last_skew_ns: int | None = None
+        """None: the last exposure had too few frames to tell."""
+        self._now_ns = 0
+        self._last_frame_ns: dict[str, int] = {}
+        self.exposures = 0
+        """Those that moved on: paired or given up, and later than the one before."""
+
+    @property
+    def late_frames(self) -> int:
+        """Frames that came after their exposure was given up."""
+        return self._pairer.late
+
+    def seen(self) -> str:
+        """What each camera saw last, in words: for the technician who aims the beam."""
+        seen = self._last_spots
+        return "; ".join(f"{target}: {seen[target]}" for target in self._targets if target in seen)
+
+    def step(self) -> dict[str, float | None]:
+        """How well the cameras are in step: skew of the last exposure, and what lag was taken off, ms.
+
+        None: not known, for a frame is missing or a camera is silent.
+        """
+        first = next(iter(self._views))
+        lags = {
+            f"lag_{camera}_ms": None if {first, camera} & self._silent() else round(lag_ns * 1e-6, 2)
+            for camera, lag_ns in list(self._pairer.lags_ns.items())[1:]
+        }
+        skew_ns = None if self._silent() else self._last_skew_ns
+        return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
+
+    def views(self) -> dict[str, float | str]:
+        """Whether the cameras are those that were calibrated, for health."""
+        return {
+            name: figure
+            for check in self._view_checks.values()
+            for name, figure in check.figures(self._now_ns).items()
+        }
+
+    def _silent(self) -> set[str]:
+        """The cameras from which nothing came for as long as makes one silent."""
+        oldest_ns = self._now_ns - self._silent_after_ns
+        return {camera for camera in self._views if self._last_frame_ns.get(camera, oldest_ns) <= oldest_ns}
+
+    def push(self, frame: Frame) -> list[Measurement]:
+        """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
+        if frame.leds_on:
+            return []
+        view = self._views[frame.camera]
+        self._now_ns = self._last_frame_ns[frame.camera] = frame.t_ns
+        target = self._calibration[view.target]
+        spot: Spot | NoSpot
+        stood_still = frame.camera in self._standing_still
+        if repeated := self._fresh[frame.camera].repeated(frame):
+            self._standing_still.add(frame.camera)
+            spot = NoSpot(Reason.FRAME_REPEATED, repeated)
+        else:
+            self._standing_still.discard(frame.camera)
+            of_target = frame, target.localiser, target.flat, target.spot
+            spot = _CHANGING if frame.changing else locate(*of_target)
+            if isinstance(spot, NoSpot) and len(target.leds_px):
+                spot = told_from_leds(spot, lit_leds(frame, target.leds_px), len(target.leds_px))
+        self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
+        if not repeated:
+            self._watch(frame, spot)
+            check = self._view_checks[frame.camera]
+            if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
+                spot = objection
+                self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
+            elif check.displaced_px and isinstance(spot, Spot):
+                spot = replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))
+        self._last_spots[view.target] = spot
+        found = _Found(spot, self._breaks[frame.camera])
+        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
+        return self._measure(pairs)
+
+    def flush(self) -> list[Measurement]:
+        """Settle what still waits for a partner, at the end of a recording."""
+        return self._measure(self._pairer.flush())
+
+    def silence(self, t_ns: int) -> Measurement:
+        """The measurement of a moment at which no camera delivers."""
+        self._window.forget()
+        self._last_skew_ns = None
+        self._last_frame_ns.clear()
+        self._now_ns = t_ns
+        last = Exposure(self._last_exposure.sequence if self._last_exposure else 0, t_ns, {})
+        silent = _SILENT
+        self._last_spots = dict.fromkeys(self._targets, silent)
+        return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
+
+    def _measure(self, pairs: Sequence[Pair[_Found]]) -> list[Measurement]:
+        measurements = (self._after(self._exposure(pair)) for pair in pairs)
+        return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
+
+    def _exposure(self, pair: Pair[_Found]) -> Exposure:
+        """The spots of one instant.
+
+        Forgets the window when one was exposed otherwise, or at another place, than those before.
+        """
+        spots: dict[str, Spot | NoSpot] = {}
+        if (place := self._place(pair.sequence)) != self._last_place:
+            self._last_place = place
+            self._window.begin(place.window if place else None)
+        self._last_skew_ns = None if len(pair.items) == 1 < len(self._views) else pair.skew_ns
+        for camera, view in self._views.items():
+            if camera in pair.items:
+                found = pair.items[camera]
+                spots[view.target] = found.spot
+                if found.breaks != self._breaks_in_window[camera]:
+                    self._breaks_in_window[camera] = found.breaks
+                    self._window.forget()
+            else:
+                missing = self._why_missing(pair.missing[camera])
+                spots[view.target] = self._last_spots[view.target] = missing
+        behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
+        return Exposure(pair.sequence, pair.t_ns, spots, behind_ns)
+
+    def _why_missing(self, reason: Reason) -> NoSpot:
+        """The reason with what is known of the cameras' step, where it is that."""
+        if reason is not Reason.OUT_OF_STEP:
+            return _SILENT
+        known = {name: value for name, value in self.step().items() if value is not None}
+        return NoSpot(reason, ", ".join(f"{name} {value:g}" for name, value in known.items()))
+
+    def _after(self, exposure: Exposure) -> Measurement | None:
+        last = self._last_exposure
+        since_last_ns = 1 if last is None else exposure.t_ns - last.t_ns
+        if not 0 < since_last_ns <= self._silent_after_ns:
+            self._window.forget()
+            self._synchrony.restart()
+        self.exposures += since_last_ns > 0
+        self._last_exposure = exposure
+        unsynchronised = self._synchrony.look(exposure)
+        mean = self._window.add(exposure)
+        if mean is None:
+            return None
+        if not isinstance(mean, MeanSpots):
+            return self._invalid(exposure, exposure.t_ns, mean)
+        if unsynchronised:
+            fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
+            return self._invalid(exposure, mean.t_ns, (fault,))
+        points = self._points(mean)
+        if isinstance(points, Fault):
+            return self._invalid(exposure, mean.t_ns, (points,))
+        targets = [self._calibration[target] for target in mean.targets]
+        doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
+        if isinstance(doubts_mm, Fault):
+            return self._invalid(exposure, mean.t_ns, (doubts_mm,))
+        z_mm = [target.z_mm for target in targets]
+        covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
+        try:
+            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        except np.linalg.LinAlgError:
+            fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
+            return self._invalid(exposure, mean.t_ns, (fault,))
+        if self._too_uncertain(beam):
+            fault = _unexplained(mean, points, doubts_mm, covariance) or self._unsteady(beam)
+            return self._invalid(exposure, mean.t_ns, (fault,))
+        if (doubt := range_fault(beam)) is not None:
+            return self._invalid(exposure, mean.t_ns, (doubt,))
+        return self._valid(exposure, mean, points, beam)
+
+    def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
+        points = []
+        for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
+            point = self._calibration[target].point(float(u_px), float(v_px))
+            if point is None:
+                detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
+                return Fault(Reason.OUT_OF_RANGE, detail=detail)
+            if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
+                return Fault(Reason.IMPLAUSIBLE, target, doubt)
+            points.append(point)
+        return points
+
+    def _too_uncertain(self, beam: Beam) -> bool:
+        """What scatters beyond the accuracy that is asked for is no measurement."""
+        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
+        settings = self._measuring
+        return sigma_mm > settings.max_sigma_mm or sigma_mm_per_m > settings.max_sigma_mm_per_m
+
+    def _unsteady(self, beam: Beam) -> Fault:
+        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
+        if sigma_mm > self._measuring.max_sigma_mm:
+            return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
+        return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
+
+    def _valid(
+        self, exposure: Exposure, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
+    ) -> Measurement:
+        lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
+        return Measurement(
+            sequence=exposure.sequence,
+            t_ns=mean.t_ns,
+            time=self._utc(mean.t_ns),
+            frames=mean.frames,
+            beam=installed(beam, self._installation),
+            points_mm={t: (p.x_mm, p.y_mm) for t, p in zip(mean.targets, points, strict=True)},
+            status=lost + self._origin_faults(),
+            last_exposure_ns=exposure.t_ns,
+        )
+
+    def _invalid(self, exposure: Exposure, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
+        """No numbers at all, not even of a target whose own spot is good: nobody may steer by half a beam."""
+        return Measurement(
+            sequence=exposure.sequence,
+            t_ns=t_ns,
+            time=self._utc(t_ns),
+            frames=0,
+            beam=None,
+            points_mm=dict.fromkeys(self._targets),
+            status=faults + self._origin_faults(),
+            last_exposure_ns=exposure.t_ns,
+        )
+
+    def _origin_faults(self) -> tuple[Fault, ...]:
+        """One fault a reason: of the frames first, else of the calibration."""
+        faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._origins())}
+        return tuple(faults[reason] for reason in sorted(faults))
+
+
+def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
+    """What a calibration of simulated frames brings into each measurement."""
+    if not calibration.simulated:
+        return ()
+    return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)
+
+
+def _worst_sigmas(beam: Beam) -> tuple[float, float]:
+    """Of displacement mm and of direction mm/m."""
+    sigma_deg = max(beam.sigma_yaw_deg, beam.sigma_pitch_deg)
+    return max(beam.sigma_x_mm, beam.sigma_y_mm), 1000 * math.radians(sigma_deg)
+
+
+def _unexplained(
+    mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
+) -> Fault | None:
+    """The target whose light makes a measurement too uncertain, where it is that and no motion."""
+    scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
+    unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
+    worst = int(unexplained_mm.argmax())
+    if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
+        return None
+    detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
+    return Fault(Reason.DISTORTED, mean.targets[worst], detail)
+
+
+def installed(beam: Beam, installation: Installation) -> Beam:
+    """The beam as the controller wants it: sign first, then offset; sigmas do not change."""
+    return replace(
+        beam,
+        x_mm=installation.sign_x * beam.x_mm + installation.offset_x_mm,
+        y_mm=installation.sign_y * beam.y_mm + installation.offset_y_mm,
+        yaw_deg=installation.sign_yaw * beam.yaw_deg + installation.offset_yaw_deg,
+        pitch_deg=installation.sign_pitch * beam.pitch_deg + installation.offset_pitch_deg,
+    )

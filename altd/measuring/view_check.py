@@ -1,0 +1,154 @@
+"""Whether a target's camera is the one that was calibrated, and stands as it did: by name and view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from altd.measuring.calibration import TargetCalibration
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.vision.fingerprint import ViewVerdict
+
+_INTERVAL_NS = 190_000_000
+"""Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
+_GAP_NS = 400_000_000
+"""After a pause so long, or a step back in time, another camera may deliver: all is looked at anew."""
+_FIRST_FRAMES = 3
+_MOVED_DIAMETERS = 0.25
+_MIN_FRAMES_BETWEEN = 4
+_JUMP_PX = 0.5
+"""From where steady motion would have brought it: a picture that is moved moves its spot."""
+_ESTABLISHED_AFTER = 3
+
+
+class ViewCheck:
+    """One camera's check, frame by frame. Its memory is what the last frames told.
+
+    A frame is examined, for about a millisecond, when the camera begins to deliver or does so again, when the
+    spot has jumped or lies on new ground, and every 0.2 s. What is wrong is wrong at once; after three such
+    verdicts only a frame that verifies the view ends it, before that any frame that finds nothing wrong.
+    """
+
+    def __init__(self, target: TargetCalibration, expected: Sequence[CameraIdentity]) -> None:
+        self._target = target
+        self._expected = expected
+        self._last_ns: int | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._wrong: ViewVerdict | None = None
+        self._wrong_verdicts = 0
+        self.displaced_px = 0.0
+        """What the picture's shift adds to the uncertainty of the spots that are not refused."""
+        self._look_anew()
+
+    def _look_anew(self) -> None:
+        """Examine the next frames; what was found wrong or displaced stands until they show the contrary."""
+        self._doubt = "nothing was seen yet"
+        self._shift_px: float | None = None
+        self._verified_ns: int | None = None
+        self._sensor_is_same = False
+        self._examined = 0
+        self._examined_ns = 0
+        self._frames_since = 0
+        self._place: Spot | None = None
+        self._last: Spot | None = None
+        self._before_last: Spot | None = None
+
+    def objection(self, frame: Frame, spot: Spot | NoSpot, camera: CameraIdentity | None) -> NoSpot | None:
+        """Why a frame's spot is not to be measured; None when nothing speaks against the camera.
+
+        ``camera`` is the one that delivered the frame.
+        """
+        for expected in self._expected:
+            if camera is not None and (difference := camera.difference_from(expected)):
+                self._forget()
+                self._doubt = difference
+                return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured")
+        last_ns, self._last_ns = self._last_ns, frame.t_ns
+        if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _GAP_NS:
+            self._look_anew()
+        self._frames_since += 1
+        if self._target.fingerprint is not None and self._is_due(frame, spot):
+            self._examine(frame, spot)
+        self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
+        return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
+
+    def figures(self, now_ns: int) -> dict[str, float | str]:
+        """What health shows: whether the view is verified, since when, and the picture's shift.
+
+        Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
+        """
+        name = self._target.name
+        figures: dict[str, float | str] = {f"view_{name}": self._in_words(now_ns)}
+        if self._shift_px is not None and not self._is_silent(now_ns):
+            figures[f"view_shift_{name}_px"] = round(self._shift_px, 3)
+        return figures
+
+    def _is_silent(self, now_ns: int) -> bool:
+        return self._last_ns is not None and now_ns - self._last_ns > _GAP_NS
+
+    def _in_words(self, now_ns: int) -> str:
+        if self._target.fingerprint is None:
+            return "could not be verified: the calibration has no fingerprint of the camera"
+        if self._wrong is None and self._verified_ns is not None:
+            return f"verified {max(now_ns - self._verified_ns, 0) * 1e-9:.0f} s ago"
+        if self._is_silent(now_ns):
+            return "could not be verified: no frame comes"
+        if self._wrong is not None:
+            return f"wrong: {self._wrong.wrong}"
+        sensor = "the sensor is verified, its view " if self._sensor_is_same else ""
+        return f"{sensor}could not be verified: {self._doubt}"
+
+    def _is_due(self, frame: Frame, spot: Spot | NoSpot) -> bool:
+        is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER
+        if (self._wrong is not None and not is_established) or self._examined == 0:
+            return True
+        if self._verified_ns is None and self._examined < _FIRST_FRAMES:
+            return True
+        if frame.t_ns - self._examined_ns >= _INTERVAL_NS:
+            return True
+        if not isinstance(spot, Spot):
+            return False
+        if self._place is None or self._last is None:
+            return True
+        if self._jumped_px(spot, self._last) > _JUMP_PX:
+            return True
+        moved_px = math.hypot(spot.u_px - self._place.u_px, spot.v_px - self._place.v_px)
+        return self._frames_since >= _MIN_FRAMES_BETWEEN and moved_px > _MOVED_DIAMETERS * spot.diameter_px
+
+    def _jumped_px(self, spot: Spot, last: Spot) -> float:
+        """How far a spot lies from where the motion between the last two would have brought it."""
+        before = self._before_last or last
+        return math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
+
+    def _examine(self, frame: Frame, spot: Spot | NoSpot) -> None:
+        fingerprint = self._target.fingerprint
+        assert fingerprint is not None  # noqa: S101  it was asked for
+        verdict = fingerprint.examine(frame, self._target.localiser, isinstance(spot, Spot))
+        self._examined += 1
+        self._examined_ns, self._frames_since = frame.t_ns, 0
+        self._place = spot if isinstance(spot, Spot) else None
+        self._doubt = verdict.doubt
+        self._sensor_is_same = verdict.is_same_sensor
+        if verdict.shift_px is not None:
+            self._shift_px = verdict.shift_px
+        if verdict.displaced_px is not None:
+            self.displaced_px = verdict.displaced_px
+        if verdict.wrong:
+            self._wrong = verdict
+            self._wrong_verdicts += 1
+            self._verified_ns = None
+            return
+        if verdict.is_verified:
+            self._verified_ns = frame.t_ns
+        if self._wrong is not None and self._is_cleared(verdict, self._wrong):
+            self._wrong, self._wrong_verdicts = None, 0
+
+    def _is_cleared(self, verdict: ViewVerdict, wrong: ViewVerdict) -> bool:
+        if verdict.is_verified or (wrong.is_other_sensor and verdict.is_same_sensor):
+            return True
+        if wrong.is_print_seen and verdict.is_print_seen is False:
+            return True
+        return self._wrong_verdicts < _ESTABLISHED_AFTER

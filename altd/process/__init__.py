@@ -1,0 +1,1 @@
+"""The log, the standard streams, and how a process ends."""

@@ -1,0 +1,124 @@
+"""How a command ends: by itself, by a signal, by an error; its exit status and its last word."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import threading
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TypeVar
+
+from altd.errors import BadInputError
+from altd.process.standard_streams import (
+    clear_counter,
+    complain,
+    forget_unwritten,
+    output_failure,
+    prepare_streams,
+)
+
+Result = TypeVar("Result")
+
+
+class EndedBySignal(BaseException):
+    """A signal asked the process to end. No ``Exception``: nothing but the end of the command takes it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+    @property
+    def status(self) -> int:
+        """The exit status that a shell gives it."""
+        return 128 + self.number
+
+
+def run_to_end(work: Callable[[], int], name: Callable[[], str]) -> int:
+    """Do the work of a command called ``name``; the return value is the process' exit status.
+
+    That of the work, 2 for what the caller did wrong, 1 when standard output did not take all, 128 and the
+    number of the signal that ended it; what the work has to clean up is cleaned up first.
+    """
+    prepare_streams()
+    try:
+        with _signals_raised():
+            return _status_of(work, name)
+    finally:
+        forget_unwritten()
+
+
+def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
+    try:
+        status = work()
+    except BadInputError as error:
+        for line in error.lines:
+            complain(f"{name()}: {line}")
+        return 2
+    except EndedBySignal as end:
+        clear_counter()
+        return end.status
+    except SystemExit as end:  # the parser has said what there was to say
+        status = end.code if isinstance(end.code, int) else 1
+    except OSError:
+        if output_failure() is None:
+            raise
+        status = 1
+    if (failure := output_failure()) is not None:
+        status = status or 1
+        if not isinstance(failure, BrokenPipeError):  # the reader of our output went away: nobody to tell
+            complain(f"{name()}: standard output: {failure.strerror}")
+    return status
+
+
+async def until_signal(work: Coroutine[None, None, Result]) -> Result:
+    """Run until done; raises EndedBySignal once a signal asked to end and the work has cleaned up."""
+    loop = asyncio.get_running_loop()
+    task = asyncio.ensure_future(work)
+    asked: list[int] = []
+
+    def end(number: int) -> None:
+        asked.append(number)
+        task.cancel()
+
+    before = {number: signal.getsignal(number) for number in _ending_signals()}
+    for number in before:
+        loop.add_signal_handler(number, end, number)
+    try:
+        return await task
+    except asyncio.CancelledError:
+        if not asked:
+            raise
+        raise EndedBySignal(asked[0]) from None
+    finally:
+        for number, handler in before.items():
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Within, a signal that asks to end raises EndedBySignal; a second one ends the process at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread is told of signals
+        return
+    before = {number: signal.getsignal(number) for number in _ending_signals()}
+    for number in before:
+        signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    raise EndedBySignal(number)
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """Ctrl-C, SIGTERM, and the terminal that went away; not those that are ignored, as by nohup(1)."""
+    ending = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    return [number for number in ending if signal.getsignal(number) is not signal.SIG_IGN]

@@ -1,0 +1,146 @@
+"""recording.json: what a recording shows, and of which unit and cameras (DESIGN §4)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from altd import __version__
+from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.reading import read_file
+from altd.ports import Camera
+from altd.recording.table import MAX_POSITION_MM
+from altd.records import CameraIdentity, Frame, Origin
+
+HEADER_FILE = "recording.json"
+FRAMES_FILE = "frames.csv"
+
+Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
+"""What a recording shows."""
+
+LARGEST_HEADER_BYTES = 1 << 20
+
+MADE_BY = f"altd {__version__}"
+
+Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
+Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
+
+
+def _in_our_time(start: datetime) -> datetime:
+    if not 1970 <= start.year <= 2200:
+        raise ValueError(f"the year {start.year} is none of a recording")
+    return start
+
+
+class _Header(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class CameraHeader(_Header):
+    """Size and depth of one camera's frames."""
+
+    width: Annotated[int, Field(ge=16, le=20_000)]
+    height: Annotated[int, Field(ge=16, le=20_000)]
+    bits: Annotated[int, Field(ge=8, le=16)]
+    serial: str | None = None
+    """The camera's serial number, where its driver tells one."""
+    model: str | None = None
+    """What its maker calls it."""
+    driver: str | None = None
+    """The driver that named it: ``driver`` of the config."""
+    origin: Origin = Origin.CAMERA
+    """How its frames came to be."""
+    exposure_ms: float | None = None
+    """As the first frame was exposed, where the driver tells; a recording keeps to it."""
+    gain_db: float | None = None
+    mirrored: bool | None = None
+    """Whether the camera sees its target mirrored, where that is not the usual: see a plate's calibration."""
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """Which camera it was, as far as the recording knows."""
+        return CameraIdentity(self.serial, self.model, self.driver)
+
+
+def camera_header(frame: Frame, camera: Camera | None) -> CameraHeader:
+    """The header of a camera that is open and delivers such frames."""
+    known = (camera.identity if camera else None) or CameraIdentity()
+    rows, columns = frame.pixels.shape
+    return CameraHeader(
+        width=columns,
+        height=rows,
+        bits=frame.bits,
+        serial=known.serial,
+        model=known.model,
+        driver=known.driver,
+        origin=camera.origin if camera else Origin.CAMERA,
+        exposure_ms=frame.exposure_ms,
+        gain_db=frame.gain_db,
+    )
+
+
+def note_of(command: str, cameras: Collection[Camera]) -> str:
+    """The note of what a command records of cameras that are open: its name, and what is not live."""
+    played = any(camera.playback for camera in cameras)
+    simulated = any(camera.origin is Origin.SIMULATED for camera in cameras)
+    return f"{command}{', playback' * played}{', simulated' * simulated}"
+
+
+class UnitHeader(_Header):
+    """The unit that was recorded."""
+
+    serial: str
+    target_distance_mm: Annotated[float, Field(gt=0, le=100_000)]
+
+
+class PlateHeader(_Header):
+    """A grid of lit LEDs; ``origin_mm`` is the LED with the smallest x and the smallest y.
+
+    ``disc_mm`` is the diameter of an LED's even disc, ``beam_mm`` the 1/e² diameter of the laser spot that
+    will be measured.
+    """
+
+    columns: Annotated[int, Field(ge=4, le=100)]
+    rows: Annotated[int, Field(ge=4, le=100)]
+    pitch_mm: Length
+    origin_mm: tuple[Position, Position]
+    disc_mm: Length | None = None
+    beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
+
+
+class RecordingHeader(_Header):
+    """``recording.json``; unknown keys are ignored."""
+
+    format: Literal["altd-recording/1"]
+    kind: Kind
+    fps: Annotated[float, Field(ge=0.001, le=100_000)]
+    cameras: Annotated[Mapping[str, CameraHeader], Field(min_length=1)]
+    unit: UnitHeader
+    note: str = ""
+    made_by: str | None = None
+    """The program that wrote it, with its version."""
+    start: Annotated[datetime, AfterValidator(_in_our_time)] | None = None
+    """UTC of t_s = 0, where it is known."""
+    plate: PlateHeader | None = None
+    """In a recording of kind ``plate``."""
+
+
+def read_header(path: Path) -> RecordingHeader:
+    """The header in a file; raises BadInputError that names the file and the key."""
+    content = read_file(path, LARGEST_HEADER_BYTES)
+    try:
+        return RecordingHeader.model_validate(parse_json(content))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        if isinstance(first["input"], int | float):
+            message += f", not {first['input']}"
+        raise BadInputError(path, f"{place}: {message}" if place else message) from error
+    except ValueError as error:
+        raise BadInputError(path, str(error)) from error

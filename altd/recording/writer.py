@@ -1,0 +1,124 @@
+"""A recording, written frame by frame."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import json
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.errors import BadInputError
+from altd.recording.header import (
+    FRAMES_FILE,
+    HEADER_FILE,
+    CameraHeader,
+    RecordingHeader,
+    read_header,
+)
+from altd.recording.table import COLUMNS
+from altd.records import Frame, utc_text
+
+
+def refuse_used_folder(path: Path) -> None:
+    """Raise BadInputError when ``path`` is something else than an empty or a new folder."""
+    try:
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise BadInputError(path, "exists and is not an empty folder")
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+
+
+def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
+    """The cameras without what may differ between two parts of a recording."""
+    free = {"exposure_ms": None, "gain_db": None}
+    return {name: camera.model_copy(update=free) for name, camera in header.cameras.items()}
+
+
+class RecordingWriter:
+    """Writes a recording frame by frame; what is on disk is readable after each frame.
+
+    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it goes on in a folder
+    that another writer left, behind the first so many bytes of its table; the header there stays, and must
+    have the same cameras and unit.
+    """
+
+    def __init__(self, path: Path, header: RecordingHeader, resume_at: int | None = None) -> None:
+        self._path = path
+        if resume_at is not None:
+            self._resume(header, resume_at)
+            return
+        refuse_used_folder(path)
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            for camera in header.cameras:
+                (path / camera).mkdir()  # fails for the later one of two that began here at once
+        except OSError as error:
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+        try:
+            document = header.model_dump(mode="json", exclude_none=True)
+            if header.start is not None:
+                document["start"] = utc_text(header.start)
+            (path / HEADER_FILE).write_text(json.dumps(document, indent=1) + "\n")
+            self._file = (path / FRAMES_FILE).open("ab", buffering=0)
+            self._append(COLUMNS)
+        except OSError as error:
+            shutil.rmtree(path, ignore_errors=True)
+            raise BadInputError(path, error.strerror or "cannot be written") from error
+
+    def _resume(self, header: RecordingHeader, resume_at: int) -> None:
+        there = read_header(self._path / HEADER_FILE)
+        if (_comparable(there), there.unit) != (_comparable(header), header.unit):
+            raise BadInputError(
+                self._path / HEADER_FILE,
+                "is of another unit, of other cameras, or of cameras of another size",
+            )
+        try:
+            self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)
+            self._file.truncate(resume_at)
+        except OSError as error:
+            raise BadInputError(self._path / FRAMES_FILE, error.strerror or "cannot be written") from error
+
+    def _append(self, row: Iterable[object]) -> None:
+        """A row as a whole; raises OSError, and then there is nothing of it."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerow(row)
+        line, before_bytes = text.getvalue().encode(), os.fstat(self._file.fileno()).st_size
+        if self._file.write(line) < len(line):
+            self._file.truncate(before_bytes)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def write(
+        self, frame: Frame, sequence: int, t_s: float, position_mm: tuple[float, float] | None = None
+    ) -> Path:
+        """Append one frame under the exposure's number and time; returns its file.
+
+        Raises OSError when the disk refuses.
+        """
+        name = f"{frame.camera}/{sequence:06d}.png"
+        done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        if not done:
+            raise OSError(f"{name} cannot be encoded")
+        at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
+        try:
+            (self._path / name).write_bytes(data.tobytes())
+            self._append((sequence, f"{t_s:.6f}", frame.camera, name, "on" if frame.leds_on else "off", *at))
+        except OSError:  # a full disk: half a frame is no part of the recording
+            (self._path / name).unlink(missing_ok=True)
+            raise
+        return self._path / name
+
+    def synced(self) -> int:
+        """Bring the table to the disk; its length so far, bytes."""
+        os.fsync(self._file.fileno())
+        return os.fstat(self._file.fileno()).st_size
+
+    def close(self) -> None:
+        """Finish; harmless when done twice."""
+        self._file.close()

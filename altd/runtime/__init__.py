@@ -1,0 +1,1 @@
+"""Clock, supervision, the service manager, threads for what blocks."""

@@ -1,0 +1,97 @@
+"""Publishers run alone: one that dies is started again, more and more rarely, and troubles nobody else."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+from collections.abc import Awaitable, Callable
+from typing import Protocol
+
+from altd.errors import BadInputError
+from altd.ports import Clock
+from altd.status.health import Component, Message, State
+
+log = logging.getLogger("altd")
+
+FIRST_RETRY_S = 0.5
+LONGEST_RETRY_S = 30.0
+LONGEST_RETRY_DEVICE_S = 1.0
+"""Somebody who plugs a cable in stands beside it and waits; to look for a device costs next to nothing."""
+
+STEADY_S = 10.0
+"""What served for a shorter time and died again is no news for the log, and its pauses go on growing."""
+
+_FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
+"""An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return f"{type(error).__name__}: {error}"
+
+
+def _retry_message(failure: str, due_ns: int) -> Message:
+    return lambda now_ns: f"{failure}; next try in {max(due_ns - now_ns, 0) * 1e-9:.1f} s"
+
+
+class Publisher(Protocol):
+    """A face to the outside."""
+
+    def run(self, ready: Callable[[], None]) -> Awaitable[None]:
+        """Serve until cancelled; call ``ready`` once serving; raise when the face is dead."""
+
+
+async def keep_running(
+    place: str,
+    publisher: Publisher,
+    component: Component,
+    clock: Clock,
+    up: Callable[[], None] = lambda: None,
+) -> None:
+    """Run a publisher for ever.
+
+    An address that is taken or forbidden at the first start is a mistake in the config: BadInputError that
+    names ``place``. A device (an OSError with its file's name) may be missing or still forbidden then, for
+    udev hands a new one over a moment after it appeared: it is waited for. ``up`` is called once, when the
+    first start was tried. The component counts a failure for each time that it stopped serving.
+    """
+    retry_s = FIRST_RETRY_S
+    first, told = True, False
+    serving_since_ns: int | None = None
+
+    def ready() -> None:
+        nonlocal first, serving_since_ns
+        component.say(State.OK)
+        serving_since_ns = clock.monotonic_ns()
+        if first:
+            first = False
+            up()
+
+    while True:
+        try:
+            await publisher.run(ready)
+            failure = "ended by itself"
+            longest_s = LONGEST_RETRY_S
+        except Exception as error:
+            device = isinstance(error, OSError) and error.filename is not None
+            if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START and not device:
+                raise BadInputError(place, os.strerror(error.errno)) from error
+            failure = _in_words(error)
+            longest_s = LONGEST_RETRY_DEVICE_S if device else LONGEST_RETRY_S
+        if serving_since_ns is not None and clock.monotonic_ns() - serving_since_ns >= STEADY_S * 1e9:
+            told, retry_s = False, FIRST_RETRY_S
+        if first or serving_since_ns is not None:
+            component.count("failures")
+        serving_since_ns = None
+        if first:
+            first = False
+            up()
+        if not told:
+            told = True
+            log.warning("%s: %s; trying again", place, failure)
+        retry_s = min(retry_s, longest_s)
+        component.say(State.FAILED, _retry_message(failure, clock.monotonic_ns() + round(retry_s * 1e9)))
+        await clock.sleep(retry_s)
+        retry_s *= 2

@@ -1,1 +1,0 @@
-"""The real-time flow on asyncio: cameras, measuring chain, board, health, supervision."""

@@ -1,0 +1,1 @@
+"""What every face may read: the board, health, the measurement object."""

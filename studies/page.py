@@ -1,0 +1,92 @@
+"""Writes a study's page and plot, and the index over all pages."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from altd.errors import BadInputError
+from studies.plot import as_svg
+from studies.result import Result
+from studies.table import table
+
+LINE = 120
+PEERS = "peers.md"
+CAMPAIGN = "campaign.md"
+
+INDEX = """\
+# Studies: the thesis' experiments, repeated
+
+Each study does with simulated parts (`hw_sim`) and altd's own commands what the thesis did in its
+laboratory, and shows its figures beside ours. `make studies` runs them all and writes these pages;
+`python -m hw_sim study NAME` runs one and prints its table. All seeds are fixed: the same code gives the
+same pages.
+
+What they are worth: the parts are simulated, and a simulator holds only what its authors thought of.
+Lenses, print, speckle, noise and stage errors are in it; refraction in the window and a beam over a
+hundred metres are not (`../decisions/simulator.md`). Where ours is worse than the thesis, the table says
+so.
+
+"""
+
+
+def write_page(folder: Path, name: str, title: str, question: str, result: Result) -> None:
+    """Write ``name``.md and ``name``.svg; raises BadInputError when that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.svg").write_text(as_svg(result.figure, name))
+        (folder / f"{name}.md").write_text(page(name, title, question, result))
+    except OSError as error:
+        raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error
+
+
+def page(name: str, title: str, question: str, result: Result) -> str:
+    """The page: its third line is the headline, which the index repeats."""
+    parts = [
+        f"# {title}",
+        result.headline,
+        f"*{question}*",
+        f"Thesis: {result.thesis_source}.",
+        table(result).rstrip(),
+        verdict(result),
+        f"![{title}]({name}.svg)",
+        f"*{result.caption}*",
+        _even(result.text),
+        f"Made by `python -m hw_sim study {name}`; all studies: [index](README.md).",
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _even(text: str) -> str:
+    """Paragraphs with lines of even length, whatever numbers were put in."""
+    paragraphs = text.strip().split("\n\n")
+    return "\n\n".join(textwrap.fill(paragraph, LINE, break_on_hyphens=False) for paragraph in paragraphs)
+
+
+def verdict(result: Result) -> str:
+    """What in the table is worse than in the thesis; nothing to say where it gives no figures."""
+    if not result.compared():
+        return ""
+    worse = result.worse()
+    than = "the thesis" if result.beside == "thesis" else result.beside
+    if not worse:
+        return f"Worse than {than}: nothing."
+    return f"Worse than {than}: " + "; ".join(f"{column} ({row})" for row, column in worse) + "."
+
+
+def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
+    """Write README.md over the pages (name, title) that are there, each with its headline."""
+    lines = ["| study | in short |", "|---|---|"]
+    for name, title in studies:
+        path = folder / f"{name}.md"
+        if path.is_file():
+            lines.append(f"| [{title}]({name}.md) | {path.read_text().splitlines()[2]} |")
+    if (folder / PEERS).is_file():
+        lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
+    if (folder / CAMPAIGN).is_file():
+        lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
+    try:
+        (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
+    except OSError as error:
+        raise BadInputError(folder, f"cannot be written: {error.strerror or error}") from error

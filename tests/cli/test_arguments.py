@@ -1,0 +1,153 @@
+"""Wrong arguments: one line that names the argument and what is possible; none at all: what there is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.cli import altd, refusal
+from support.places import ROOT
+
+from altd.cli import main as cli
+from hw_sim.__main__ import main as simulate
+
+REPLAY = ("replay", "rec", "--calibration", "cal.json")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("rpelay",), "altd: there is no command 'rpelay'; possible: run, calibrate, replay, "),
+        (("rpelay",), "; did you mean `replay`?"),
+        (("--confg", "x", "run"), "there is no --confg"),
+        ((*REPLAY, "--window", "0"), "altd replay: --window: '0' is not a whole number from 1 to 1000"),
+        ((*REPLAY, "--window", "9" * 5000), " is not a whole number from 1 to 1000"),
+        ((*REPLAY, "--window", "two"), "altd replay: --window: 'two' is not a whole number from 1 to 1000"),
+        ((*REPLAY, "--every", "1.5"), "altd replay: --every: '1.5' is not a whole number from 1 to 1000"),
+        ((*REPLAY, "--window"), "altd replay: --window: one value must follow; usage: altd replay "),
+        ((*REPLAY, "--windw", "3"), "altd replay: --windw: there is no such argument; possible: --help, "),
+        ((*REPLAY, "--windw", "3"), "; did you mean `--window`?"),
+        ((*REPLAY, "more"), "altd replay: 'more' is an argument too many; usage: altd replay "),
+        (("replay",), "altd replay: missing: RECORDING, --calibration; usage: altd replay "),
+        (("replay", "rec", "--calibrtion", "x"), "no --calibrtion; did you mean `--calibration`?"),
+        (("record", "-o", "x", "--seconds", "-1"), "--seconds: '-1' is not a number of seconds"),
+        (("record", "-o", "x", "--seconds", "nan"), "--seconds: 'nan' is not a number of seconds"),
+        (
+            ("record", "-o", "x", "--seconds", "1", "--kind", "flta"),
+            "--kind: 'flta' is not possible; possible: ",
+        ),
+        (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),
+        (("devices", "\x1b[2J"), "'\\x1b[2J' is an argument too many"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(
+    arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert line in said.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("dmeo",), "there is no command 'dmeo'; possible: scan, flat, "),
+        (("scan", "--seed", "x", "-o", "y"), "--seed: 'x' is no whole number from 0 on"),
+        (("scan", "--seed", "9" * 5000, "-o", "y"), " is no whole number from 0 on"),
+        (("gige", "--bits", "9"), "--bits: 9 is not possible; possible: 8, 10, 12, 16"),
+        (("gige", "--bits", "x"), "--bits: 'x' is no whole number"),
+        (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is no number"),
+        (("gige", "--fps", "0"), "--fps: '0' is no number from 1 to 200"),
+        (("demo", "--http-prt", "1"), "--http-prt: there is no such argument"),
+    ],
+)
+def test_so_it_is_with_the_simulator(
+    arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert simulate(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert said.err.startswith("python -m hw_sim")
+    assert line in said.err
+
+
+@pytest.mark.parametrize(
+    ("module", "first"), [("altd.cli", "altd doctor"), ("hw_sim", "python -m hw_sim demo")]
+)
+def test_without_a_command_it_shows_what_there_is_and_what_to_try_first(module: str, first: str) -> None:
+    outcome = altd(module=module)
+    assert (outcome.status, outcome.out) == (2, "")
+    text = outcome.err
+    assert text.index("commands:") < text.index("first steps:") < text.rindex(f"  {first} ")
+    asked = altd("--help", module=module)
+    assert (asked.status, asked.out, asked.err) == (0, text, "")
+
+
+CONFIGURED = ("run", "record -o {new} --seconds 1", "scan -o {new}", "lamps off", "check-config")
+
+
+class TestWithoutAConfig:
+    """``DEFAULT_CONFIG`` is where the service has its own; here the constant is another."""
+
+    @pytest.mark.parametrize("command", CONFIGURED)
+    def test_the_service_s_own_is_taken_where_it_exists(
+        self,
+        command: str,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        installed = tmp_path / "altd.toml"
+        installed.write_text("[unit]\ncolour = 3\n")
+        monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
+        assert cli.main(command.format(new=tmp_path / "new").split()) == 2
+        assert f"{installed}: line 2, column 1: unit.colour: there is no such key" in capsys.readouterr().err
+
+    def test_the_doctor_takes_it_too(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        installed = tmp_path / "altd.toml"
+        installed.write_text("[unit]\ncolour = 3\n")
+        monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
+        assert cli.main(["doctor"]) == 2
+        assert "unit.colour" in capsys.readouterr().err
+
+    @pytest.mark.parametrize("command", CONFIGURED)
+    def test_where_there_is_none_either_that_is_said(
+        self,
+        command: str,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "none.toml")
+        assert cli.main(command.format(new=tmp_path / "new").split()) == 2
+        name = command.split()[0]
+        argument = "FILE" if name == "check-config" else "--config FILE"
+        said = f"altd {name}: missing: {argument}, for there is no {tmp_path}/none.toml\n"
+        assert capsys.readouterr().err == said
+
+    def test_one_that_is_named_counts(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "altd.toml").write_text("[unit]\n")
+        monkeypatch.setattr(cli, "DEFAULT_CONFIG", tmp_path / "altd.toml")
+        assert cli.main(["check-config", str(tmp_path / "other.toml")]) == 2
+        assert "other.toml: No such file" in capsys.readouterr().err
+
+
+def test_the_shipped_config_passes_its_own_check() -> None:
+    """In a fresh clone, where neither a calibration nor a recording lies beside it; and that is said."""
+    shipped = ROOT / "config" / "altd.toml"
+    outcome = altd("check-config", shipped)
+    assert (outcome.status, outcome.err) == (0, "")
+    good, *missing = outcome.out.splitlines()
+    assert good == f"{shipped}: good: unit ALT-0001, 2 targets"
+    assert [line.split(": ")[1] for line in missing] == [
+        "unit.calibration",
+        "cameras.front.path, cameras.rear.path",
+    ]
+    refusal(altd("run", "--config", shipped))

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
+from altd.records import MeanSpots, TargetPoint
+
+
+def point(x: float, y: float, sigma: float = 0.01, scale: float = 0.25) -> TargetPoint:
+    return TargetPoint(x, y, scale * np.eye(2), sigma**2 * np.eye(2))
+
+
+def test_two_points_give_the_beam_of_the_conventions() -> None:
+    beam = fit_beam([0.0, 280.0], [point(10, 5), point(15.6, -3.4)], 1e-4 * np.eye(4))
+    assert (beam.x_mm, beam.y_mm) == pytest.approx((10, 5))
+    assert beam.yaw_deg == pytest.approx(math.degrees(math.atan(5.6 / 280)))
+    assert beam.pitch_deg == pytest.approx(math.degrees(math.atan(-8.4 / 280)))
+    assert (beam.yaw_mm_per_m, beam.pitch_mm_per_m) == pytest.approx((20, -30))
+
+
+def test_the_displacement_is_that_at_the_reference_plane() -> None:
+    beam = fit_beam([0.0, 280.0], [point(10, 5), point(38, -23)], 1e-4 * np.eye(4), -1000.0)
+    assert (beam.x_mm, beam.y_mm) == pytest.approx((-90, 105))
+
+
+def test_a_tenth_of_a_millimetre_is_0_0289_degrees_as_the_thesis_says() -> None:
+    """Fig. 3.5: 0.1 mm on both targets 280 mm apart; closed form √2 · 0.1 / 280 rad."""
+    beam = fit_beam([0.0, 280.0], [point(0, 0), point(0, 0)], 0.01 * np.eye(4))
+    assert beam.sigma_yaw_deg == pytest.approx(math.degrees(math.sqrt(2) * 0.1 / 280), rel=1e-9)
+    assert beam.sigma_yaw_deg == pytest.approx(0.0289, abs=5e-5)
+    assert beam.sigma_x_mm == pytest.approx(0.1)
+
+
+def test_sigmas_agree_with_monte_carlo_for_correlated_points() -> None:
+    rng = np.random.default_rng(1)
+    root = rng.normal(0, 0.01, (4, 4))
+    covariance = root @ root.T
+    truth = np.array([10.0, 5.0, -20.0, 40.0])
+    draws = rng.multivariate_normal(truth, covariance, 4000)
+    beams = [fit_beam([0.0, 280.0], [point(*d[:2]), point(*d[2:])], covariance, 100.0) for d in draws]
+    one = beams[0]
+    for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg"):
+        scatter = np.std([getattr(beam, name) for beam in beams])
+        assert getattr(one, f"sigma_{name}") == pytest.approx(scatter, rel=0.05)
+
+
+def test_three_targets_are_fitted_by_least_squares() -> None:
+    points = [point(0, 0), point(1.0, 2.0), point(2.3, 4.0)]
+    beam = fit_beam([0.0, 100.0, 200.0], points, 1e-4 * np.eye(6))
+    slope, offset = np.polyfit([0, 100, 200], [0, 1.0, 2.3], 1)
+    assert beam.x_mm == pytest.approx(offset)
+    assert beam.yaw_mm_per_m == pytest.approx(1000 * slope)
+
+
+def test_scatter_goes_through_the_jacobians_and_the_maps_add_their_own() -> None:
+    shared = np.kron(np.ones((2, 2)), 0.04 * np.eye(2))
+    spots = MeanSpots(("front", "rear"), np.zeros((2, 2)), shared, 0, 20, 0)
+    covariance = joint_covariance_mm2(spots, [point(0, 0, 0.01, 0.25), point(0, 0, 0.02, -0.25)])
+    assert np.diag(covariance) == pytest.approx([0.0026, 0.0026, 0.0029, 0.0029])
+    assert covariance[0, 2] == pytest.approx(-0.0025)

@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from altd.measuring.averaging import ExposureWindow, mean_spots
+from altd.reasons import Reason
+from altd.records import Exposure, Fault, MeanSpots, NoSpot, Spot
+
+TARGETS = ("front", "rear")
+PERIOD_NS = 50_000_000
+
+
+def spot(u: float, v: float, sigma: float = 0.02) -> Spot:
+    return Spot(u, v, sigma, 44.0, 180.0)
+
+
+def exposure(number: int, front=(300.0, 200.0), rear=(310.0, 220.0)) -> Exposure:
+    spots = {
+        target: place if isinstance(place, NoSpot) else spot(*place)
+        for target, place in (("front", front), ("rear", rear))
+    }
+    return Exposure(number, number * PERIOD_NS, spots)
+
+
+def mean_of(exposures: list[Exposure], window: int | None = None) -> MeanSpots:
+    mean = mean_spots(exposures, TARGETS, window or len(exposures))
+    assert isinstance(mean, MeanSpots), mean
+    return mean
+
+
+def why_not(exposures: list[Exposure], window: int | None = None) -> list[str]:
+    mean = mean_spots(exposures, TARGETS, window or len(exposures))
+    assert isinstance(mean, tuple), mean
+    assert all(isinstance(fault, Fault) for fault in mean)
+    return [str(fault) for fault in mean]
+
+
+MISSING = NoSpot(Reason.SPOT_MISSING)
+
+
+def test_the_mean_and_its_time_are_those_of_the_exposures() -> None:
+    mean = mean_of([exposure(n, front=(300.0 + n, 200.0 - n)) for n in range(5)])
+    assert mean.px.tolist() == [[302.0, 198.0], [310.0, 220.0]]
+    assert (mean.t_ns, mean.frames, mean.lost) == (2 * PERIOD_NS, 5, 0)
+
+
+@pytest.mark.parametrize("count", [4, 8, 20])
+def test_an_outlier_exposure_does_not_move_the_mean(count: int) -> None:
+    rng = np.random.default_rng(1)
+    steady = [exposure(n, front=tuple(rng.normal((300, 200), 0.02))) for n in range(count)]
+    clean = mean_of(steady[:-1], count)
+    kicked = mean_of([*steady[:-1], exposure(count, front=(340.0, 200.0))])
+    assert kicked.frames == count - 1
+    assert kicked.px == pytest.approx(clean.px, abs=1e-12)
+
+
+def test_the_covariance_of_the_mean_is_that_of_monte_carlo() -> None:
+    rng = np.random.default_rng(2)
+    shake, noise, count = 0.4, 0.02, 20
+    means, predicted = [], []
+    for _ in range(1500):
+        common = rng.normal(0, shake, (count, 2))
+        front = common + rng.normal((300, 200), noise, (count, 2))
+        rear = common + rng.normal((310, 220), noise, (count, 2))
+        mean = mean_of([exposure(n, tuple(front[n]), tuple(rear[n])) for n in range(count)])
+        means.append(mean.px.ravel())
+        predicted.append(mean.covariance_px2)
+    observed, expected = np.cov(np.array(means).T), np.mean(predicted, axis=0)
+    assert np.sqrt(np.diag(expected) / np.diag(observed)) == pytest.approx(1.0, abs=0.1)
+    difference = np.array([1.0, 0, -1.0, 0])  # vibration that both targets share cancels
+    assert np.sqrt(difference @ expected @ difference) < 0.15 * np.sqrt(expected[0, 0])
+
+
+def test_steady_motion_does_not_count_as_scatter() -> None:
+    rng = np.random.default_rng(5)
+    errors, sigmas = [], []
+    for _ in range(400):
+        path = rng.normal(300, 0.1, 20) + 0.15 * np.arange(20)
+        mean = mean_of([exposure(n, front=(u, 200.0)) for n, u in enumerate(path)])
+        errors.append(mean.px[0, 0] - (300 + 0.15 * mean.t_ns / PERIOD_NS))
+        sigmas.append(np.sqrt(mean.covariance_px2[0, 0]))
+    assert np.mean(sigmas) == pytest.approx(np.std(errors), rel=0.1)
+
+
+def test_one_exposure_has_the_spots_own_noise() -> None:
+    assert np.sqrt(np.diag(mean_of([exposure(0)]).covariance_px2)) == pytest.approx(0.02)
+
+
+def test_a_few_lost_exposures_are_counted_and_the_mean_stands() -> None:
+    mean = mean_of([exposure(n, front=MISSING if n in (1, 4) else (300.0, 200.0)) for n in range(10)])
+    assert (mean.frames, mean.lost) == (8, 2)
+
+
+def test_a_window_with_less_than_half_its_exposures_is_invalid_with_the_reasons() -> None:
+    exposures = [exposure(n, front=MISSING if n % 3 else (300.0, 200.0)) for n in range(10)]
+    assert why_not(exposures) == ["front_spot_missing"]
+
+
+def test_a_spot_that_is_gone_for_three_exposures_ends_the_mean_at_once() -> None:
+    exposures = [exposure(n, rear=MISSING if n > 16 else (310.0, 220.0)) for n in range(20)]
+    assert why_not(exposures) == ["rear_spot_missing"]
+
+
+def test_all_reasons_are_told_most_frequent_first() -> None:
+    saturated = NoSpot(Reason.SATURATED)
+    exposures = [exposure(n, front=MISSING, rear=saturated if n else MISSING) for n in range(4)]
+    assert why_not(exposures) == ["front_spot_missing", "rear_saturated", "rear_spot_missing"]
+
+
+def test_a_reason_of_the_whole_unit_carries_no_target() -> None:
+    step = NoSpot(Reason.OUT_OF_STEP)
+    assert why_not([exposure(n, front=step, rear=step) for n in range(4)]) == ["out_of_step"]
+
+
+@pytest.mark.parametrize(("count", "jump"), [(4, 2), (20, 8), (20, 10), (20, 12), (7, 3)])
+def test_a_beam_that_jumps_within_the_window_is_unsteady(count: int, jump: int) -> None:
+    rng = np.random.default_rng(3)
+    exposures = [
+        exposure(n, front=tuple(rng.normal((300 if n < jump else 330, 200), 0.02))) for n in range(count)
+    ]
+    assert why_not(exposures) == ["unsteady"]
+
+
+def test_vibration_and_steady_motion_are_not_a_jump() -> None:
+    rng = np.random.default_rng(4)
+    for count in (2, 3, 8, 20):
+        for trial in range(300):
+            time = np.arange(count) / 20
+            shake = rng.normal(0, 0.5) * np.sin(2 * np.pi * rng.uniform(1, 30) * time + rng.uniform(0, 6))
+            path = 300 + shake + rng.normal(0, 0.3, count) + rng.uniform(-5, 5) * time
+            mean = mean_spots([exposure(n, front=(u, 200.0)) for n, u in enumerate(path)], TARGETS, count)
+            assert isinstance(mean, MeanSpots), (count, trial)
+
+
+def test_a_window_that_fills_is_warming_up_until_it_is_half_full() -> None:
+    window = ExposureWindow(TARGETS, 10, 1)
+    outcomes = [window.add(exposure(n)) for n in range(10)]
+    assert [isinstance(outcome, MeanSpots) for outcome in outcomes] == [False] * 4 + [True] * 6
+    assert [str(fault) for fault in outcomes[0]] == ["warming_up"]
+
+
+def test_back_to_back_windows_share_no_exposure() -> None:
+    window = ExposureWindow(TARGETS, 4, 4)
+    outcomes = [window.add(exposure(n, front=(300.0 + n // 4, 200.0))) for n in range(12)]
+    means = [outcome for outcome in outcomes if outcome is not None]
+    assert [mean.px[0, 0] for mean in means] == [300.0, 301.0, 302.0]
+
+
+@pytest.mark.parametrize("lag_ms", [-25, 25])
+def test_steady_motion_between_two_cameras_that_lag_is_taken_off(lag_ms: int) -> None:
+    """The beam wanders by 20 px/s over both targets; the rear camera is late."""
+
+    def at(t_ns: int) -> tuple[float, float]:
+        return 300.0 + 20e-9 * t_ns, 200.0 - 8e-9 * t_ns
+
+    half_ns = lag_ms * 500_000
+    exposures = [
+        Exposure(
+            n,
+            t_ns := n * PERIOD_NS,
+            {"front": spot(*at(t_ns - half_ns)), "rear": spot(*at(t_ns + half_ns))},
+            {"front": -half_ns, "rear": half_ns},
+        )
+        for n in range(20)
+    ]
+    mean = mean_of(exposures)
+    assert mean.px == pytest.approx(np.array([at(mean.t_ns)] * 2), abs=1e-9)
+
+
+def test_exposures_that_all_cameras_lost_fill_places_of_the_window() -> None:
+    """Four of five are lost: what is averaged would reach back by five windows."""
+    window = ExposureWindow(TARGETS, 8, 1)
+    full = [window.add(exposure(n)) for n in range(8)]
+    assert isinstance(full[-1], MeanSpots)
+    thinned = [window.add(exposure(n)) for n in range(12, 60, 5)]
+    assert all(not isinstance(mean, MeanSpots) for mean in thinned[1:])
+    again = [window.add(exposure(n)) for n in range(60, 68)]
+    assert isinstance(again[-1], MeanSpots)
+    assert again[-1].t_ns == round(63.5 * PERIOD_NS)

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from support.measurements import BEAM, measurement
+
+from altd.measuring.gate import Gate, range_fault
+from altd.reasons import Reason
+from altd.records import Beam, Fault, Measurement
+
+NUMBERS = list(Beam.__dataclass_fields__)
+
+
+def admitted(*measurements: Measurement) -> list[str]:
+    """The reason and the detail of each, empty for one that passes as it is."""
+    gate, said = Gate(), []
+    for each in measurements:
+        through = gate.admit(each)
+        if through is each:
+            said.append("")
+        else:
+            assert not through.valid
+            assert set(through.points_mm.values()) == {None}
+            assert through.roll_deg is None
+            assert through.status[0].reason is Reason.CHECK_FAILED
+            said.append(through.status[0].detail)
+    return said
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", NUMBERS)
+def test_no_number_that_is_none_leaves(field: str, value: float) -> None:
+    [said] = admitted(replace(measurement(), beam=replace(BEAM, **{field: value})))
+    assert said.startswith(f"{field} is {value}")
+
+
+@pytest.mark.parametrize("sigma", [0.0, -0.001])
+@pytest.mark.parametrize("field", [name for name in NUMBERS if name.startswith("sigma_")])
+def test_a_sigma_is_positive(field: str, sigma: float) -> None:
+    assert admitted(replace(measurement(), beam=replace(BEAM, **{field: sigma}))) == [f"{field} is {sigma:g}"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("points_mm", {"front": (math.nan, 0.0), "rear": (0.0, 0.0)}, "front.x_mm is nan"),
+        ("points_mm", {"front": (0.0, 0.0), "rear": (0.0, math.inf)}, "rear.y_mm is inf"),
+        ("points_mm", {"front": (0.0, 0.0), "rear": None}, "rear is nan"),
+        ("roll_deg", math.nan, "roll_deg is nan"),
+        ("frames", 0, "it is the mean of 0 exposures"),
+    ],
+)
+def test_all_that_is_published_is_checked(field: str, value: object, said: str) -> None:
+    assert admitted(replace(measurement(), **{field: value})) == [said]
+
+
+def test_what_is_valid_moves_forward_and_one_lie_costs_no_more_than_the_next() -> None:
+    first, lie, after = measurement(10, 1000), measurement(910, 2000), measurement(11, 3000)
+    assert admitted(first, lie, after, measurement(12, 4000)) == [
+        "",
+        "",
+        "sequence 11 does not follow 910",
+        "",
+    ]
+    [_, again] = admitted(first, first)
+    assert again == "sequence 10 does not follow 10"
+    [_, back, on] = admitted(first, measurement(11, 1000 - 2 * 10**9), measurement(12, 2000))
+    assert (back, on) == ("exposed 2 s before the one before it", "")
+
+
+def test_the_middle_of_a_window_may_fall_where_its_last_exposure_moves_on() -> None:
+    """As when its last exposures turn out to be outliers."""
+    first = replace(measurement(10, 1000), last_exposure_ns=1500)
+    assert admitted(first, replace(measurement(11, 900), last_exposure_ns=1550)) == ["", ""]
+
+
+def test_what_is_invalid_passes_with_its_reasons_and_orders_nothing() -> None:
+    invalid = measurement(99, 10**12, Reason.UNSTEADY)
+    assert admitted(measurement(10, 1000), invalid, measurement(11, 2000)) == ["", "", ""]
+
+
+def test_warnings_stay_beside_a_failed_check() -> None:
+    playing = replace(measurement(), status=(Fault(Reason.PLAYBACK),), roll_deg=math.inf)
+    assert [str(fault) for fault in Gate().admit(playing).status] == ["check_failed", "playback"]
+
+
+def beam(yaw: float, pitch: float, sigma_mm_per_m: float = 0.01) -> Beam:
+    """Of these slopes, mm/m."""
+    sigma_deg = math.degrees(sigma_mm_per_m * 1e-3)
+    angles = (math.degrees(math.atan(slope * 1e-3)) for slope in (yaw, pitch))
+    return Beam(0.0, 0.0, *angles, 0.004, 0.004, sigma_deg, sigma_deg)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_stated_ranges_hold_by_three_sigmas_and_no_more_than_the_accuracy(sign: int) -> None:
+    for yaw, pitch in ((0.0, 0.0), (110.0, 250.0), (110.02, 0.0), (0.0, 250.02)):
+        assert range_fault(beam(sign * yaw, sign * pitch)) is None
+    for yaw, pitch, said in (
+        (110.2, 0.0, f"yaw is {sign * 110.2:.1f} mm/m, the unit measures up to 110"),
+        (0.0, 250.2, f"pitch is {sign * 250.2:.1f} mm/m, the unit measures up to 250"),
+        (500.0, 0.0, f"yaw is {sign * 500.0:.1f} mm/m, the unit measures up to 110"),
+    ):
+        fault = range_fault(beam(sign * yaw, sign * pitch))
+        assert fault is not None
+        assert (fault.reason, fault.detail) == (Reason.OUT_OF_RANGE, said)
+    assert range_fault(beam(sign * 110.9, 0.0, sigma_mm_per_m=5.0)) is None
+    assert range_fault(beam(sign * 111.1, 0.0, sigma_mm_per_m=5.0)) is not None
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_slope_that_is_no_number_is_left_to_the_gate(value: float) -> None:
+    assert range_fault(replace(BEAM, yaw_deg=value)) is None
+    assert range_fault(replace(BEAM, pitch_deg=value)) is None

@@ -1,0 +1,249 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from altd.measuring.pairing import Pair, Pairer
+from altd.reasons import Reason
+
+MS = 1_000_000
+PERIOD = 50 * MS
+
+
+def pairer(by="sequence", cameras=("front", "rear")) -> Pairer[str]:
+    return Pairer(cameras, by, max_skew_ns=10 * MS, max_lag_ns=30 * MS)
+
+
+def sequences(pairs: list[Pair[str]]) -> list[tuple[int, bool]]:
+    return [(pair.sequence, not pair.missing) for pair in pairs]
+
+
+def test_items_of_one_sequence_become_one_exposure_whichever_comes_first() -> None:
+    p = pairer()
+    assert p.add("front", 7, 0, "f7") == []
+    [pair] = p.add("rear", 7, 2 * MS, "r7")
+    assert (pair.sequence, pair.t_ns, pair.skew_ns) == (7, MS, 2 * MS)
+    assert pair.items == {"front": "f7", "rear": "r7"}
+    assert pair.behind_ns == {"front": -MS, "rear": MS}
+    assert p.add("rear", 8, PERIOD, "r8") == []
+    assert sequences(p.add("front", 8, PERIOD, "f8")) == [(8, True)]
+
+
+def test_a_frame_whose_partner_was_lost_comes_out_before_the_next_whole_exposure() -> None:
+    p = pairer()
+    p.add("front", 1, 0, "f1")
+    p.add("front", 2, PERIOD, "f2")
+    pairs = p.add("rear", 2, PERIOD, "r2")
+    assert sequences(pairs) == [(1, False), (2, True)]
+    assert pairs[0].missing == {"rear": Reason.OUT_OF_STEP}
+
+
+def test_a_camera_that_never_spoke_is_silent() -> None:
+    p = pairer()
+    out = [pair for n in range(10) for pair in p.add("front", n, n * PERIOD, "f")]
+    assert [pair.missing for pair in out] == [{"rear": Reason.CAMERA_SILENT}] * 6
+
+
+def test_a_camera_that_stops_is_silent_from_its_first_missing_frame_on() -> None:
+    p = pairer()
+    p.add("rear", 0, 0, "r")
+    out = [pair for n in range(20) for pair in p.add("front", n, n * PERIOD, "f")]
+    assert [pair.missing.get("rear") for pair in out] == [None] + [Reason.CAMERA_SILENT] * (len(out) - 1)
+
+
+def test_equal_numbers_at_different_times_are_out_of_step() -> None:
+    p = pairer()
+    p.add("front", 5, 0, "f")
+    [pair] = p.add("rear", 5, 11 * MS, "r")
+    assert pair.missing == {"front": Reason.OUT_OF_STEP, "rear": Reason.OUT_OF_STEP}
+    assert pair.items == {}
+
+
+def test_shifted_numbers_are_out_of_step_not_silent() -> None:
+    p = pairer()
+    out = []
+    for n in range(12):
+        out += p.add("front", n, n * PERIOD, "f")
+        out += p.add("rear", n + 500, n * PERIOD, "r")
+    assert out
+    assert all(Reason.OUT_OF_STEP in pair.missing.values() for pair in out)
+
+
+def test_by_time_the_nearest_frames_pair_whatever_their_numbers() -> None:
+    p = pairer("time")
+    out = []
+    for n in range(5):
+        out += p.add("front", n, n * PERIOD, f"f{n}")
+        out += p.add("rear", 9000 + n, n * PERIOD + 8 * MS, f"r{n}")
+    assert [pair.items for pair in out] == [{"front": f"f{n}", "rear": f"r{n}"} for n in range(5)]
+    assert [pair.sequence for pair in out] == list(range(5))
+
+
+def free_running(
+    p: Pairer[int], lag_ms: Callable[[int], float], period_ms: float = 50.0, count: int = 60, first: int = 0
+) -> list[Pair[int]]:
+    """The pairs of two cameras, the rear one behind by ``lag_ms`` in exposure n, as they are delivered."""
+    rng = np.random.default_rng(3)
+    frames = []
+    for n in range(first, first + count):
+        t_ms = n * period_ms
+        for camera, at_ms in (("front", t_ms), ("rear", t_ms + lag_ms(n))):
+            exposed_ns = round((at_ms + rng.normal(0, 0.3)) * MS)
+            delivered_ns = exposed_ns + round(rng.uniform(5, 30) * MS)
+            frames.append((delivered_ns, camera, n, exposed_ns))
+    return [pair for _, camera, n, t_ns in sorted(frames) for pair in p.add(camera, n, t_ns, n)]
+
+
+def whole(pairs: list[Pair[int]]) -> list[bool]:
+    return [not pair.missing for pair in pairs]
+
+
+@pytest.mark.parametrize("lag_ms", [-24.0, -15.0, 0.0, 11.0, 24.0, 25.0])
+def test_by_time_a_steady_lag_is_learnt_and_taken_off(lag_ms: float) -> None:
+    p = pairer("time")
+    pairs = free_running(p, lambda n: lag_ms)
+    assert all(whole(pairs)[6:])
+    assert p.lags_ns["rear"] == pytest.approx(lag_ms * MS, abs=0.5 * MS)
+    assert max(pair.skew_ns for pair in pairs[6:]) < 3 * MS
+    assert {pair.items["rear"] - pair.items["front"] for pair in pairs[6:]} == {0}
+
+
+def test_by_time_a_lag_that_creeps_past_half_a_period_costs_two_exposures_each_time() -> None:
+    pairs = free_running(pairer("time"), lambda n: n * 0.2, count=1000)  # four periods in the end
+    slips = {pair.items["rear"] - pair.items["front"] for pair in pairs if not pair.missing}
+    assert slips == {0, -1, -2, -3, -4}
+    assert whole(pairs[6:]).count(False) <= 4 * 3
+
+
+def test_by_time_a_camera_that_is_started_anew_has_a_lag_of_its_own() -> None:
+    p = pairer("time")
+    free_running(p, lambda n: 20.0)
+    pairs = free_running(p, lambda n: -20.0, first=80)
+    assert all(whole(pairs)[8:])
+    assert p.lags_ns["rear"] == pytest.approx(-20 * MS, abs=0.5 * MS)
+
+
+def test_by_time_a_lag_beyond_what_is_allowed_is_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: 40.0, period_ms=100.0)
+    assert pairs
+    assert {reason for pair in pairs for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
+    assert not any(whole(pairs))
+
+
+def test_by_time_a_frame_off_the_steady_lag_is_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: 20.0 + (12.0 if n == 30 else 0.0))
+    bad = [pair for pair in pairs[6:] if pair.missing]
+    assert {next(iter(pair.items.values())) for pair in bad} == {30}
+
+
+def test_by_time_cameras_of_unlike_rates_are_out_of_step() -> None:
+    pairs = free_running(pairer("time"), lambda n: n * 25.0)
+    assert whole(pairs[6:]).count(True) < len(pairs) / 2
+
+
+def test_a_frame_that_comes_after_its_exposure_was_given_up_is_counted() -> None:
+    p = pairer()
+    for n in range(6):
+        p.add("front", n, n * PERIOD, "f")
+    assert p.add("rear", 0, 0, "r") == []
+    assert p.late == 1
+
+
+def test_a_numbering_that_starts_anew_goes_on_pairing() -> None:
+    p = pairer()
+    for camera in ("front", "rear"):
+        p.add(camera, 60_000, 0, "x")
+    p.add("front", 1, PERIOD, "f")
+    assert sequences(p.add("rear", 1, PERIOD, "r")) == [(1, True)]
+
+
+def test_three_cameras_pair_too() -> None:
+    p = pairer(cameras=("a", "b", "c"))
+    assert p.add("a", 1, 0, "a") == p.add("c", 1, 0, "c") == []
+    assert sequences(p.add("b", 1, 0, "b")) == [(1, True)]
+
+
+def test_a_flush_settles_what_waits_in_order() -> None:
+    p = pairer()
+    p.add("front", 1, 0, "f")
+    p.add("rear", 2, PERIOD, "r")
+    assert sequences(p.flush()) == [(1, False), (2, False)]
+    assert p.flush() == []
+
+
+HOUR = 3600 * 1000 * MS
+
+
+def lying(
+    by: str, lie: Callable[[str, int], tuple[int, int]], silent: range = range(0), lag_ms: float = 20.0
+) -> list[bool]:
+    """Whether each of 80 exposures was paired with its own partner; the lie is added to number and time."""
+    p = pairer(by)
+    behind_ns = round(lag_ms * MS) if by == "time" else 0
+    paired = set()
+    for n in range(80):
+        for camera, late_ns in (("front", 0), ("rear", behind_ns)):
+            if camera == "rear" and n in silent:
+                continue
+            number, time_ns = lie(camera, n)
+            out = p.add(camera, n + number, n * PERIOD + late_ns + time_ns, str(n))
+            paired |= {
+                int(pair.items["front"])
+                for pair in out
+                if len(set(pair.items.values())) == 1 and not pair.missing
+            }
+    return [n in paired for n in range(80)]
+
+
+LIES: dict[str, Callable[[str, int], tuple[int, int]]] = {
+    "one stamp an hour ahead": lambda camera, n: (0, HOUR * (n == 40 and camera == "front")),
+    "the other's stamp an hour ahead": lambda camera, n: (0, HOUR * (n == 40 and camera == "rear")),
+    "both stamps an hour ahead": lambda camera, n: (0, HOUR * (n == 40)),
+    "an hour ahead for five": lambda camera, n: (0, HOUR * (40 <= n < 45)),
+    "one stamp an hour back": lambda camera, n: (0, -HOUR * (n == 40 and camera == "rear")),
+    "all stamps 30 ms back": lambda camera, n: (0, -30 * MS * (n >= 40)),
+    "all stamps an hour back": lambda camera, n: (0, -HOUR * (n >= 40)),
+    "one number 900 ahead": lambda camera, n: (900 * (n == 40 and camera == "front"), 0),
+    "the other's number 900 ahead": lambda camera, n: (900 * (n == 40 and camera == "rear"), 0),
+    "both numbers 900 ahead once": lambda camera, n: (900 * (n == 40), 0),
+    "both numbers 900 ahead": lambda camera, n: (900 * (n >= 40), 0),
+    "both numbers 500 back": lambda camera, n: (10_000 - 500 * (n >= 40), 0),
+    "one number 500 back": lambda camera, n: (10_000 - 500 * (n == 40 and camera == "front"), 0),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize("by", ["sequence", "time"])
+@pytest.mark.parametrize("silent", [range(0), range(41, 47)], ids=["both deliver", "rear pauses"])
+def test_one_lie_costs_a_second_of_good_exposures_at_most(by: str, lie: str, silent: range) -> None:
+    paired = lying(by, LIES[lie], silent)
+    assert all(paired[10:40])
+    bad_until = max(46, silent.stop)
+    assert all(paired[bad_until + 20 : 78]), [n for n, whole in enumerate(paired) if not whole]
+
+
+def test_by_time_an_exposure_without_the_first_camera_keeps_its_number() -> None:
+    p = pairer("time")
+    out = []
+    for n in range(12):
+        if n != 5:
+            out += p.add("front", n, n * PERIOD, "f")
+        out += p.add("rear", 7000 + n, n * PERIOD, "r")
+    assert [pair.sequence for pair in out] == list(range(12))
+
+
+@pytest.mark.parametrize(("by", "lost"), [("sequence", 0.3), ("time", 0.2)])
+def test_exposures_come_out_in_their_order_whatever_is_lost(by: str, lost: float) -> None:
+    rng = np.random.default_rng(6)
+    p = pairer(by)
+    out = []
+    for n in range(2000):
+        for camera in ("front", "rear"):
+            if n < 20 or rng.random() >= lost:
+                out += p.add(camera, n, n * PERIOD, n)
+    times = [pair.t_ns for pair in out]
+    assert len(out) > 1500
+    assert times == sorted(set(times))
+    assert [pair.sequence for pair in out] == sorted({pair.sequence for pair in out})

@@ -1,0 +1,89 @@
+"""Shapes of spots in the unit frame, against formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from altd.measuring.spot_shape import shape_doubts_mm, shape_in_mm
+from altd.reasons import Reason
+from altd.records import Fault, MeanSpots, SpotShape, TargetPoint
+from altd.vision.reference import ShapeReference
+
+PX_PER_MM = 5.0
+MM_PER_PX = np.array([[-1 / PX_PER_MM, 0.0], [0.0, -1 / PX_PER_MM]])  # a mirrored picture, v down
+KNOWN = ShapeReference((math.log(6.0), 0.0, 0.0, 1.0), (0.005, 0.0013, 0.0013, 0.012))
+
+
+def gaussian(first_mm: float, second_mm: float, angle_rad: float = 0.0) -> SpotShape:
+    """A Gaussian of such 1/e² diameters, its first axis turned from x towards y, as the picture shows it."""
+    angle = math.pi - angle_rad if MM_PER_PX[0, 0] * MM_PER_PX[1, 1] < 0 else angle_rad
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    form = turn @ np.diag([(4 / (d * PX_PER_MM)) ** 2 for d in (first_mm, second_mm)]) @ turn.T
+    return SpotShape(form[0, 0], form[0, 1], form[1, 1], 1.0)
+
+
+def with_second_spot(share: float, aside_mm: float, diameter_mm: float = 12.0) -> SpotShape:
+    """The Gaussian with the moments of a round one and a second one beside it along x, as a fit sees it."""
+    sigma = diameter_mm / 4
+    variance = sigma**2 + share * aside_mm**2 / (1 + share) ** 2
+    return gaussian(4 * math.sqrt(variance), diameter_mm)
+
+
+def doubts(front: SpotShape | None, rear: SpotShape | None, known: ShapeReference | None = KNOWN):
+    mean = MeanSpots(("front", "rear"), np.zeros((2, 2)), np.eye(4), 0, 20, 0, (front, rear))
+    points = [TargetPoint(0.0, 0.0, MM_PER_PX, np.eye(2)) for _ in range(2)]
+    return shape_doubts_mm(mean, points, [known, known])
+
+
+def test_radius_and_stretch_are_those_of_the_ellipse() -> None:
+    assert shape_in_mm(gaussian(14, 10), MM_PER_PX) == pytest.approx(
+        [math.log(math.sqrt(35)), math.log(1.4) / 2, 0, 1]
+    )
+    assert shape_in_mm(gaussian(14, 10, math.pi / 4), MM_PER_PX) == pytest.approx(
+        [math.log(math.sqrt(35)), 0, math.log(1.4) / 2, 1], abs=1e-9
+    )
+
+
+def test_an_elongated_laser_is_as_good_as_a_round_one() -> None:
+    assert (doubts(gaussian(18, 8, 0.7), gaussian(18.02, 8, 0.7)) < 1e-4).all()
+
+
+def test_spots_that_differ_within_their_scatter_leave_no_doubt() -> None:
+    assert (doubts(gaussian(12, 12), gaussian(12.02, 11.98)) < 1e-4).all()
+
+
+def test_without_a_shape_or_a_reference_nothing_is_known() -> None:
+    assert (doubts(None, gaussian(16, 9)) < 1e-9).all()
+    assert (doubts(gaussian(12, 12), gaussian(15, 10), None) == 0).all()
+
+
+def test_a_spot_of_another_size_than_the_calibrated_is_less_certain() -> None:
+    sigma_mm = doubts(gaussian(6, 6), gaussian(6, 6))
+    assert sigma_mm == pytest.approx([7.5e-5 * (144 - 36)] * 2)
+
+
+@pytest.mark.parametrize(("share", "aside_mm"), [(0.1, 2.0), (0.05, 3.0), (0.15, 1.8)])
+def test_a_weak_second_spot_on_one_target_adds_to_sigma_what_it_displaces(share, aside_mm) -> None:
+    sigma_mm = doubts(gaussian(12, 12), with_second_spot(share, aside_mm))
+    displaced_mm = share * aside_mm / (1 + share)
+    assert isinstance(sigma_mm, np.ndarray)
+    assert displaced_mm < 6 * sigma_mm[1]
+
+
+@pytest.mark.parametrize(
+    ("front", "rear", "words"),
+    [
+        (gaussian(12, 12), with_second_spot(0.5, 4.0), "elongation"),
+        (gaussian(12, 12), with_second_spot(1.0, 4.0), "elongation"),
+        (gaussian(12, 12), gaussian(8, 8), "size"),
+        (gaussian(20, 20), gaussian(20, 20), "wide"),
+        (gaussian(12, 12), SpotShape(0.0044, 0, 0.0044, 4.0), "order"),
+    ],
+)
+def test_spots_that_no_laser_makes_together_are_distorted(front, rear, words: str) -> None:
+    fault = doubts(front, rear)
+    assert isinstance(fault, Fault)
+    assert (fault.reason, words in fault.detail) == (Reason.DISTORTED, True), fault

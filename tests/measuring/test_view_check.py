@@ -1,0 +1,195 @@
+"""When a frame is examined, and what becomes of the verdicts; the verdicts themselves are scripted here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from support.evidence import straight_map
+from support.frames import Blob, frame, light
+
+from altd.measuring.calibration import TargetCalibration
+from altd.measuring.cross_check import CrossCheck
+from altd.measuring.view_check import ViewCheck
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.vision.fingerprint import Fingerprint, ViewVerdict
+from altd.vision.hot_pixels import HotPixels, places_of
+from altd.vision.settings import SpotSettings
+
+PICTURE = frame(light(Blob(300, 200)))
+SPOT = Spot(300.0, 200.0, 0.01, 44.0, 150.0)
+NO_SPOT = NoSpot(Reason.SPOT_MISSING)
+PERIOD_NS = 50_000_000
+
+GOOD = ViewVerdict(is_verified=True, shift_px=0.04)
+DOUBT = ViewVerdict(doubt="nothing is known of the target under the spot")
+WRONG = ViewVerdict("another print is seen")
+OTHER_SENSOR = ViewVerdict("0 of 20 hot pixels are in their places", is_other_sensor=True)
+SAME_SENSOR = ViewVerdict(doubt="no spot to see it by", is_same_sensor=True)
+
+
+@dataclass
+class Bench:
+    check: ViewCheck
+    verdict: ViewVerdict = GOOD
+    examined: list[int] = field(default_factory=list)
+    number: int = 0
+    t_ns: int = 0
+
+    def push(
+        self,
+        count: int = 1,
+        verdict: ViewVerdict | None = None,
+        spot: Spot | NoSpot = SPOT,
+        camera: CameraIdentity | None = None,
+        after_ns: int = PERIOD_NS,
+    ) -> list[bool]:
+        """Whether each of so many frames may be measured."""
+        self.verdict = verdict or self.verdict
+        allowed = []
+        for _ in range(count):
+            self.number, self.t_ns = self.number + 1, self.t_ns + after_ns
+            seen = replace(PICTURE, sequence=self.number, t_ns=self.t_ns)
+            allowed.append(self.check.objection(seen, spot, camera) is None)
+        return allowed
+
+    def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
+        """What health is told so long after the last frame."""
+        return self.check.figures(self.t_ns + round(after_s * 1e9))
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+    fitted = straight_map("front")
+    made = Bench(
+        ViewCheck(
+            TargetCalibration(
+                name="front",
+                z_mm=0.0,
+                width=752,
+                height=480,
+                localiser=SpotSettings(),
+                flat=None,
+                map=fitted,
+                cross_check=CrossCheck(fitted, 0.1, 0.3, 0.1),
+                left_out_px=0.04,
+                residual_mean_mm=0.01,
+                residual_std_mm=0.01,
+                residual_max_mm=0.02,
+                repeatability_px=np.zeros(2),
+                leds_px=np.empty((0, 2)),
+                fingerprint=Fingerprint(HotPixels(places_of([]), places_of([])), None, None),
+            ),
+            (CameraIdentity("F-1", driver="aravis"),),
+        )
+    )
+
+    def examine(_: Fingerprint, seen: Frame, settings: SpotSettings, has_spot: bool) -> ViewVerdict:
+        made.examined.append(seen.sequence)
+        return made.verdict
+
+    monkeypatch.setattr(Fingerprint, "examine", examine)
+    return made
+
+
+def test_a_good_camera_is_examined_once_in_four_frames(bench: Bench) -> None:
+    assert all(bench.push(601))
+    assert bench.examined == list(range(1, 602, 4))
+
+
+def test_the_first_frames_are_examined_until_one_is_verified_but_not_for_ever(bench: Bench) -> None:
+    assert all(bench.push(14, DOUBT))
+    assert bench.examined == [1, 2, 3, 7, 11]
+
+
+def test_a_spot_that_jumped_is_looked_at_and_one_that_trembles_or_moves_steadily_is_not(bench: Bench) -> None:
+    bench.push(2)
+    bench.push(3, spot=replace(SPOT, u_px=301.0))
+    assert bench.examined == [1, 3, 4]
+    for step in range(3):
+        bench.push(1, spot=replace(SPOT, u_px=301.0 + 0.2 * (step % 2)))
+    assert bench.examined == [1, 3, 4, 8]
+    for step in range(4):
+        bench.push(1, spot=replace(SPOT, u_px=301.2 + 0.4 * step))
+    assert bench.examined == [1, 3, 4, 8, 12]
+
+
+def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:
+    bench.push(5)
+    assert bench.check.displaced_px == 0.0
+    bench.push(4, replace(GOOD, shift_px=0.3, displaced_px=0.29))
+    assert bench.check.displaced_px == 0.29
+    bench.push(4, DOUBT)
+    assert bench.check.displaced_px == 0.29  # nobody has seen it back
+    bench.push(4, replace(GOOD, displaced_px=0.0))
+    assert bench.check.displaced_px == 0.0
+
+
+def test_a_pause_begins_anew(bench: Bench) -> None:
+    bench.push(3)
+    bench.push(1, after_ns=500_000_000)
+    bench.push(1, after_ns=-3_000_000_000)
+    assert bench.examined == [1, 4, 5]
+
+
+def test_one_wrong_verdict_holds_until_the_next_frame_and_three_until_it_is_verified(bench: Bench) -> None:
+    assert bench.push(1, WRONG) == [False]
+    assert bench.push(1, DOUBT) == [True]
+    bench.push(1, after_ns=500_000_000)
+    assert bench.push(3, WRONG) == [False] * 3
+    assert bench.push(5, DOUBT) == [False] * 5
+    assert bench.push(5, GOOD)[-2:] == [True] * 2  # an established one is looked at every 0.2 s
+
+
+def test_a_pause_ends_neither_an_established_wrong_view_nor_what_is_known_of_a_shift(bench: Bench) -> None:
+    bench.push(5, WRONG)
+    assert bench.push(2, DOUBT, after_ns=500_000_000) == [False] * 2
+    assert bench.push(1, GOOD, after_ns=500_000_000) == [True]
+    bench.push(4, replace(GOOD, displaced_px=0.4))
+    bench.push(1, DOUBT, after_ns=500_000_000)
+    assert bench.check.displaced_px == 0.4
+
+
+def test_another_sensor_is_over_when_the_hot_pixels_are_back(bench: Bench) -> None:
+    assert bench.push(5, OTHER_SENSOR) == [False] * 5
+    assert bench.push(4, SAME_SENSOR, spot=NO_SPOT)[-1]
+
+
+def test_print_on_a_plain_plate_is_over_when_a_spot_shows_none(bench: Bench) -> None:
+    """Nothing else could end it where the plate's own grain is not known under the spot."""
+    assert bench.push(5, ViewVerdict("print is seen", is_print_seen=True)) == [False] * 5
+    assert bench.push(4, SAME_SENSOR, spot=NO_SPOT) == [False] * 4
+    assert bench.push(4, replace(DOUBT, is_print_seen=False))[-1]
+
+
+def test_hot_pixels_do_not_mend_a_view_that_moved(bench: Bench) -> None:
+    assert bench.push(5, WRONG) == [False] * 5
+    assert bench.push(2, SAME_SENSOR) == [False] * 2
+
+
+def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> None:
+    right, other = CameraIdentity("F-1", driver="aravis"), CameraIdentity("F-2", driver="aravis")
+    assert bench.push(2, camera=right) == [True, True]
+    assert bench.push(2, camera=other) == [False, False]
+    assert bench.push(2, camera=right) == [True, True]
+    assert bench.examined == [1, 5]  # the camera that is back is looked at anew
+
+
+def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:
+    assert bench.figures() == {"view_front": "could not be verified: nothing was seen yet"}
+    bench.push(1, DOUBT)
+    assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.doubt}"}
+    bench.push(21, GOOD)
+    assert bench.figures() == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
+    bench.push(1, WRONG, after_ns=500_000_000)
+    assert bench.figures() == {"view_front": "wrong: another print is seen"}
+
+
+def test_the_age_of_a_view_counts_while_no_frame_comes_and_nothing_else_is_said_of_it(bench: Bench) -> None:
+    bench.push(21, GOOD)
+    assert bench.figures(after_s=0.3) == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
+    assert bench.figures(after_s=6.1) == {"view_front": "verified 6 s ago"}
+    bench.push(1, WRONG, after_ns=500_000_000)
+    assert bench.figures(after_s=6.1) == {"view_front": "could not be verified: no frame comes"}

@@ -1,0 +1,97 @@
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import pytest
+from support.clock import FakeClock, settle
+from support.measurements import measurement
+
+from altd.reasons import Reason
+from altd.status.board import Board
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock()
+
+
+@pytest.fixture
+def board(clock: FakeClock) -> Board:
+    return Board(clock, stale_after_s=1.0)
+
+
+def test_an_empty_board_reads_nothing(board: Board) -> None:
+    assert board.read() is None
+    assert board.age_s() is None
+
+
+async def test_a_value_that_nothing_follows_loses_its_numbers(board: Board, clock: FakeClock) -> None:
+    put_up = measurement()
+    board.publish(put_up)
+    await clock.advance(1.0)
+    assert board.read() is put_up
+    await clock.advance(0.001)
+    stale = board.read()
+    assert stale is not None
+    assert not stale.valid
+    assert stale.points_mm == {"front": None, "rear": None}
+    assert [fault.reason for fault in stale.status] == [Reason.STALE]
+    assert stale.sequence == put_up.sequence
+
+
+async def test_a_reader_that_is_late_gets_the_latest_and_knows_what_it_skipped(board: Board) -> None:
+    cursor = board.cursor()
+    for sequence in range(5):
+        board.publish(measurement(sequence))
+    assert (await cursor.next()).sequence == 4
+    assert cursor.skipped == 4
+    waiting = asyncio.create_task(cursor.next())
+    await settle()
+    assert not waiting.done()
+    board.publish(measurement(5))
+    assert (await waiting).sequence == 5
+    assert cursor.skipped == 4
+
+
+async def test_readers_have_places_of_their_own(board: Board) -> None:
+    board.publish(measurement(1))
+    first, second = board.cursor(), board.cursor()
+    assert (await first.next()).sequence == 1
+    board.publish(measurement(2))
+    assert (await first.next()).sequence == 2
+    assert (await second.next()).sequence == 2
+    assert (first.skipped, second.skipped) == (0, 1)
+
+
+async def test_what_waited_on_its_way_is_as_old_as_its_light(board: Board, clock: FakeClock) -> None:
+    """As when the process was held for 10 s and then measures the frames that lay in its buffers."""
+    await clock.advance(20.0)
+    waited = replace(
+        measurement(), t_ns=clock.now_ns - 10_500_000_000, last_exposure_ns=clock.now_ns - 10**10
+    )
+    board.publish(waited)
+    read = board.read()
+    assert read is not None
+    assert (read.valid, [fault.reason for fault in read.status]) == (False, [Reason.STALE])
+    board.publish(replace(waited, last_exposure_ns=clock.now_ns - 50_000_000))
+    assert board.read() == replace(waited, last_exposure_ns=clock.now_ns - 50_000_000)
+
+
+async def test_a_long_window_is_as_young_as_its_last_exposure(board: Board, clock: FakeClock) -> None:
+    await clock.advance(60.0)
+    mean = replace(measurement(), t_ns=clock.now_ns - 25 * 10**9, last_exposure_ns=clock.now_ns - 60_000_000)
+    board.publish(mean)
+    assert board.read() is mean
+    await clock.advance(0.95)
+    stale = board.read()
+    assert stale is not None
+    assert not stale.valid
+
+
+async def test_what_claims_to_be_of_the_future_ages_all_the_same(board: Board, clock: FakeClock) -> None:
+    board.publish(replace(measurement(), t_ns=clock.now_ns + 3600 * 10**9))
+    await clock.advance(1.001)
+    read = board.read()
+    assert read is not None
+    assert not read.valid

@@ -1,0 +1,54 @@
+"""Health is of the moment at which it is read."""
+
+from __future__ import annotations
+
+import pytest
+from support.clock import FakeClock
+
+from altd.status.health import FIGURE_AGE_S, Health, State, duration
+
+
+def test_a_message_that_holds_a_time_counts() -> None:
+    clock = FakeClock(5_000_000_000)
+    health = Health(clock)
+    component = health.component("camera front")
+    component.say(State.DEGRADED, lambda now_ns: f"no frame for {(now_ns - 4_750_000_000) * 1e-9:g} s")
+    assert component.message == "no frame for 0.25 s"
+    clock.now_ns += 5_750_000_000
+    assert component.message == "no frame for 6 s"
+    components = health.as_object()["components"]
+    assert isinstance(components, dict)
+    assert components["camera front"] == {
+        "state": "degraded",
+        "message": "no frame for 6 s",
+        "for_s": 5.8,
+    }
+
+
+def test_a_figure_that_is_too_old_is_not_known_and_keeps_its_key() -> None:
+    clock = FakeClock()
+    component = Health(clock).component("camera front")
+    component.observe({"level": 0.62, "exposure_ms": 2.0})
+    clock.now_ns += round(FIGURE_AGE_S * 1e9)
+    component.observe({"level": 0.5})
+    assert component.figures == {"level": 0.5, "exposure_ms": 2.0}
+    clock.now_ns += 1
+    assert component.figures == {"level": 0.5, "exposure_ms": None}
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (-0.1, "0.0 s"),
+        (0, "0.0 s"),
+        (0.25, "0.2 s"),
+        (9.96, "9.9 s"),
+        (10.0, "10 s"),
+        (59.9, "59 s"),
+        (60, "1 min"),
+        (7380, "2 h 3 min"),
+        (86400 * 12 + 7200, "12 d 2 h"),
+    ],
+)
+def test_a_duration_in_words(seconds: float, words: str) -> None:
+    assert duration(seconds) == words

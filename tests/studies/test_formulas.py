@@ -1,0 +1,89 @@
+"""What the studies set beside altd's figures, against physics and against each other."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from altd.errors import BadInputError
+from hw_sim.beam import BeamPose
+from studies import chessboard
+from studies.averaging import sliding_mean
+from studies.fig_3_5 import angle_sigma_deg, monte_carlo_deg, share_within
+from studies.fig_3_17 import angle_error_deg
+from studies.table_3_1 import STEP_MM, displaced_poses
+from studies.table_3_3 import between_nodes
+from studies.table_3_4 import principal_components
+
+
+def test_a_tenth_of_a_millimetre_is_the_thesis_angle() -> None:
+    assert angle_sigma_deg(0.1, 0.1) == pytest.approx(0.0288, abs=2e-4)
+
+
+def test_monte_carlo_through_altd_has_the_sigma_of_the_closed_form() -> None:
+    angles, stated = monte_carlo_deg(0.1, 3000, np.random.default_rng(1))
+    closed = angle_sigma_deg(0.1, 0.1)
+    assert angles.std(axis=0) == pytest.approx([closed, closed], rel=0.04)
+    assert stated == pytest.approx(closed, rel=1e-3)
+
+
+def test_the_closed_form_holds_for_a_slanted_beam_with_unequal_spots() -> None:
+    rng = np.random.default_rng(2)
+    front, rear = rng.normal(0.0, 0.05, 200_000), rng.normal(0.25 * 280.0, 0.02, 200_000)
+    drawn = np.degrees(np.arctan((rear - front) / 280.0)).std()
+    assert drawn == pytest.approx(angle_sigma_deg(0.05, 0.02, slope=0.25), rel=0.01)
+
+
+def test_the_share_within_is_that_of_a_normal_distribution() -> None:
+    drawn = np.abs(np.random.default_rng(3).normal(0.0, 0.0289, 200_000)) <= 0.05
+    assert share_within(0.05, 0.0289) == pytest.approx(drawn.mean(), abs=0.003)
+
+
+def test_heat_falsifies_the_angle_as_a_longer_way_to_the_rear_target_does() -> None:
+    expansion = 23.6e-6 * 50.0
+    beam = BeamPose(0.0, 0.0, 0.11, 0.25)
+    x_mm, y_mm = beam.at(280.0 * (1.0 + expansion))
+    for slope, rear_mm, angle in ((0.11, x_mm, beam.yaw_deg), (0.25, y_mm, beam.pitch_deg)):
+        read = math.degrees(math.atan2(rear_mm, 280.0))
+        assert float(angle_error_deg(slope, expansion)) == pytest.approx(read - angle, abs=1e-12)
+    assert float(angle_error_deg(0.25, expansion)) == pytest.approx(0.0159, abs=1e-4)
+    assert float(angle_error_deg(0.0, expansion)) == 0.0
+
+
+def test_displacements_are_a_millimetre_long_in_any_direction() -> None:
+    poses = displaced_poses(np.random.default_rng(1))
+    at = np.array([(pose.x_mm, pose.y_mm) for pose in poses])
+    moved = at[1::2] - at[::2]
+    assert np.linalg.norm(moved, axis=1) == pytest.approx(np.full(50, STEP_MM))
+    assert np.abs(moved.mean(axis=0)).max() < 0.4
+
+
+def test_the_places_between_the_nodes_are_in_the_middle_of_the_meshes() -> None:
+    at = {(pose.x_mm, pose.y_mm) for pose in between_nodes()}
+    assert at == {(x, y) for x in (-56.0, -28.0, 0.0, 28.0, 56.0) for y in (-42.0, -14.0, 14.0, 42.0)}
+
+
+def test_principal_components_of_errors_are_their_axes_and_sizes() -> None:
+    turn = math.radians(30.0)
+    axes = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    errors = np.random.default_rng(4).normal(0.0, [3.0, 1.0], size=(50_000, 2)) @ axes + [5.0, -2.0]
+    spread, found = principal_components(errors)
+    assert spread == pytest.approx([3.0, 1.0], rel=0.02)
+    assert np.abs(found @ axes.T) == pytest.approx(np.eye(2), abs=0.02)
+
+
+def test_a_sliding_mean_has_one_value_for_each_whole_window() -> None:
+    values = np.arange(12.0).reshape(6, 2) ** 2
+    means = sliding_mean(values, 4)
+    assert means == pytest.approx(np.array([values[k : k + 4].mean(axis=0) for k in range(3)]))
+
+
+def test_without_photographs_the_chessboard_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chessboard, "PHOTOGRAPHS", tmp_path)
+    with pytest.raises(BadInputError, match="holds no photographs"):
+        chessboard.run(lambda _what: None)
