@@ -60,7 +60,7 @@ bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes m
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.area
 
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
-	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/test_guest_unit.py -k "pair or truth or figures"
+	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)

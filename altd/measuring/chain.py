@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 
 import numpy as np
 
@@ -13,12 +14,11 @@ from altd.config import Installation, Measuring
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.measuring.averaging import ExposureWindow
 from altd.measuring.calibration import Calibration
-from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.gate import Gate, range_fault
 from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.spot_locator import Located, SpotLocator
 from altd.measuring.spot_shape import shape_doubts_mm
 from altd.measuring.synchrony import SynchronyCheck
-from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
 from altd.records import (
     Beam,
@@ -33,23 +33,8 @@ from altd.records import (
     Spot,
     TargetPoint,
 )
-from altd.vision.leds import lit_leds, told_from_leds
-from altd.vision.localise import locate
 
-_CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
-
-    Those are frames that were exposed during a change, and the second and later ones of a row that are not
-    new: one that comes twice is lost, with two in a row the camera stands still.
-    """
-
-    spot: Spot | NoSpot
-    breaks: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +85,7 @@ class MeasuringChain:
         self._measuring = measuring
         self._installation = installation
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
-        self._pairer: Pairer[_Found] = Pairer(
+        self._pairer: Pairer[Located] = Pairer(
             tuple(self._views),
             measuring.pair_by,
             measuring.max_skew_ns,
@@ -110,22 +95,21 @@ class MeasuringChain:
         self._origins = origins
         self._calibration_origin = calibration_faults(calibration)
         self._utc = utc
-        self._watch = watch
-        self._identity = identity
         self._place = place
         self._last_place: Place | None = None
-        self._view_checks: dict[str, ViewCheck] = {}
-        for view in views:
-            target = self._calibration[view.target]
-            also = (expected or {}).get(view.camera, CameraIdentity())
-            self._view_checks[view.camera] = ViewCheck(target, (target.camera, also))
-        self._fresh = {camera: FreshnessCheck() for camera in self._views}
-        self._standing_still: set[str] = set()
-        """Cameras whose last frame was not new."""
+        self._locators = {
+            view.camera: SpotLocator(
+                view.camera,
+                self._calibration[view.target],
+                watch,
+                partial(identity, view.camera),
+                (expected or {}).get(view.camera),
+            )
+            for view in views
+        }
         self._synchrony = SynchronyCheck(self._targets)
         self._gate = Gate()
-        self._breaks = dict.fromkeys(self._views, 0)
-        self._breaks_in_window = dict(self._breaks)
+        self._breaks_in_window = dict.fromkeys(self._views, 0)
         self._last_exposure: Exposure | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
         self._last_skew_ns: int | None = None
@@ -162,8 +146,8 @@ class MeasuringChain:
         """Whether the cameras are those that were calibrated, for health."""
         return {
             name: figure
-            for check in self._view_checks.values()
-            for name, figure in check.figures(self._now_ns).items()
+            for locator in self._locators.values()
+            for name, figure in locator.view_check.figures(self._now_ns).items()
         }
 
     def _silent(self) -> set[str]:
@@ -175,33 +159,13 @@ class MeasuringChain:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
             return []
-        view = self._views[frame.camera]
-        self._now_ns = self._last_frame_ns[frame.camera] = frame.t_ns
-        target = self._calibration[view.target]
-        spot: Spot | NoSpot
-        stood_still = frame.camera in self._standing_still
-        if repeated := self._fresh[frame.camera].repeated(frame):
-            self._standing_still.add(frame.camera)
-            spot = NoSpot(Reason.FRAME_REPEATED, repeated)
-        else:
-            self._standing_still.discard(frame.camera)
-            of_target = frame, target.localiser, target.flat, target.spot
-            spot = _CHANGING if frame.changing else locate(*of_target)
-            if isinstance(spot, NoSpot) and len(target.leds_px):
-                spot = told_from_leds(spot, lit_leds(frame, target.leds_px), len(target.leds_px))
-        self._breaks[frame.camera] += frame.changing or (bool(repeated) and stood_still)
-        if not repeated:
-            self._watch(frame, spot)
-            check = self._view_checks[frame.camera]
-            if (objection := check.objection(frame, spot, self._identity(frame.camera))) is not None:
-                spot = objection
-                self._breaks[frame.camera] += 1  # the exposures before it are not to be believed either
-            elif check.displaced_px and isinstance(spot, Spot):
-                spot = replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))
-        self._last_spots[view.target] = spot
-        found = _Found(spot, self._breaks[frame.camera])
-        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, found)
-        return self._measure(pairs)
+        return self.add(self._locators[frame.camera].locate(frame))
+
+    def add(self, located: Located) -> list[Measurement]:
+        """Take what one frame holds; returns the measurements that it completes."""
+        self._now_ns = self._last_frame_ns[located.camera] = located.t_ns
+        self._last_spots[self._views[located.camera].target] = located.spot
+        return self._measure(self._pairer.add(located.camera, located.sequence, located.t_ns, located))
 
     def flush(self) -> list[Measurement]:
         """Settle what still waits for a partner, at the end of a recording."""
@@ -218,11 +182,11 @@ class MeasuringChain:
         self._last_spots = dict.fromkeys(self._targets, silent)
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
-    def _measure(self, pairs: Sequence[Pair[_Found]]) -> list[Measurement]:
+    def _measure(self, pairs: Sequence[Pair[Located]]) -> list[Measurement]:
         measurements = (self._after(self._exposure(pair)) for pair in pairs)
         return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
 
-    def _exposure(self, pair: Pair[_Found]) -> Exposure:
+    def _exposure(self, pair: Pair[Located]) -> Exposure:
         """The spots of one instant.
 
         Forgets the window when one was exposed otherwise, or at another place, than those before.
@@ -234,10 +198,10 @@ class MeasuringChain:
         self._last_skew_ns = None if len(pair.items) == 1 < len(self._views) else pair.skew_ns
         for camera, view in self._views.items():
             if camera in pair.items:
-                found = pair.items[camera]
-                spots[view.target] = found.spot
-                if found.breaks != self._breaks_in_window[camera]:
-                    self._breaks_in_window[camera] = found.breaks
+                located = pair.items[camera]
+                spots[view.target] = located.spot
+                if located.breaks != self._breaks_in_window[camera]:
+                    self._breaks_in_window[camera] = located.breaks
                     self._window.forget()
             else:
                 missing = self._why_missing(pair.missing[camera])

@@ -6,7 +6,8 @@ the BSD-3-Clause, whose text is in ``LICENSE.videodev2`` beside this file. The n
 their meaning is explained (Linux Media Infrastructure userspace API, part I). Only what altd uses is here:
 a field whose name begins with ``_`` stands for several that it does not use.
 
-Call numbers are those of <asm-generic/ioctl.h>, as x86 and ARM have them. ``tests/devices/v4l2/test_abi.py``
+Call numbers are those of <asm-generic/ioctl.h>, as x86 and ARM have them.
+``tests/unit/devices/v4l2/test_abi.py``
 compares all of it with the headers, by a compiler.
 """
 

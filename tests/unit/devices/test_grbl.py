@@ -1,5 +1,5 @@
 """The Grbl driver on the simulated table, over a pseudo-terminal; what the table answers is Grbl's own
-(``tests/hw_sim/test_grbl.py``). Grbl itself is asked where its simulator is installed."""
+(``tests/unit/hw_sim/test_grbl.py``). Grbl itself is asked where its simulator is installed."""
 
 from __future__ import annotations
 

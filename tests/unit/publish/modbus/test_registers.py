@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from publish.modbus.wire import Measured
+from support.modbus_wire import Measured
 
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,

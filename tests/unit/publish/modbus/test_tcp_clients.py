@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from publish.modbus.wire import (
+from support.modbus_wire import (
     EVERYTHING,
     ONE,
     ONE_ANSWER,

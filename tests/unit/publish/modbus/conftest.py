@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from publish.modbus.wire import UNIT, Client, Measured, Serving, connected
 from support.clock import FakeClock
+from support.modbus_wire import UNIT, Client, Measured, Serving, connected
 
 from altd.config import ModbusTcp
 from altd.publish.modbus.tcp import ModbusTcpPublisher

@@ -8,7 +8,7 @@ import struct
 from typing import Any
 
 import pytest
-from publish.modbus.wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measured, connected, frame, words
+from support.modbus_wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measured, connected, frame, words
 
 from altd import __version__
 from altd.publish.modbus.registers import SIZE

@@ -11,9 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from publish.modbus.wire import UNIT, Measured, Serving
 from support.clock import FakeClock
 from support.foreign import need_program
+from support.modbus_wire import UNIT, Measured, Serving
 
 from altd.config import SerialPort
 from altd.publish.modbus.rtu import ModbusRtuPublisher

@@ -8,8 +8,8 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from publish.modbus.rtu_wire import COLLIDING, OTHER, READ_OF_20, frame
-from publish.modbus.wire import ONE, UNIT
+from support.modbus_rtu_wire import COLLIDING, OTHER, READ_OF_20, frame
+from support.modbus_wire import ONE, UNIT
 
 from altd.publish.modbus.bus import LONGEST, TORN_S, Bus, frames_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import struct
 
-from publish.modbus.wire import ONE, UNIT
+from support.modbus_wire import ONE, UNIT
 
 OTHER = 9
 """Another unit on the bus."""

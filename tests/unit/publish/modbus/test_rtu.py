@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from publish.modbus.rtu_wire import COLLIDING, READ_OF_20, crc, frame
-from publish.modbus.wire import ONE, ONE_ANSWER, UNIT, Serving
+from support.modbus_rtu_wire import COLLIDING, READ_OF_20, crc, frame
+from support.modbus_wire import ONE, ONE_ANSWER, UNIT, Serving
 
 from altd.config import SerialPort
 from altd.publish.modbus.registers import SIZE

@@ -1,0 +1,87 @@
+"""One camera's part of the measuring chain: a frame in, its spot or the reason why there is none out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from altd.measuring.calibration import TargetCalibration
+from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.view_check import ViewCheck
+from altd.reasons import Reason
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.vision.leds import lit_leds, told_from_leds
+from altd.vision.localise import locate
+
+_CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
+
+    Those are frames that were exposed during a change, and the second and later ones of a row that are not
+    new: one that comes twice is lost, with two in a row the camera stands still.
+    """
+
+    camera: str
+    sequence: int
+    t_ns: int
+    spot: Spot | NoSpot
+    breaks: int
+
+
+class SpotLocator:
+    """Locates the spot in each frame of one camera, and holds the frame against those before it.
+
+    ``watch`` is shown each new frame, with what was found in it; ``identity`` tells which camera delivers,
+    ``expected`` which should, beside the one that was calibrated.
+    """
+
+    def __init__(
+        self,
+        camera: str,
+        target: TargetCalibration,
+        watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+        identity: Callable[[], CameraIdentity | None] = lambda: None,
+        expected: CameraIdentity | None = None,
+    ) -> None:
+        self._camera = camera
+        self._target = target
+        self._watch = watch
+        self._identity = identity
+        self._freshness = FreshnessCheck()
+        self._stands_still = False
+        """The last frame was not new."""
+        self._breaks = 0
+        self.view_check = ViewCheck(target, (target.camera, expected or CameraIdentity()))
+
+    def locate(self, frame: Frame) -> Located:
+        """The spot of a frame that was taken with the frame LEDs off."""
+        stood_still = self._stands_still
+        repeated = self._freshness.repeated(frame)
+        self._stands_still = bool(repeated)
+        spot = NoSpot(Reason.FRAME_REPEATED, repeated) if repeated else self._spot(frame)
+        self._breaks += frame.changing or (bool(repeated) and stood_still)
+        if not repeated:
+            self._watch(frame, spot)
+            spot = self._checked(frame, spot)
+        return Located(self._camera, frame.sequence, frame.t_ns, spot, self._breaks)
+
+    def _spot(self, frame: Frame) -> Spot | NoSpot:
+        target = self._target
+        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat, target.spot)
+        if isinstance(spot, NoSpot) and len(target.leds_px):
+            spot = told_from_leds(spot, lit_leds(frame, target.leds_px), len(target.leds_px))
+        return spot
+
+    def _checked(self, frame: Frame, spot: Spot | NoSpot) -> Spot | NoSpot:
+        """The spot as far as the camera and its view are those that were calibrated."""
+        check = self.view_check
+        if (objection := check.objection(frame, spot, self._identity())) is not None:
+            self._breaks += 1  # the exposures before it are not to be believed either
+            return objection
+        if check.displaced_px and isinstance(spot, Spot):
+            return replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))
+        return spot
