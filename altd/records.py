@@ -5,7 +5,6 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -221,27 +220,39 @@ class TargetPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Beam:
-    """The beam in the unit frame at the reference plane, with standard deviations (1 sigma)."""
+class Quantity:
+    """One number that an instrument publishes.
 
-    x_mm: float
-    y_mm: float
-    yaw_deg: float
-    pitch_deg: float
-    sigma_x_mm: float
-    sigma_y_mm: float
-    sigma_yaw_deg: float
-    sigma_pitch_deg: float
+    ``key`` names it in JSON and ends in the unit, ``label`` on screens; ``decimals`` are those of JSON, a
+    person sees one less. ``has_sigma``: its standard deviation is published too. ``is_optional``: a valid
+    measurement may be without it. ``is_also`` is the key of the quantity that this one is in another unit.
+    """
 
-    @property
-    def yaw_mm_per_m(self) -> float:
-        """Yaw as a slope, 1000 · tan(yaw)."""
-        return 1000.0 * math.tan(math.radians(self.yaw_deg))
+    key: str
+    label: str
+    unit: str
+    meaning: str
+    decimals: int
+    has_sigma: bool = True
+    is_optional: bool = False
+    is_also: str = ""
 
-    @property
-    def pitch_mm_per_m(self) -> float:
-        """Pitch as a slope, 1000 · tan(pitch)."""
-        return 1000.0 * math.tan(math.radians(self.pitch_deg))
+
+@dataclass(frozen=True, slots=True)
+class Quantities:
+    """What a kind of unit publishes: of the unit as a whole, and of each of its targets."""
+
+    instrument: str
+    of_unit: tuple[Quantity, ...]
+    of_target: tuple[Quantity, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A quantity's value with its standard deviation (1 sigma); None: it has none of its own."""
+
+    value: float
+    sigma: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,8 +261,9 @@ class Measurement:
 
     ``sequence`` is that of the window's last exposure, ``t_ns`` the middle of the exposures that were
     averaged and ``time`` the same instant in UTC (None where the source of the frames does not know it).
-    ``beam`` is None when the measurement is invalid; ``status`` then holds at least one reason that is
-    not a warning. ``points_mm`` holds (x, y) per target of the unit, None where not known.
+    ``values`` holds the values of ``quantities`` by their keys, those that are known; it is empty when the
+    measurement is invalid, and ``status`` then holds at least one reason that is not a warning. ``targets``
+    holds the values of each target of the unit, None where not known.
     ``last_exposure_ns`` is the time of the window's last exposure; None: ``t_ns`` is.
     """
 
@@ -259,10 +271,10 @@ class Measurement:
     t_ns: int
     time: datetime | None
     frames: int
-    beam: Beam | None
-    points_mm: Mapping[str, tuple[float, float] | None]
+    quantities: Quantities
+    values: Mapping[str, Value]
+    targets: Mapping[str, Mapping[str, Value] | None]
     status: tuple[Fault, ...] = ()
-    roll_deg: float | None = None
     last_exposure_ns: int | None = None
 
     @property
@@ -272,13 +284,22 @@ class Measurement:
 
     def without_numbers(self, status: tuple[Fault, ...]) -> Measurement:
         """The same moment, invalid for these reasons."""
-        nowhere = dict.fromkeys(self.points_mm)
-        return replace(self, beam=None, points_mm=nowhere, roll_deg=None, status=status)
+        return replace(self, values={}, targets=dict.fromkeys(self.targets), status=status)
 
     @property
     def valid(self) -> bool:
         """Whether the numbers may be used."""
-        return self.beam is not None
+        return bool(self.values)
+
+    def number(self, key: str) -> float | None:
+        """The value of a quantity; None: not known."""
+        value = self.values.get(key)
+        return None if value is None else value.value
+
+    def sigma(self, key: str) -> float | None:
+        """The standard deviation of a quantity; None: not known."""
+        value = self.values.get(key)
+        return None if value is None else value.sigma
 
 
 def utc_text(time: datetime) -> str:

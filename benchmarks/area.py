@@ -22,7 +22,8 @@ import numpy.typing as npt
 
 from altd.calibration.flat import flats_of
 from altd.calibration.scan import calibrate_scan
-from altd.config import Installation, Measuring
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
@@ -38,6 +39,7 @@ from hw_sim.unit import CAMERAS, Unit, UnitConfig
 TIGHT_HALF_MM = (74.0, 59.0)
 NARROW_PITCH_MM = 25.0
 OUTER_MM = 10.0
+KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 WINDOW = 4
 FLAT_EXPOSURES = 10
 POSES_STREAM = 11
@@ -86,11 +88,12 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
     """The beams of one unit, after its calibration."""
     of_unit = UnitConfig(seed=seed, seen_half_mm=case.seen_half_mm, speckle_contrast=case.speckle_contrast)
     unit = Unit(of_unit)
+    calibration, measuring = _calibrated(case, unit, folder), Measuring(window=WINDOW, every=WINDOW)
     chain = MeasuringChain(
         [View(name, name) for name in CAMERAS],
-        _calibrated(case, unit, folder),
-        Measuring(window=WINDOW, every=WINDOW),
-        Installation(),
+        calibration,
+        measuring,
+        BeamInstrument(calibration, measuring),
         utc=lambda _t_ns: None,
     )
     poses = random_poses(beams, unit.config.target_distance_mm, np.random.default_rng([seed, POSES_STREAM]))
@@ -124,19 +127,12 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
 def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:
     spots = np.abs([pose.at(0.0), pose.at(distance_mm)])
     is_outer = bool(np.any(spots > np.array(HALF_AREA_MM) - OUTER_MM))
-    beam = measurement.beam
-    if beam is None:
+    if not measurement.valid:
         unknown = np.full(4, np.nan)
         return Held(is_outer, unknown, unknown, tuple(map(str, measurement.status)))
-    off = np.array(
-        [
-            beam.x_mm - pose.x_mm,
-            beam.y_mm - pose.y_mm,
-            beam.yaw_deg - pose.yaw_deg,
-            beam.pitch_deg - pose.pitch_deg,
-        ]
-    )
-    sigma = np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
+    values = [measurement.values[key] for key in KEYS]
+    off = np.array([value.value - getattr(pose, key) for key, value in zip(KEYS, values, strict=True)])
+    sigma = np.array([value.sigma for value in values], dtype=np.float64)
     return Held(is_outer, off, sigma, ())
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 import altd.vision.localise as localise_room
 import altd.vision.search as search_room
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.measuring.averaging import ExposureWindow
 from altd.measuring.chain import MeasuringChain, View
@@ -135,8 +136,9 @@ def _figures(stage: _Stage, one_pass_us: float) -> StageFigures:
 def _chain(material: Material) -> MeasuringChain:
     config = make_config()
     views = [View(target.name, target.camera) for target in config.targets]
+    instrument = BeamInstrument(material.calibration, config.measuring, config.installation)
     return MeasuringChain(
-        views, material.calibration, config.measuring, config.installation, lambda: [Fault(Reason.SIMULATED)]
+        views, material.calibration, config.measuring, instrument, lambda: [Fault(Reason.SIMULATED)]
     )
 
 

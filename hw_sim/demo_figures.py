@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.records import Beam, Measurement
+from altd.records import Measurement
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit
 
@@ -20,19 +20,19 @@ EARLY_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One of the numbers that the unit measures; its unit names its fields in ``Beam`` and ``BeamPose``."""
+    """One of the numbers that the unit measures; its unit ends its key, and its field of ``BeamPose``."""
 
     name: str
     unit: str
     decimals: int
 
-    def measured(self, beam: Beam) -> float:
-        """The value."""
-        return float(getattr(beam, f"{self.name}_{self.unit}"))
+    def measured(self, measurement: Measurement) -> float:
+        """The value of a valid measurement."""
+        return measurement.values[f"{self.name}_{self.unit}"].value
 
-    def sigma(self, beam: Beam) -> float:
+    def sigma(self, measurement: Measurement) -> float:
         """Its published standard deviation."""
-        return float(getattr(beam, f"sigma_{self.name}_{self.unit}"))
+        return measurement.values[f"{self.name}_{self.unit}"].sigma or math.nan
 
     def true(self, pose: BeamPose) -> float:
         """The value that the simulator knows."""
@@ -107,15 +107,14 @@ class Figures:
             return  # cameras that are silent make no exposure
         self._last_sequence = measurement.sequence
         self.exposures += 1 + skipped
-        beam = measurement.beam
-        if beam is None:
+        if not measurement.valid:
             return
         self.valid += 1 + skipped
         truth = truth_of(self._unit, measurement)
         for quantity in QUANTITIES:
-            difference = quantity.measured(beam) - quantity.true(truth)
+            difference = quantity.measured(measurement) - quantity.true(truth)
             self._differences[quantity].add(difference)
-            self._in_sigmas[quantity].add(difference / quantity.sigma(beam))
+            self._in_sigmas[quantity].add(difference / quantity.sigma(measurement))
 
     @property
     def seconds(self) -> float:

@@ -101,13 +101,12 @@ class View:
         if measurement is None:
             return f"{head}NOT VALID  nothing measured so far"
         status = " ".join(str(fault) for fault in measurement.status)
-        beam = measurement.beam
-        if beam is None:
+        if not measurement.valid:
             return f"{head}NOT VALID  {status}"
         truth = truth_of(self._unit, measurement)
         values = "  ".join(
-            f"{q.name} {q.measured(beam):8.{q.decimals}f} ±{q.sigma(beam):.{q.decimals}f} "
-            f"({q.measured(beam) - q.true(truth):+.{q.decimals}f}) {q.unit}"
+            f"{q.name} {q.measured(measurement):8.{q.decimals}f} ±{q.sigma(measurement):.{q.decimals}f} "
+            f"({q.measured(measurement) - q.true(truth):+.{q.decimals}f}) {q.unit}"
             for q in QUANTITIES
         )
         return f"{head}valid  {values}  {status}"
@@ -141,13 +140,15 @@ class View:
 
     def _rows(self, measurement: Measurement | None) -> Iterator[str]:
         truth = truth_of(self._unit, measurement) if measurement else None
-        beam = measurement.beam if measurement else None
         for q in QUANTITIES:
             measured = sigma = difference = in_sigmas = "-"
-            if beam is not None and truth is not None:
-                off = q.measured(beam) - q.true(truth)
-                measured, difference = f"{q.measured(beam):.{q.decimals}f}", f"{off:+.{q.decimals}f}"
-                sigma, in_sigmas = f"{q.sigma(beam):.{q.decimals}f}", f"{off / q.sigma(beam):+.1f}"
+            if measurement is not None and measurement.valid and truth is not None:
+                off = q.measured(measurement) - q.true(truth)
+                measured, difference = f"{q.measured(measurement):.{q.decimals}f}", f"{off:+.{q.decimals}f}"
+                sigma, in_sigmas = (
+                    f"{q.sigma(measurement):.{q.decimals}f}",
+                    f"{off / q.sigma(measurement):+.1f}",
+                )
             true = f"{q.true(truth):.{q.decimals}f}" if truth else "-"
             cells = f"{measured:>12}{sigma:>11}{true:>13}{difference:>13}{in_sigmas:>10}"
             yield f"  {q.name:<6}{q.unit:<4}{cells}"

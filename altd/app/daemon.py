@@ -18,6 +18,7 @@ from altd.acquisition.pipeline import Pipeline
 from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
 from altd.config import Config, LiveCamera, SerialPort
 from altd.errors import BadInputError, bare
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.ports import Camera, Clock, Indicators, Lamps
@@ -48,7 +49,8 @@ class Daemon:
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
-        self.board = Board(self.clock, config.measuring.stale_after_s)
+        instrument = BeamInstrument(calibration, config.measuring, config.installation)
+        self.board = Board(self.clock, config.measuring.stale_after_s, instrument.quantities)
         self.health = Health(self.clock)
         self.health.facts |= {
             "version": __version__,
@@ -68,7 +70,7 @@ class Daemon:
             views,
             calibration,
             config.measuring,
-            config.installation,
+            instrument,
             self._origin_faults,
             self.clock.utc,
             self._watch,

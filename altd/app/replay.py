@@ -10,8 +10,9 @@ from typing import Any
 
 from altd.app.scan_positions import ScanPositions
 from altd.calibration.file import check_camera, check_image_size, load_calibration
-from altd.config import Installation, Measuring
+from altd.config import Measuring
 from altd.errors import BadInputError
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import Recording, open_recording
@@ -74,7 +75,7 @@ class Replay:
             [View(name, name) for name in targets],
             self.calibration,
             self.measuring,
-            Installation(),
+            BeamInstrument(self.calibration, self.measuring),
             lambda: origin_faults(origins),
             utc=lambda t_ns: _utc(header.start, t_ns),
             place=positions.place if positions is not None else lambda sequence: None,

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 
-import numpy as np
-
-from altd.config import Installation, Measuring
-from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
+from altd.config import Measuring
 from altd.measuring.averaging import ExposureWindow
 from altd.measuring.calibration import Calibration
-from altd.measuring.gate import Gate, range_fault
+from altd.measuring.gate import Gate
+from altd.measuring.instrument import Instrument
 from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located, SpotLocator
-from altd.measuring.spot_shape import shape_doubts_mm
 from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
 from altd.records import (
-    Beam,
     CameraIdentity,
     Exposure,
     Fault,
-    FloatArray,
     Frame,
     MeanSpots,
     Measurement,
     NoSpot,
     Spot,
-    TargetPoint,
 )
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
@@ -71,7 +64,7 @@ class MeasuringChain:
         views: Sequence[View],
         calibration: Calibration,
         measuring: Measuring,
-        installation: Installation,
+        instrument: Instrument,
         origins: Callable[[], Iterable[Fault]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
         watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
@@ -83,7 +76,7 @@ class MeasuringChain:
         self._targets = tuple(view.target for view in views)
         self._calibration = {target.name: target for target in calibration.targets}
         self._measuring = measuring
-        self._installation = installation
+        self._instrument = instrument
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
         self._pairer: Pairer[Located] = Pairer(
             tuple(self._views),
@@ -233,62 +226,18 @@ class MeasuringChain:
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
             return self._invalid(exposure, mean.t_ns, (fault,))
-        points = self._points(mean)
-        if isinstance(points, Fault):
-            return self._invalid(exposure, mean.t_ns, (points,))
-        targets = [self._calibration[target] for target in mean.targets]
-        doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
-        if isinstance(doubts_mm, Fault):
-            return self._invalid(exposure, mean.t_ns, (doubts_mm,))
-        z_mm = [target.z_mm for target in targets]
-        covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
-        try:
-            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
-        except np.linalg.LinAlgError:
-            fault = Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
-            return self._invalid(exposure, mean.t_ns, (fault,))
-        if self._too_uncertain(beam):
-            fault = _unexplained(mean, points, doubts_mm, covariance) or self._unsteady(beam)
-            return self._invalid(exposure, mean.t_ns, (fault,))
-        if (doubt := range_fault(beam)) is not None:
-            return self._invalid(exposure, mean.t_ns, (doubt,))
-        return self._valid(exposure, mean, points, beam)
-
-    def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
-        points = []
-        for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
-            point = self._calibration[target].point(float(u_px), float(v_px))
-            if point is None:
-                detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
-                return Fault(Reason.OUT_OF_RANGE, detail=detail)
-            if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
-                return Fault(Reason.IMPLAUSIBLE, target, doubt)
-            points.append(point)
-        return points
-
-    def _too_uncertain(self, beam: Beam) -> bool:
-        """What scatters beyond the accuracy that is asked for is no measurement."""
-        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
-        settings = self._measuring
-        return sigma_mm > settings.max_sigma_mm or sigma_mm_per_m > settings.max_sigma_mm_per_m
-
-    def _unsteady(self, beam: Beam) -> Fault:
-        sigma_mm, sigma_mm_per_m = _worst_sigmas(beam)
-        if sigma_mm > self._measuring.max_sigma_mm:
-            return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
-        return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
-
-    def _valid(
-        self, exposure: Exposure, mean: MeanSpots, points: Sequence[TargetPoint], beam: Beam
-    ) -> Measurement:
+        solution = self._instrument.solve(mean)
+        if isinstance(solution, Fault):
+            return self._invalid(exposure, mean.t_ns, (solution,))
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         return Measurement(
             sequence=exposure.sequence,
             t_ns=mean.t_ns,
             time=self._utc(mean.t_ns),
             frames=mean.frames,
-            beam=installed(beam, self._installation),
-            points_mm={t: (p.x_mm, p.y_mm) for t, p in zip(mean.targets, points, strict=True)},
+            quantities=self._instrument.quantities,
+            values=solution.values,
+            targets=solution.targets,
             status=lost + self._origin_faults(),
             last_exposure_ns=exposure.t_ns,
         )
@@ -300,8 +249,9 @@ class MeasuringChain:
             t_ns=t_ns,
             time=self._utc(t_ns),
             frames=0,
-            beam=None,
-            points_mm=dict.fromkeys(self._targets),
+            quantities=self._instrument.quantities,
+            values={},
+            targets=dict.fromkeys(self._targets),
             status=faults + self._origin_faults(),
             last_exposure_ns=exposure.t_ns,
         )
@@ -317,33 +267,3 @@ def calibration_faults(calibration: Calibration) -> tuple[Fault, ...]:
     if not calibration.simulated:
         return ()
     return (Fault(Reason.SIMULATED, detail="the calibration was made from simulated frames"),)
-
-
-def _worst_sigmas(beam: Beam) -> tuple[float, float]:
-    """Of displacement mm and of direction mm/m."""
-    sigma_deg = max(beam.sigma_yaw_deg, beam.sigma_pitch_deg)
-    return max(beam.sigma_x_mm, beam.sigma_y_mm), 1000 * math.radians(sigma_deg)
-
-
-def _unexplained(
-    mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
-) -> Fault | None:
-    """The target whose light makes a measurement too uncertain, where it is that and no motion."""
-    scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
-    unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
-    worst = int(unexplained_mm.argmax())
-    if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
-        return None
-    detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
-    return Fault(Reason.DISTORTED, mean.targets[worst], detail)
-
-
-def installed(beam: Beam, installation: Installation) -> Beam:
-    """The beam as the controller wants it: sign first, then offset; sigmas do not change."""
-    return replace(
-        beam,
-        x_mm=installation.sign_x * beam.x_mm + installation.offset_x_mm,
-        y_mm=installation.sign_y * beam.y_mm + installation.offset_y_mm,
-        yaw_deg=installation.sign_yaw * beam.yaw_deg + installation.offset_yaw_deg,
-        pitch_deg=installation.sign_pitch * beam.pitch_deg + installation.offset_pitch_deg,
-    )

@@ -1,37 +1,12 @@
-"""The last check before publishing: finite and ordered numbers of a beam that the unit can measure."""
+"""The last check before publishing: complete, finite and ordered numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
-
-MAX_YAW_MM_PER_M = 110.0
-MAX_PITCH_MM_PER_M = 250.0
-"""The ranges that are stated for the unit (App. A.1)."""
-_MARGIN_SIGMAS = 3.0
-_MAX_MARGIN_MM_PER_M = 1.0
-"""The accuracy that is required (App. A.1). A beam may lie beyond a range by its uncertainty, up to this."""
-
-
-def range_fault(beam: Beam) -> Fault | None:
-    """Why a beam of the unit frame, before signs and offsets, is none that the unit is made for.
-
-    One that is not finite is left to the gate.
-    """
-    if not (math.isfinite(beam.yaw_deg) and math.isfinite(beam.pitch_deg)):
-        return None
-    for name, slope, sigma_deg, limit in (
-        ("yaw", beam.yaw_mm_per_m, beam.sigma_yaw_deg, MAX_YAW_MM_PER_M),
-        ("pitch", beam.pitch_mm_per_m, beam.sigma_pitch_deg, MAX_PITCH_MM_PER_M),
-    ):
-        sigma = math.radians(sigma_deg) * (1000.0 + slope * slope / 1000.0)
-        if abs(slope) > limit + min(_MARGIN_SIGMAS * sigma, _MAX_MARGIN_MM_PER_M):
-            detail = f"{name} is {slope:.1f} mm/m, the unit measures up to {limit:g}"
-            return Fault(Reason.OUT_OF_RANGE, detail=detail)
-    return None
+from altd.records import Fault, Measurement, Quantity, Value
 
 
 class Gate:
@@ -46,7 +21,7 @@ class Gate:
 
     def admit(self, measurement: Measurement) -> Measurement:
         """The measurement itself, or without its numbers and with the reason."""
-        if measurement.beam is None:
+        if not measurement.valid:
             return measurement
         before, self._last = self._last, measurement
         doubt = next(_doubts(measurement, before), None)
@@ -57,18 +32,10 @@ class Gate:
 
 
 def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[str]:
-    beam = measurement.beam
-    assert beam is not None  # noqa: S101  an invalid one has nothing to doubt
-    values = {name: getattr(beam, name) for name in Beam.__dataclass_fields__}
-    for target, point in measurement.points_mm.items():
-        values |= {f"{target}.x_mm": point[0], f"{target}.y_mm": point[1]} if point else {target: math.nan}
-    if measurement.roll_deg is not None:
-        values["roll_deg"] = measurement.roll_deg
-    for name, value in values.items():
-        if not math.isfinite(value):
-            yield f"{name} is {value}"
-        elif name.startswith("sigma_") and value <= 0.0:
-            yield f"{name} is {value:g}"
+    quantities = measurement.quantities
+    yield from _doubts_of_values("", quantities.of_unit, measurement.values)
+    for target, values in measurement.targets.items():
+        yield from _doubts_of_values(f"{target}.", quantities.of_target, values or {})
     if measurement.frames < 1:
         yield f"it is the mean of {measurement.frames} exposures"
     if before is not None:
@@ -76,3 +43,20 @@ def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[st
             yield f"sequence {measurement.sequence} does not follow {before.sequence}"
         if measurement.light_ns <= before.light_ns:
             yield f"exposed {(before.light_ns - measurement.light_ns) * 1e-9:g} s before the one before it"
+
+
+def _doubts_of_values(
+    prefix: str, quantities: tuple[Quantity, ...], values: Mapping[str, Value]
+) -> Iterator[str]:
+    for quantity in quantities:
+        known = values.get(quantity.key)
+        if known is None:
+            if not quantity.is_optional:
+                yield f"{prefix}{quantity.key} is not known"
+            continue
+        if not math.isfinite(known.value):
+            yield f"{prefix}{quantity.key} is {known.value}"
+        if quantity.has_sigma and known.sigma is None:
+            yield f"{prefix}sigma_{quantity.key} is not known"
+        elif known.sigma is not None and not (math.isfinite(known.sigma) and known.sigma > 0.0):
+            yield f"{prefix}sigma_{quantity.key} is {known.sigma:g}"

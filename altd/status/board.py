@@ -6,13 +6,15 @@ import asyncio
 
 from altd.ports import Clock
 from altd.reasons import Reason
-from altd.records import Fault, Measurement
+from altd.records import Fault, Measurement, Quantities
 
 
 class Board:
     """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped."""
 
-    def __init__(self, clock: Clock, stale_after_s: float) -> None:
+    def __init__(self, clock: Clock, stale_after_s: float, quantities: Quantities) -> None:
+        self.quantities = quantities
+        """What its measurements hold; known before the first."""
         self._clock = clock
         self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.config import Installation, Measuring
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
@@ -27,11 +28,12 @@ _SAME_TIME_NS = 5_000_000
 
 def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:
     """A chain as the daemon makes it."""
+    measuring = Measuring(window=window, every=1)
     return MeasuringChain(
         [View(name, name) for name in calibration.target_names],
         calibration,
-        Measuring(window=window, every=1),
-        Installation(),
+        measuring,
+        BeamInstrument(calibration, measuring),
     )
 
 
@@ -67,13 +69,14 @@ def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Out
     if taken is None:
         return Outcome((), (Judged(Verdict.INVALID, reasons=("refused",)),))
     calibration, measuring, installation = taken
+    measuring = measuring.model_copy(update={"window": WINDOW})
     clip = rig.clip(rng, WINDOW, False)
     names = calibration.target_names
     chain = MeasuringChain(
         [View(name, name) for name in names],
         calibration,
-        measuring.model_copy(update={"window": WINDOW}),
-        installation,
+        measuring,
+        BeamInstrument(calibration, measuring, installation),
     )
     measured = _measured(chain, _shots(clip, Spoil(way.note), rng, 0, rig.bits))
     judged = [judge(one, None if way.is_none else clip.truth(k)) for k, one in measured]

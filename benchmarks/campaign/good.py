@@ -15,7 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from altd.config import Installation, Measuring
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from benchmarks.campaign.cache import calibrated
@@ -192,11 +193,12 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
         if isinstance(spot, NoSpot):
             count.frames_refused[f"{frame.camera}_{spot.reason}"] += 1
 
+    measuring = Measuring(window=WINDOW, every=1)
     chain = MeasuringChain(
         [View(camera, camera) for camera in good.calibration.target_names],
         good.calibration,
-        Measuring(window=WINDOW, every=1),
-        Installation(),
+        measuring,
+        BeamInstrument(good.calibration, measuring),
         watch=watch,
     )
     for step in range(max(1, round(HOUR_S / step_s))):
@@ -223,8 +225,8 @@ def _measure_burst(
                 count.warned.update(judged.warnings)
                 count.invalid.update([", ".join(judged.reasons)] if judged.reasons else [])
                 count.wrong += judged.verdict is Verdict.WRONG
-                if measurement.beam is not None:
-                    values, sigma = arrays(measurement.beam)
+                if measurement.valid:
+                    values, sigma = arrays(measurement)
                     ratio = (values - true) / sigma
                     count.valid += 1
                     count.squares = [a + float(b) ** 2 for a, b in zip(count.squares, ratio, strict=True)]

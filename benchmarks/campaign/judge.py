@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from altd.records import Beam, FloatArray, Measurement
+from altd.records import FloatArray, Measurement
 
 SIGMAS = 5.0
 LIMITS = np.array([0.05, 0.05, 0.01, 0.01])
@@ -40,11 +40,11 @@ def judge(measurement: Measurement, truth: FloatArray | None) -> Judged:
     """Hold a measurement against x mm, y mm, yaw °, pitch °; without a truth every number is wrong."""
     reasons = tuple(str(fault) for fault in measurement.status if not fault.reason.is_warning)
     warnings = tuple(str(fault) for fault in measurement.status if fault.reason.is_warning)
-    if measurement.beam is None:
+    if not measurement.valid:
         return Judged(Verdict.INVALID, reasons=reasons, warnings=warnings)
     if truth is None:
         return Judged(Verdict.WRONG, np.inf, np.inf, np.inf, warnings=warnings)
-    values, sigma = arrays(measurement.beam)
+    values, sigma = arrays(measurement)
     error = np.abs(values - truth)
     error[~np.isfinite(values)] = np.inf
     in_sigmas = error / sigma
@@ -70,11 +70,12 @@ def truth_of(measurement: Measurement, places: FloatArray, times_ns: FloatArray)
     return np.asarray(mean + since @ places / (since @ since) * (measurement.t_ns - times_ns.mean()))
 
 
-def arrays(beam: Beam) -> tuple[FloatArray, FloatArray]:
-    """The values x mm, y mm, yaw °, pitch ° and their sigmas."""
-    values = np.array([beam.x_mm, beam.y_mm, beam.yaw_deg, beam.pitch_deg])
-    sigma = np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
-    return values, sigma
+def arrays(measurement: Measurement) -> tuple[FloatArray, FloatArray]:
+    """The values x mm, y mm, yaw °, pitch ° of a valid measurement, and their sigmas."""
+    values = [measurement.values[key] for key in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")]
+    return np.array([each.value for each in values]), np.array(
+        [each.sigma for each in values], dtype=np.float64
+    )
 
 
 @dataclass(frozen=True, slots=True)

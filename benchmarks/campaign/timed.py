@@ -11,8 +11,9 @@ import numpy as np
 from altd.acquisition.inbox import Inbox
 from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.timestamps import StampCheck
-from altd.config import Installation, Measuring
+from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import FloatArray, Frame, Measurement, PixelArray
 from altd.status.board import Board
@@ -85,13 +86,15 @@ async def _read(
 ) -> list[tuple[int, Measurement | None]]:
     """The board as it is found every 50 ms."""
     clock = HeldClock(START_NS)
-    board = Board(clock, Measuring().stale_after_s)
+    measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
+    instrument = BeamInstrument(rig.calibration, measuring)
+    board = Board(clock, Measuring().stale_after_s, instrument.quantities)
     inbox = Inbox(CAMERAS)
     chain = MeasuringChain(
         [View(name, name) for name in rig.calibration.target_names],
         rig.calibration,
-        Measuring(window=WINDOW, pair_by=way.pair_by),
-        Installation(),
+        measuring,
+        instrument,
     )
     pipeline = Pipeline(
         inbox, chain, board, Health(clock).component("measuring"), clock, Measuring().silent_after_s
@@ -134,9 +137,9 @@ def _without_shaking(places: FloatArray) -> FloatArray:
 
 def _judged(measurement: Measurement, truth: FloatArray, now_ns: int) -> Judged:
     """Against where the machine was at the time that fits best, of those that a reader may be shown."""
-    if measurement.beam is None:
+    if not measurement.valid:
         return judge(measurement, None)
-    values, sigma = arrays(measurement.beam)
+    values, sigma = arrays(measurement)
     oldest, newest = (int((t_ns - START_NS) // PERIOD_NS) for t_ns in (now_ns - _OLDEST_NS, now_ns))
     fine = np.linspace(max(oldest, 0), min(newest, len(truth) - 1), 8 * (newest - max(oldest, 0)) + 1)
     places = np.stack([np.interp(fine, np.arange(len(truth)), column) for column in truth.T], axis=1)

@@ -14,9 +14,12 @@ from typing import Any, TypeVar
 
 from hypothesis import strategies as st
 from support.clock import FakeClock
+from support.measurements import measured
 
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
+from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from tools.pages.example import MEASURED
@@ -29,7 +32,7 @@ class Faces:
 
     def __init__(self) -> None:
         self.clock = FakeClock(MEASURED.t_ns + 520_000_000)
-        self.board = Board(self.clock, stale_after_s=1.0)
+        self.board = Board(self.clock, 1.0, QUANTITIES)
         self.board.publish(MEASURED)
         self.health = Health(self.clock)
         self.health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
@@ -123,7 +126,7 @@ def _with_a_reason(measurement: Measurement) -> Measurement:
 
 
 measurements = st.builds(
-    Measurement,
+    measured,
     sequence=st.integers(0, 2**63),
     t_ns=st.integers(0, 2**62),
     time=_TIMES | _TIMES.map(lambda time: time and time + timedelta(microseconds=999)),

@@ -25,6 +25,7 @@ from support.guest import leave_results
 from support.measurements import measurement
 
 from altd.config import SerialPort
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
@@ -151,7 +152,7 @@ class Unit:
 
     def __init__(self) -> None:
         self.clock = SystemClock()
-        self.board = Board(self.clock, stale_after_s=3600.0)
+        self.board = Board(self.clock, 3600.0, QUANTITIES)
         self.health = Health(self.clock)
         self.slowest_s = 0.0
         """The longest that the event loop was held."""

@@ -1,24 +1,76 @@
-"""Measurements for the tests of boards and publishers."""
+"""Measurements of a beam, for the tests of boards and publishers, and a measurement's beam."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
+from altd.records import Fault, Measurement, Value
 
 BEAM = Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011)
+POINTS_MM = {"front": (10.012, 4.987), "rear": (15.613, -3.413)}
+
+Points = Mapping[str, tuple[float, float] | None]
 
 
 def measurement(sequence: int = 160, t_ns: int = 8_000_000_000, *reasons: Reason) -> Measurement:
     """A valid measurement, or an invalid one when a reason says so."""
     invalid = any(not reason.is_warning for reason in reasons)
-    return Measurement(
+    return measured(
+        None if invalid else BEAM,
+        dict.fromkeys(POINTS_MM) if invalid else POINTS_MM,
         sequence=sequence,
         t_ns=t_ns,
-        time=None,
         frames=0 if invalid else 20,
-        beam=None if invalid else BEAM,
-        points_mm={"front": None, "rear": None}
-        if invalid
-        else {"front": (10.012, 4.987), "rear": (15.613, -3.413)},
         status=tuple(Fault(reason) for reason in reasons),
     )
+
+
+def measured(
+    beam: Beam | None = BEAM, points_mm: Points = POINTS_MM, roll_deg: float | None = None, **fields: Any
+) -> Measurement:
+    """A measurement of that beam; None: an invalid one."""
+    blank = Measurement(160, 8_000_000_000, None, 20, QUANTITIES, {}, {})
+    return changed(replace(blank, **fields), beam, points_mm, roll_deg)
+
+
+def changed(
+    measurement: Measurement,
+    beam: Beam | None,
+    points_mm: Points | None = None,
+    roll_deg: float | None = None,
+    **fields: Any,
+) -> Measurement:
+    """The measurement with another beam, roll and, where they are given, points."""
+    values = {} if beam is None else values_of(beam)
+    if beam is not None and roll_deg is not None:
+        values["roll_deg"] = Value(roll_deg)
+    targets = measurement.targets
+    if points_mm is not None:
+        targets = {
+            target: None if point is None else {"x_mm": Value(point[0]), "y_mm": Value(point[1])}
+            for target, point in points_mm.items()
+        }
+    return replace(measurement, values=values, targets=targets, **fields)
+
+
+def beam_of(measurement: Measurement) -> Beam | None:
+    """What a measurement says of its beam; None: it is invalid."""
+    if not measurement.valid:
+        return None
+    keys = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+    numbers = [measurement.values[key].value for key in keys]
+    sigmas = [measurement.values[key].sigma for key in keys]
+    return Beam(*numbers, *(sigma for sigma in sigmas if sigma is not None))
+
+
+def points_of(measurement: Measurement) -> dict[str, tuple[float, float] | None]:
+    """What a measurement says of the targets, x and y mm."""
+    return {
+        target: None if values is None else (values["x_mm"].value, values["y_mm"].value)
+        for target, values in measurement.targets.items()
+    }

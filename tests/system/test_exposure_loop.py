@@ -9,15 +9,18 @@ import cv2
 import numpy as np
 import pytest
 from support.clock import stop
+from support.measurements import beam_of
 
 from altd.acquisition.auto_exposure.control import ExposureKeeper
 from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
 from altd.app.daemon import Daemon
-from altd.config import Config, ExposureControl, Installation, Measuring
+from altd.config import Config, ExposureControl, Measuring
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.instruments.beam.solver import Beam
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
-from altd.records import Beam, Frame, Measurement, NoSpot, Spot
+from altd.records import Frame, Measurement, NoSpot, Spot
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 from hw_sim.beam import BeamPose, Laser
@@ -58,7 +61,7 @@ class Loop:
             [View(name, name) for name in CAMERAS],
             calibration,
             Measuring(window=WINDOW, pair_by="time"),
-            Installation(),
+            BeamInstrument(calibration, Measuring()),
             watch=self._watch,
         )
         self.cameras = make_cameras(self.unit, real_time=False)
@@ -99,7 +102,7 @@ class Loop:
         return max(invalid) + 1 - since if invalid else 0
 
     def beams(self, since: int) -> list[Beam]:
-        return [m.beam for number, m in self.measured if number >= since and m.beam is not None]
+        return [beam_of(m) for number, m in self.measured if number >= since and beam_of(m) is not None]
 
     def check_well(self, since: int) -> None:
         """From ``since`` on all is valid, in the band, nowhere clipped, and accurate."""

@@ -16,9 +16,11 @@ import pytest
 from support.fed_unit import POSE, calibrate, render, write_config
 from support.foreign import need_program
 from support.guest import run_in_guest
+from support.measurements import beam_of
 
 from altd.calibration.file import load_calibration
-from altd.config import Installation, Measuring
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
@@ -70,11 +72,12 @@ def measured(unit: FedUnit, tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture(scope="module")
 def in_process(unit: FedUnit) -> list[Measurement]:
     """What the measuring chain makes of the same frames without cameras, drivers and daemon, twice round."""
+    calibration = load_calibration(unit.calibration)
     chain = MeasuringChain(
         [View(camera, camera) for camera in CAMERAS],
-        load_calibration(unit.calibration),
+        calibration,
         Measuring(pair_by="time"),
-        Installation(),
+        BeamInstrument(calibration, Measuring()),
         lambda: [Fault(Reason.SIMULATED)],
         lambda _: None,
     )
@@ -124,7 +127,7 @@ def test_measurements_lie_about_the_truth_as_those_of_the_chain_alone(
 ) -> None:
     events = [event for _, event in measured["events"]]
     here = np.array([event[quantity] for event in events]) - getattr(POSE, quantity)
-    alone = np.array([getattr(one.beam, quantity) for one in in_process]) - getattr(POSE, quantity)
+    alone = np.array([getattr(beam_of(one), quantity) for one in in_process]) - getattr(POSE, quantity)
     rms_here, rms_alone = np.sqrt(np.mean(here**2)), np.sqrt(np.mean(alone**2))
     assert rms_here < 1.2 * rms_alone + 1e-4, "the values have four decimals on the wire"
     assert rms_here < 3 * np.mean([event["sigma"][quantity] for event in events])
@@ -157,7 +160,7 @@ if BENCH_S:  # figures of a busy machine say nothing
             for quantity in QUANTITIES:
                 truth = getattr(POSE, quantity)
                 here = np.array([event[quantity] for _, event in events]) - truth
-                alone = np.array([getattr(one.beam, quantity) for one in in_process]) - truth
+                alone = np.array([getattr(beam_of(one), quantity) for one in in_process]) - truth
                 print(f"{quantity}: error {here.mean():+.4f} ± {here.std():.4f}", end=", ")
                 print(f"in process {alone.mean():+.4f} ± {alone.std():.4f}")
 

@@ -6,8 +6,11 @@ import json
 
 import pytest
 from support.clock import FakeClock
+from support.measurements import beam_of
 
-from altd.config import Installation, Measuring
+from altd.config import Measuring
+from altd.instruments.beam.instrument import BeamInstrument
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.ports import CameraTimeoutError
@@ -35,7 +38,7 @@ def measure(unit: Unit, calibration: Calibration, exposures: int = 12) -> list[M
         [View("front", "front"), View("rear", "rear")],
         calibration,
         Measuring(window=WINDOW, max_skew_ms=10.0),
-        Installation(),
+        BeamInstrument(calibration, Measuring()),
     )
     cameras = make_cameras(unit, real_time=False)
     out: list[Measurement] = []
@@ -130,27 +133,32 @@ def test_without_a_fault_the_same_unit_measures(calibration: Calibration) -> Non
     unit = Unit(UnitConfig(seed=SEED))
     unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
     last = measure(unit, calibration)[-1]
-    assert last.beam is not None
-    assert (last.beam.x_mm, last.beam.y_mm) == pytest.approx((8.0, -6.0), abs=0.04)
-    assert (last.beam.yaw_mm_per_m, last.beam.pitch_mm_per_m) == pytest.approx((20.0, 10.0), abs=0.2)
-    assert None not in [number for number in numbers_in(last) if number is not last.roll_deg]
+    assert beam_of(last) is not None
+    assert (beam_of(last).x_mm, beam_of(last).y_mm) == pytest.approx((8.0, -6.0), abs=0.04)
+    assert (beam_of(last).yaw_mm_per_m, beam_of(last).pitch_mm_per_m) == pytest.approx((20.0, 10.0), abs=0.2)
+    assert [quantity.key for quantity in QUANTITIES.of_unit if last.number(quantity.key) is None] == [
+        "roll_deg"
+    ]
 
 
 def test_dropped_frames_cost_exposures_but_no_truth(calibration: Calibration) -> None:
     unit = Unit(UnitConfig(seed=SEED, faults=frozenset({Fault.DROPPED_FRAMES})))
     unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
     for measurement in measure(unit, calibration, exposures=40):
-        if measurement.beam is None:
+        if beam_of(measurement) is None:
             assert measurement.status
         else:
-            assert measurement.beam.x_mm == pytest.approx(8.0, abs=0.04)
+            assert beam_of(measurement).x_mm == pytest.approx(8.0, abs=0.04)
 
 
 def test_a_beam_that_goes_and_comes_back_is_invalid_at_once_and_valid_again(calibration: Calibration) -> None:
     unit = Unit(UnitConfig(seed=SEED))
     unit.place(BeamPose(8.0, -6.0))
     chain = MeasuringChain(
-        [View("front", "front"), View("rear", "rear")], calibration, Measuring(window=20), Installation()
+        [View("front", "front"), View("rear", "rear")],
+        calibration,
+        Measuring(window=20),
+        BeamInstrument(calibration, Measuring()),
     )
     cameras = make_cameras(unit, real_time=False)
     for camera in cameras:

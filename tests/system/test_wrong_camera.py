@@ -14,11 +14,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.measurements import beam_of
 
 from altd.app.daemon import Daemon
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.scan import calibrate_scan
-from altd.config import Config, Installation, Measuring
+from altd.config import Config, Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
@@ -112,7 +114,8 @@ def again(seed: int, count: int, pose: int = 0) -> list[Pictures]:
 
 
 def chain(calibration: Calibration, window: int = 1, **more: Any) -> MeasuringChain:
-    return MeasuringChain(VIEWS, calibration, Measuring(window=window), Installation(), **more)
+    measuring = Measuring(window=window)
+    return MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring), **more)
 
 
 def measured(chain: MeasuringChain, pictures: Sequence[Pictures], first: int = 0) -> list[Measurement]:
@@ -219,12 +222,12 @@ def test_a_picture_that_moved_by_less_than_is_refused_is_uncertain_by_so_much(
         aside = cv2.warpAffine(front, there, front.shape[::-1], flags=cv2.INTER_LANCZOS4)
         (good,) = measured(chain(without_hot_pixels(calibration)), [(front, rear)])
         (moved_aside,) = measured(chain(without_hot_pixels(calibration)), [(aside, rear)])
-        assert good.beam is not None
-        assert moved_aside.beam is not None
-        error_mm = abs(moved_aside.beam.x_mm - good.beam.x_mm)
+        assert beam_of(good) is not None
+        assert beam_of(moved_aside) is not None
+        error_mm = abs(beam_of(moved_aside).x_mm - beam_of(good).x_mm)
         assert error_mm > 0.15 * far_px
-        assert error_mm < 2.5 * moved_aside.beam.sigma_x_mm
-        assert moved_aside.beam.sigma_x_mm < good.beam.sigma_x_mm + 2 * error_mm
+        assert error_mm < 2.5 * beam_of(moved_aside).sigma_x_mm
+        assert beam_of(moved_aside).sigma_x_mm < beam_of(good).sigma_x_mm + 2 * error_mm
 
 
 def test_a_coarse_print_is_no_doubled_picture(tmp_path: Path) -> None:
@@ -238,8 +241,8 @@ def test_a_coarse_print_is_no_doubled_picture(tmp_path: Path) -> None:
         unit.place(pose)
         front, rear = (unit.expose(camera, number, 0).pixels for camera in ("front", "rear"))
         (measurement,) = measured(chain(known), [(front, rear)])
-        assert measurement.beam is not None, measurement.status
-        assert measurement.beam.sigma_x_mm < 0.06
+        assert beam_of(measurement) is not None, measurement.status
+        assert beam_of(measurement).sigma_x_mm < 0.06
 
 
 class TestIdentities:

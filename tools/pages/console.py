@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.serial.console import COMMANDS, PAGE_LINES, WATCH_S, Console
 from altd.publish.serial.lines import KEPT_LINES, LONGEST_LINE, BadLine
 from altd.publish.serial.publisher import PAUSE_S, TURN_BYTES
@@ -68,7 +69,7 @@ Everything that the parts of the unit say and count:
 
 
 def _session(measurement: Measurement, line: str) -> str:
-    console = Console(lambda: measurement, health())
+    console = Console(lambda: measurement, health(), QUANTITIES)
     shown = (console.greet() + console.feed(line.encode() + b"\r")).decode("ascii").replace("\r", "")
     return f"```\n{shown.strip().removesuffix('>').rstrip()}\n```\n"
 

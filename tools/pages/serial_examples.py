@@ -17,8 +17,8 @@ SPOT_LOST = replace(
     MEASURED,
     sequence=180,
     time=datetime(2026, 11, 20, 8, 15, 31, 125_000, UTC),
-    beam=None,
-    points_mm={"front": None, "rear": None},
+    values={},
+    targets={"front": None, "rear": None},
     status=(
         Fault(Reason.SPOT_MISSING, "front", "nothing stands out of the background"),
         Fault(Reason.SPOT_MISSING, "rear", "nothing stands out of the background"),

@@ -4,10 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from altd.records import Beam, FloatArray, MeanSpots, TargetPoint
+from altd.records import FloatArray, MeanSpots, TargetPoint
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """The beam in the unit frame at the reference plane, with standard deviations (1 sigma)."""
+
+    x_mm: float
+    y_mm: float
+    yaw_deg: float
+    pitch_deg: float
+    sigma_x_mm: float
+    sigma_y_mm: float
+    sigma_yaw_deg: float
+    sigma_pitch_deg: float
+
+    @property
+    def yaw_mm_per_m(self) -> float:
+        """Yaw as a slope, 1000 · tan(yaw)."""
+        return _slope_mm_per_m(self.yaw_deg)
+
+    @property
+    def pitch_mm_per_m(self) -> float:
+        """Pitch as a slope, 1000 · tan(pitch)."""
+        return _slope_mm_per_m(self.pitch_deg)
+
+
+def _slope_mm_per_m(angle_deg: float) -> float:
+    """NaN for an angle that is no number: the gate refuses the measurement, and says which angle it was."""
+    return 1000.0 * math.tan(math.radians(angle_deg)) if math.isfinite(angle_deg) else math.nan
 
 
 def joint_covariance_mm2(spots: MeanSpots, points: Sequence[TargetPoint]) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -13,14 +12,13 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from altd.config import Http
+from altd.publish.http.page import page_of
 from altd.publish.http.server import listen, serve
 from altd.publish.http.stream import EventStream, Streams
 from altd.reasons import Reason
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import as_line
-
-_PAGE = Path(__file__).with_name("index.html")
 
 _PAGE_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
@@ -45,7 +43,7 @@ class HttpPublisher:
         self._health = health
         self._component = component
         self._streams = Streams(board, component)
-        self._page = _PAGE.read_text(encoding="utf-8")
+        self._page = page_of(board.quantities)
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the address cannot be had."""

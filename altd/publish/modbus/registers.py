@@ -109,14 +109,18 @@ def _of_measurement(field: str) -> Callable[[Snapshot], float | None]:
     return lambda snapshot: getattr(snapshot.measurement, field, None)
 
 
-def _of_beam(field: str) -> Callable[[Snapshot], float | None]:
-    return lambda snapshot: getattr(snapshot.measurement and snapshot.measurement.beam, field, None)
+def _number(key: str) -> Callable[[Snapshot], float | None]:
+    return lambda snapshot: snapshot.measurement.number(key) if snapshot.measurement else None
 
 
-def _of_point(target: str, axis: int) -> Callable[[Snapshot], float | None]:
+def _sigma(key: str) -> Callable[[Snapshot], float | None]:
+    return lambda snapshot: snapshot.measurement.sigma(key) if snapshot.measurement else None
+
+
+def _of_target(target: str, key: str) -> Callable[[Snapshot], float | None]:
     def coordinate(snapshot: Snapshot) -> float | None:
-        point = snapshot.measurement and snapshot.measurement.points_mm.get(target)
-        return point[axis] if point else None
+        values = (snapshot.measurement and snapshot.measurement.targets.get(target)) or {}
+        return values[key].value if key in values else None
 
     return coordinate
 
@@ -181,21 +185,21 @@ HEADER = (
 )
 
 _QUANTITIES: tuple[tuple[str, str, str, Callable[[Snapshot], float | None]], ...] = (
-    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", _of_beam("x_mm")),
-    ("y", "mm", "beam at the reference plane, up", _of_beam("y_mm")),
-    ("yaw", "°", "direction of the beam, horizontal", _of_beam("yaw_deg")),
-    ("pitch", "°", "direction of the beam, vertical", _of_beam("pitch_deg")),
-    ("yaw_slope", "mm/m", "yaw as a slope", _of_beam("yaw_mm_per_m")),
-    ("pitch_slope", "mm/m", "pitch as a slope", _of_beam("pitch_mm_per_m")),
-    ("roll", "°", "from an inclinometer; not known without one", _of_measurement("roll_deg")),
-    ("sigma_x", "mm", "standard deviation of x", _of_beam("sigma_x_mm")),
-    ("sigma_y", "mm", "standard deviation of y", _of_beam("sigma_y_mm")),
-    ("sigma_yaw", "°", "standard deviation of yaw", _of_beam("sigma_yaw_deg")),
-    ("sigma_pitch", "°", "standard deviation of pitch", _of_beam("sigma_pitch_deg")),
-    ("front_x", "mm", "spot on the front target", _of_point("front", 0)),
-    ("front_y", "mm", "spot on the front target", _of_point("front", 1)),
-    ("rear_x", "mm", "spot on the rear target", _of_point("rear", 0)),
-    ("rear_y", "mm", "spot on the rear target", _of_point("rear", 1)),
+    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", _number("x_mm")),
+    ("y", "mm", "beam at the reference plane, up", _number("y_mm")),
+    ("yaw", "°", "direction of the beam, horizontal", _number("yaw_deg")),
+    ("pitch", "°", "direction of the beam, vertical", _number("pitch_deg")),
+    ("yaw_slope", "mm/m", "yaw as a slope", _number("yaw_mm_per_m")),
+    ("pitch_slope", "mm/m", "pitch as a slope", _number("pitch_mm_per_m")),
+    ("roll", "°", "from an inclinometer; not known without one", _number("roll_deg")),
+    ("sigma_x", "mm", "standard deviation of x", _sigma("x_mm")),
+    ("sigma_y", "mm", "standard deviation of y", _sigma("y_mm")),
+    ("sigma_yaw", "°", "standard deviation of yaw", _sigma("yaw_deg")),
+    ("sigma_pitch", "°", "standard deviation of pitch", _sigma("pitch_deg")),
+    ("front_x", "mm", "spot on the front target", _of_target("front", "x_mm")),
+    ("front_y", "mm", "spot on the front target", _of_target("front", "y_mm")),
+    ("rear_x", "mm", "spot on the rear target", _of_target("rear", "x_mm")),
+    ("rear_y", "mm", "spot on the rear target", _of_target("rear", "y_mm")),
 )
 
 FLOAT_BLOCK = tuple(

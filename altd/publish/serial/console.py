@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
-from altd.records import Measurement
+from altd.records import Measurement, Quantities
 from altd.status.health import Health
 
 PROMPT = b"> "
@@ -27,9 +27,12 @@ _LEAVING = {"e": "exit", "q": "quit"}
 class Console:
     """One console. ``watching_s`` is the interval at which ``tick`` is due, None while nobody watches."""
 
-    def __init__(self, read: Callable[[], Measurement | None], health: Health) -> None:
+    def __init__(
+        self, read: Callable[[], Measurement | None], health: Health, quantities: Quantities
+    ) -> None:
         self.read = read
         self.health = health
+        self.quantities = quantities
         self.watching_s: float | None = None
         self.commands = 0
         """Commands that were carried out."""
@@ -181,7 +184,7 @@ def _watch(console: Console, seconds: str = "1") -> str:
     if not shortest <= interval_s <= longest:
         raise UsageError(f"watch wants seconds from {shortest:g} to {longest:g}, not {seconds!r}")
     console.watching_s = interval_s
-    return "\n".join(["any key ends it", watch_head(), watch_line(console.read())])
+    return "\n".join(["any key ends it", watch_head(console.quantities), watch_line(console.read())])
 
 
 COMMANDS = {

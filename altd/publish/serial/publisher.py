@@ -91,7 +91,7 @@ class ConsolePublisher:
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
-        console = Console(self._board.read, self._health)
+        console = Console(self._board.read, self._health, self._board.quantities)
         async with opened(self._settings, limit=CONSOLE_WAITING, fresh=False) as port:
             ready()
             self._component.say(State.OK, console_message(self._settings))

@@ -71,13 +71,9 @@ class Telegram:
             sequence=measurement.sequence % SEQUENCE_MODULUS,
         )
         codes = _ordered_codes(measurement)
-        full = replace(
-            head,
-            mode=_mode(measurement),
-            frames=measurement.frames,
-            roll_deg=measurement.roll_deg,
-            **{name: getattr(measurement.beam, name) for name in OF_BEAM if measurement.beam is not None},
-        )
+        numbers: dict[str, Any] = {key: measurement.number(key) for key in NUMBERS}
+        numbers |= {f"sigma_{key}": measurement.sigma(key) for key in SIGMAS}
+        full = replace(head, mode=_mode(measurement), frames=measurement.frames, **numbers)
         try:
             return full._with_reasons(codes)
         except TelegramError:
@@ -98,16 +94,10 @@ class Telegram:
         return telegram
 
 
-OF_BEAM = (
-    "x_mm",
-    "y_mm",
-    "yaw_deg",
-    "pitch_deg",
-    "sigma_x_mm",
-    "sigma_y_mm",
-    "sigma_yaw_deg",
-    "sigma_pitch_deg",
-)
+SIGMAS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+"""Keys of the quantities whose standard deviation is sent."""
+NUMBERS = (*SIGMAS, "roll_deg")
+"""Keys of the quantities that are sent."""
 """Fields that are all filled in a valid telegram and all empty in an invalid one."""
 
 
@@ -224,7 +214,7 @@ def parse(data: bytes) -> Telegram:
     values = decoded[0] | decoded[1]
     if values["mode"] is None:
         raise TelegramError("mode", "is empty")
-    for name in OF_BEAM:
+    for name in (*SIGMAS, *(f"sigma_{key}" for key in SIGMAS)):
         if (values[name] is None) != (values["mode"] is Mode.INVALID):
             raise TelegramError(name, f"does not go with mode {values['mode']}")
     return Telegram(**values)

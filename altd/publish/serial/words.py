@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from textwrap import fill
 
 from altd.publish.serial.advice import advice, component_steps
-from altd.records import Beam, Fault, Measurement, utc_text
+from altd.records import Fault, Measurement, Quantities, Quantity, utc_text
 from altd.status.health import MEASURING, Component, Health, State, duration
 
 WIDTH = 79
@@ -21,18 +21,14 @@ def measurement_text(measurement: Measurement | None) -> str:
         return _NO_MEASUREMENT
     time = "time not known" if measurement.time is None else utc_text(measurement.time)
     lines = [f"measurement {measurement.sequence}, {time}, mean of {measurement.frames} exposures"]
-    if measurement.beam is not None:
-        lines += _beam_lines(measurement.beam)
-        roll = measurement.roll_deg
-        lines.append("  roll      not available" if roll is None else f"  roll   {roll:10.4f} deg")
-    else:
-        lines.append("  NOT VALID")
+    lines += _value_lines(measurement) if measurement.valid else ["  NOT VALID"]
     return "\n".join([*lines, *_reason_lines(measurement.status)])
 
 
-def watch_head() -> str:
+def watch_head(quantities: Quantities) -> str:
     """The headings over the lines of ``watch_line``."""
-    return f"{'time (UTC)':<14}{'x mm':>11}{'y mm':>11}{'yaw deg':>11}{'pitch deg':>11}"
+    heads = (f"{f'{quantity.label} {_unit(quantity)}':>11}" for quantity in _watched(quantities))
+    return f"{'time (UTC)':<14}{''.join(heads)}"
 
 
 def watch_line(measurement: Measurement | None) -> str:
@@ -40,12 +36,14 @@ def watch_line(measurement: Measurement | None) -> str:
     if measurement is None:
         return "no measurement so far"
     time = "-" if measurement.time is None else utc_text(measurement.time)[11:23]
-    beam = measurement.beam
     codes = " ".join(str(fault) for fault in measurement.status)
-    if beam is None:
+    if not measurement.valid:
         return f"{time:<14}NOT VALID: {codes}"[:WIDTH]
-    numbers = f"{beam.x_mm:11.3f}{beam.y_mm:11.3f}{beam.yaw_deg:11.4f}{beam.pitch_deg:11.4f}"
-    return f"{time:<14}{numbers} {codes}"[:WIDTH].rstrip()
+    numbers = (
+        f"{measurement.values[quantity.key].value:11.{quantity.decimals - 1}f}"
+        for quantity in _watched(measurement.quantities)
+    )
+    return f"{time:<14}{''.join(numbers)} {codes}"[:WIDTH].rstrip()
 
 
 def status_text(measurement: Measurement | None, health: Health, *, whole: bool = False) -> str:
@@ -68,19 +66,30 @@ def status_text(measurement: Measurement | None, health: Health, *, whole: bool 
     return "\n".join(lines)
 
 
-def _beam_lines(beam: Beam) -> list[str]:
-    lines = [
-        f"  {name:<7}{value:10.3f} mm  +/- {sigma:.3f}"
-        for name, value, sigma in (("x", beam.x_mm, beam.sigma_x_mm), ("y", beam.y_mm, beam.sigma_y_mm))
-    ]
-    angles = (
-        ("yaw", beam.yaw_deg, beam.sigma_yaw_deg, beam.yaw_mm_per_m),
-        ("pitch", beam.pitch_deg, beam.sigma_pitch_deg, beam.pitch_mm_per_m),
-    )
-    return lines + [
-        f"  {name:<7}{angle:10.4f} deg +/- {sigma:.4f}  ={slope:9.3f} mm/m"
-        for name, angle, sigma, slope in angles
-    ]
+def _watched(quantities: Quantities) -> list[Quantity]:
+    """Those that every valid measurement has, each in one unit."""
+    return [each for each in quantities.of_unit if not (each.is_also or each.is_optional)]
+
+
+def _value_lines(measurement: Measurement) -> list[str]:
+    """A line a quantity, with what it is in another unit behind it."""
+    lines = {}
+    for quantity in measurement.quantities.of_unit:
+        value, decimals = measurement.values.get(quantity.key), quantity.decimals - 1
+        if value is None:
+            lines[quantity.key] = f"  {quantity.label:<10}not available"
+        elif quantity.is_also:
+            lines[quantity.is_also] += f"  ={value.value:9.{decimals}f} {_unit(quantity)}"
+        else:
+            sigma = "" if value.sigma is None else f"+/- {value.sigma:.{decimals}f}"
+            line = f"  {quantity.label:<7}{value.value:10.{decimals}f} {_unit(quantity):<4}{sigma}"
+            lines[quantity.key] = line.rstrip()
+    return list(lines.values())
+
+
+def _unit(quantity: Quantity) -> str:
+    """In ASCII."""
+    return quantity.unit.replace("°", "deg")
 
 
 def _reason_lines(status: Sequence[Fault]) -> list[str]:

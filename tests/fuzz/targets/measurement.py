@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 import pynmea2
 from fuzz.served import measurements
+from support.measurements import beam_of
 
 from altd.publish.http.stream import event
 from altd.publish.modbus.registers import Snapshot, image
@@ -48,8 +49,8 @@ def _check_telegram(measurement: Measurement) -> None:
         assert set(numbers + sigmas) == {""}
         assert fields[1][7] != ""
     else:
-        assert measurement.beam is not None
-        beam = measurement.beam
+        assert beam_of(measurement) is not None
+        beam = beam_of(measurement)
         for text, wanted, digits in (
             *zip(numbers[:2], (beam.x_mm, beam.y_mm), (3, 3), strict=True),
             *zip(numbers[2:], (beam.yaw_deg, beam.pitch_deg), (4, 4), strict=True),

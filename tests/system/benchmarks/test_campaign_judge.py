@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from support.measurements import measured as measurement_of
 
+from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
+from altd.records import Fault, Measurement
 from benchmarks.campaign import table
 from benchmarks.campaign.judge import Judged, Outcome, Tally, Verdict, judge, truth_of
 
@@ -16,15 +18,17 @@ TRUTH = np.array([10.0, -5.0, 1.0, -2.0])
 SIGMA = (0.004, 0.004, 0.001, 0.001)
 
 
-def measured(
+def beam_measured(
     error: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), sigma: tuple[float, ...] = SIGMA
 ) -> Measurement:
     values = [float(true + off) for true, off in zip(TRUTH, error, strict=True)]
-    return Measurement(7, 0, None, 4, Beam(*values, *sigma), {})
+    return measurement_of(Beam(*values, *sigma), sequence=7, t_ns=0, frames=4)
 
 
 def invalid(*reasons: Reason) -> Measurement:
-    return Measurement(7, 0, None, 0, None, {}, tuple(Fault(reason) for reason in reasons))
+    return measurement_of(
+        None, sequence=7, t_ns=0, frames=0, status=tuple(Fault(reason) for reason in reasons)
+    )
 
 
 @pytest.mark.parametrize(
@@ -45,16 +49,16 @@ def invalid(*reasons: Reason) -> Measurement:
 def test_wrong_is_above_five_sigmas_and_above_a_limit(
     error: tuple[float, ...], sigma: tuple[float, ...], verdict: Verdict
 ) -> None:
-    assert judge(measured(error, sigma), TRUTH).verdict is verdict
+    assert judge(beam_measured(error, sigma), TRUTH).verdict is verdict
 
 
 def test_any_number_is_wrong_where_no_beam_is() -> None:
-    assert judge(measured(), None).verdict is Verdict.WRONG
+    assert judge(beam_measured(), None).verdict is Verdict.WRONG
     assert judge(invalid(Reason.SPOT_MISSING), None).verdict is Verdict.INVALID
 
 
 def test_the_largest_error_is_kept_of_each_kind() -> None:
-    one = judge(measured((0.06, -0.08, 0.004, -0.02)), TRUTH)
+    one = judge(beam_measured((0.06, -0.08, 0.004, -0.02)), TRUTH)
     assert one.error_mm == pytest.approx(0.08)
     assert one.error_deg == pytest.approx(0.02)
     assert one.sigmas == pytest.approx(20.0)
@@ -133,7 +137,7 @@ def test_the_table_says_what_was_counted() -> None:
 def test_truth_follows_the_time_of_a_measurement_whose_window_lost_exposures() -> None:
     times_ns = np.arange(4) * 50e6
     places = np.outer(np.arange(4), [1.0, 2.0, 0.0, -1.0])
-    whole = Measurement(7, 75_000_000, None, 4, None, {})
-    late = Measurement(7, 125_000_000, None, 2, None, {})
+    whole = measurement_of(None, sequence=7, t_ns=75_000_000, frames=4)
+    late = measurement_of(None, sequence=7, t_ns=125_000_000, frames=2)
     assert truth_of(whole, places, times_ns) == pytest.approx([1.5, 3.0, 0.0, -1.5])
     assert truth_of(late, places, times_ns) == pytest.approx([2.5, 5.0, 0.0, -2.5])

@@ -11,6 +11,7 @@ from support.measurements import measurement
 
 from altd.acquisition.inbox import Inbox
 from altd.acquisition.pipeline import Pipeline
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.reasons import Reason
 from altd.records import Frame, Measurement
 from altd.status.board import Board
@@ -57,7 +58,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.clock = FakeClock()
-        self.board = Board(self.clock, 1.0)
+        self.board = Board(self.clock, 1.0, QUANTITIES)
         self.inbox = Inbox(("front", "rear"))
         self.chain = Chain()
         self.component = Health(self.clock).component("measuring")

@@ -24,9 +24,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+from support.measurements import measured as measurement_of
 
 from altd.app.daemon import Daemon
-from altd.records import Measurement
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 from hw_sim.demo_figures import Figures
@@ -299,5 +299,5 @@ async def test_a_pair_is_lost_once_however_its_frames_are(
     health.component("measuring").count("dropped_front", dropped)
     health.component("measuring").count("late_frames", late)
     figures = Figures(cast("Daemon", SimpleNamespace(health=health)), cast("Unit", None))
-    figures.take(Measurement(99, 0, None, 0, None, {}), skipped=measured - 1)
+    figures.take(measurement_of(None, sequence=99, frames=0), skipped=measured - 1)
     assert figures.pairs_lost == lost

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.measurements import beam_of, points_of
 from support.recordings import picture, write_scan
 
 from altd.calibration.scan import calibrate_scan
 from altd.config import Installation, Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.chain import MeasuringChain, View
@@ -27,11 +29,12 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
 
 
 def chain(calibration: Calibration, *origins: Reason, **installation: float) -> MeasuringChain:
+    measuring = Measuring(window=4)
     return MeasuringChain(
         VIEWS,
         calibration,
-        Measuring(window=4),
-        Installation.model_validate(installation),
+        measuring,
+        BeamInstrument(calibration, measuring, Installation.model_validate(installation)),
         lambda: map(Fault, origins),
     )
 
@@ -55,22 +58,22 @@ def test_signs_and_offsets_are_applied_to_the_published_beam_only(calibration: C
     turned = last(
         chain(calibration, sign_x=-1, offset_x_mm=100.0, sign_pitch=-1, offset_pitch_deg=1.0), frames
     )
-    assert plain.beam is not None
-    assert turned.beam is not None
-    assert turned.beam.x_mm == pytest.approx(100.0 - plain.beam.x_mm)
-    assert turned.beam.pitch_deg == pytest.approx(1.0 - plain.beam.pitch_deg)
-    assert (turned.beam.y_mm, turned.beam.yaw_deg) == (plain.beam.y_mm, plain.beam.yaw_deg)
-    assert (turned.beam.sigma_x_mm, turned.points_mm) == (plain.beam.sigma_x_mm, plain.points_mm)
+    assert beam_of(plain) is not None
+    assert beam_of(turned) is not None
+    assert beam_of(turned).x_mm == pytest.approx(100.0 - beam_of(plain).x_mm)
+    assert beam_of(turned).pitch_deg == pytest.approx(1.0 - beam_of(plain).pitch_deg)
+    assert (beam_of(turned).y_mm, beam_of(turned).yaw_deg) == (beam_of(plain).y_mm, beam_of(plain).yaw_deg)
+    assert (beam_of(turned).sigma_x_mm, points_of(turned)) == (beam_of(plain).sigma_x_mm, points_of(plain))
 
 
 def test_a_far_reference_plane_moves_the_displacement_and_widens_its_sigma(calibration: Calibration) -> None:
     frames = shots([(10.0, 5.0)] * 4)
     near = last(chain(calibration), frames)
     far = last(chain(calibration, reference_plane_mm=-1000.0), frames)
-    assert near.beam is not None
-    assert far.beam is not None
-    assert far.beam.x_mm == pytest.approx(near.beam.x_mm - near.beam.yaw_mm_per_m, abs=1e-6)
-    assert far.beam.sigma_x_mm > 3 * near.beam.sigma_x_mm
+    assert beam_of(near) is not None
+    assert beam_of(far) is not None
+    assert beam_of(far).x_mm == pytest.approx(beam_of(near).x_mm - beam_of(near).yaw_mm_per_m, abs=1e-6)
+    assert beam_of(far).sigma_x_mm > 3 * beam_of(near).sigma_x_mm
 
 
 def test_frames_that_are_not_live_are_said_to_be_so_valid_or_not(calibration: Calibration) -> None:
@@ -102,10 +105,10 @@ def test_no_mean_holds_exposures_from_before_and_after_a_change(
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == camera and 6 <= f.sequence < 6 + marked) for f in frames]
     after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
-    means = {sequence: m.beam.x_mm for sequence, m in after if m.beam is not None}
+    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
     assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
     assert set(means) == {1, 2, 3, 4, 5, *range(6 + marked + 1, 16)}  # two of four exposures make a mean
-    invalid = {str(fault) for _, m in after[1:] if m.beam is None for fault in m.status}
+    invalid = {str(fault) for _, m in after[1:] if beam_of(m) is None for fault in m.status}
     assert invalid == {"front_exposure_changing" if camera == "left" else "rear_exposure_changing"}
 
 
@@ -119,7 +122,7 @@ def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibrati
         for f in frames
     ]
     after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
-    means = [m.beam.x_mm for sequence, m in after if m.beam is not None and sequence > 4]
+    means = [beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None and sequence > 4]
     assert means
     assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
 
@@ -130,7 +133,7 @@ def test_who_watches_is_shown_each_measured_frame_with_its_spot(calibration: Cal
         VIEWS,
         calibration,
         Measuring(window=4),
-        Installation(),
+        BeamInstrument(calibration, Measuring()),
         watch=lambda frame, spot: seen.append((frame.camera, frame.sequence, type(spot))),
     )
     *frames, third, _ = shots([(10.0, 5.0)] * 3)
@@ -154,8 +157,8 @@ def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Cal
         wandering.light_ns > wandering.t_ns
     )  # what is invalid is as old as its last light, and not stale sooner
     drifting = last(chain(calibration), shots([(0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0)]))
-    assert drifting.beam is not None
-    assert drifting.beam.x_mm == pytest.approx(0.075, abs=0.03)
+    assert beam_of(drifting) is not None
+    assert beam_of(drifting).x_mm == pytest.approx(0.075, abs=0.03)
 
 
 @pytest.mark.parametrize("which", ["map", "cross_check"])
@@ -180,10 +183,10 @@ def test_maps_that_contradict_each_other_are_implausible(
         targets=tuple(spoilt(known) if known.name == target else known for known in calibration.targets),
     )
     frames = shots([(10.0, 5.0)] * 4)
-    assert last(chain(calibration), frames).beam is not None
+    assert last(chain(calibration), frames).valid
     measurement = last(chain(wrong), frames)
     assert [str(fault) for fault in measurement.status] == [f"{target}_implausible"]
-    assert (measurement.beam, set(measurement.points_mm.values())) == (None, {None})
+    assert (beam_of(measurement), set(points_of(measurement).values())) == (None, {None})
     assert " px apart at x " in measurement.status[0].detail
 
 
@@ -197,8 +200,8 @@ def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> 
     ]
     measurements = [m for frame in later for m in measured.push(frame)]
     assert [str(f) for f in measurements[0].status] == ["warming_up"]
-    assert measurements[1].beam is not None
-    assert measurements[1].beam.x_mm == pytest.approx(20.0, abs=0.05)
+    assert beam_of(measurements[1]) is not None
+    assert beam_of(measurements[1]).x_mm == pytest.approx(20.0, abs=0.05)
 
 
 @pytest.mark.parametrize("silent", ["left", "right"])
@@ -207,7 +210,7 @@ def test_one_silent_camera_makes_it_invalid_within_0_4_s(
     calibration: Calibration, silent: str, pair_by: str
 ) -> None:
     measuring = Measuring.model_validate({"window": 20, "pair_by": pair_by})
-    measured = MeasuringChain(VIEWS, calibration, measuring, Installation())
+    measured = MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring))
     frames = shots([(10.0, 5.0)] * 40)
     heard_ns = 0
     validity: list[tuple[float, bool]] = []
@@ -228,13 +231,13 @@ def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibratio
     last(measured, shots([(10.0, 5.0)] * 4))
     silent = measured.silence(9_000_000_000)
     assert [str(f) for f in silent.status] == ["front_camera_silent", "rear_camera_silent"]
-    assert (silent.sequence, silent.t_ns, silent.beam) == (3, 9_000_000_000, None)
+    assert (silent.sequence, silent.t_ns, beam_of(silent)) == (3, 9_000_000_000, None)
 
 
 def test_what_is_known_of_the_step_and_of_a_silent_camera_is_of_now(calibration: Calibration) -> None:
     """The right camera goes silent, then both."""
     measured = MeasuringChain(
-        VIEWS, calibration, Measuring(window=4, pair_by="time"), Installation.model_validate({})
+        VIEWS, calibration, Measuring(window=4, pair_by="time"), BeamInstrument(calibration, Measuring())
     )
     frames = [replace(f, t_ns=f.t_ns + (f.camera == "right") * 3_000_000) for f in shots([(10.0, 5.0)] * 30)]
     for frame in frames[:12]:

@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import pytest
+from support.measurements import beam_of
 
 from altd.config import Installation, Measuring
+from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
@@ -24,7 +26,8 @@ Lie = Callable[[Frame, int], Frame]
 
 def chain(calibration: Calibration, installation: Installation | None = None) -> MeasuringChain:
     views = [View(name, name) for name in CAMERAS]
-    return MeasuringChain(views, calibration, Measuring(window=WINDOW), installation or Installation())
+    measuring = Measuring(window=WINDOW)
+    return MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring, installation))
 
 
 def shown(unit: Unit, count: int) -> Iterator[Frame]:
@@ -83,7 +86,7 @@ def test_a_frame_that_comes_twice_is_lost_and_no_more(calibration_of_unit_3: Cal
     results = dict(measured(chain(calibration_of_unit_3), doubled()))
     assert all(m.valid for n, m in results.items() if n >= WINDOW)
     assert [n for n, m in results.items() if codes(m) == ["exposures_lost"]] == list(range(20, 20 + WINDOW))
-    beam = results[20].beam
+    beam = beam_of(results[20])
     assert beam is not None
     assert results[20].frames == WINDOW - 1
 
@@ -155,4 +158,4 @@ def test_a_number_that_jumped_costs_less_than_a_second(calibration_of_unit_3: Ca
 
     results = measured(chain(calibration_of_unit_3), jumping())
     assert all(m.valid for n, m in results if 30 + 20 <= n < 60)
-    assert FRONT in results[-1][1].points_mm
+    assert FRONT in results[-1][1].targets

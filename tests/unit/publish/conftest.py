@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from support.clock import FakeClock
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.status.board import Board
 from altd.status.health import Health
 
@@ -16,7 +17,7 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def board(clock: FakeClock) -> Board:
-    return Board(clock, stale_after_s=1.0)
+    return Board(clock, 1.0, QUANTITIES)
 
 
 @pytest.fixture

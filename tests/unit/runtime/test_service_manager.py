@@ -8,6 +8,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import measurement
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.reasons import Reason
 from altd.runtime.service_manager import ServiceManager
 from altd.status.board import Board
@@ -34,7 +35,7 @@ def words(link: socket.socket) -> list[str]:
 
 async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only(told: socket.socket) -> None:
     clock = FakeClock(10**9)
-    board = Board(clock, 1.0)
+    board = Board(clock, 1.0, QUANTITIES)
     manager = ServiceManager(board, clock, "unit A", ["http"])
     board.publish(measurement(1, 0, Reason.WARMING_UP))
     manager.progress()
@@ -51,7 +52,7 @@ async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only
 
 async def test_a_manager_that_does_not_read_or_is_gone_holds_nothing(told: socket.socket) -> None:
     clock = FakeClock(10**9)
-    board = Board(clock, 1.0)
+    board = Board(clock, 1.0, QUANTITIES)
     manager = ServiceManager(board, clock, "unit A", ["http"])
     board.publish(measurement(1))
     for _ in range(200):  # far more than a socket's queue holds
@@ -65,7 +66,7 @@ async def test_a_manager_that_does_not_read_or_is_gone_holds_nothing(told: socke
 async def test_ready_is_repeated_until_it_was_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "later"))
     clock = FakeClock(10**9)
-    board = Board(clock, 10.0)
+    board = Board(clock, 10.0, QUANTITIES)
     manager = ServiceManager(board, clock, "unit A", ["http"])
     manager.progress()  # nothing on the board yet
     board.publish(measurement(1))
@@ -88,7 +89,7 @@ async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     clock = FakeClock(10**9)
-    board = Board(clock, 1.0)
+    board = Board(clock, 1.0, QUANTITIES)
     manager = ServiceManager(board, clock, "unit A", ["http"])
     with caplog.at_level(logging.INFO, "altd"):
         for number in range(200):

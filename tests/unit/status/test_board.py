@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock, settle
-from support.measurements import measurement
+from support.measurements import measurement, points_of
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.reasons import Reason
 from altd.status.board import Board
 
@@ -18,7 +19,7 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def board(clock: FakeClock) -> Board:
-    return Board(clock, stale_after_s=1.0)
+    return Board(clock, 1.0, QUANTITIES)
 
 
 def test_an_empty_board_reads_nothing(board: Board) -> None:
@@ -35,7 +36,7 @@ async def test_a_value_that_nothing_follows_loses_its_numbers(board: Board, cloc
     stale = board.read()
     assert stale is not None
     assert not stale.valid
-    assert stale.points_mm == {"front": None, "rear": None}
+    assert points_of(stale) == {"front": None, "rear": None}
     assert [fault.reason for fault in stale.status] == [Reason.STALE]
     assert stale.sequence == put_up.sequence
 

@@ -15,6 +15,7 @@ from altd.acquisition.lamps.indicators import (
     error_light,
     standing_of,
 )
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.ports import Indicator
 from altd.reasons import Reason
 from altd.records import Measurement
@@ -105,7 +106,7 @@ class TestPanel:
 
     @pytest.fixture
     def board(self, clock: FakeClock) -> Board:
-        return Board(clock, stale_after_s=3600)
+        return Board(clock, 3600, QUANTITIES)
 
     @pytest.fixture
     async def row(self, board: Board, health: Health, clock: FakeClock) -> AsyncIterator[Row]:

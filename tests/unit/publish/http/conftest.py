@@ -12,10 +12,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
+from support.measurements import measured
 
 from altd.config import Http
+from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
-from altd.records import Beam, Measurement
+from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health
 
@@ -130,9 +132,9 @@ def served(board: Board, health: Health, component: Component) -> Served:
     return serving
 
 
-@pytest.fixture
-def measured() -> Measurement:
-    return Measurement(
+@pytest.fixture(name="measured")
+def measured_fixture() -> Measurement:
+    return measured(
         sequence=160,
         t_ns=8_000_000_000,
         time=datetime(2026, 11, 20, 8, 15, 30, 125_000, UTC),

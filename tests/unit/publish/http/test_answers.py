@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import json
 import urllib.request
-from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock
+from support.measurements import changed
 
 from altd.publish.http.publisher import PATHS
 from altd.reasons import Reason
@@ -52,7 +52,7 @@ async def test_before_the_first_measurement_it_says_why_there_is_none(served: Se
 async def test_an_invalid_measurement_is_an_answer_without_numbers(
     served: Served, board: Board, measured: Measurement
 ) -> None:
-    board.publish(replace(measured, beam=None, status=(Fault(Reason.SPOT_MISSING, "front"),)))
+    board.publish(changed(measured, None, status=(Fault(Reason.SPOT_MISSING, "front"),)))
     async with served() as unit:
         answer = await unit.ask("/api/measurement")
     assert answer.status == 200

@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 from support.foreign import need_program
 
-from altd.publish.http import publisher
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.publish.http.page import page_of
 from altd.status.measurement_json import as_object
 from tools.pages.example import MEASURED
 
 HERE = Path(__file__).parent
-PAGE = Path(publisher.__file__).with_name("index.html")
 
 VALID = as_object(MEASURED)
 STATUS = {
@@ -54,8 +54,9 @@ class Page:
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
-    command = [need_program("node", "nodejs"), str(HERE / "page_in_node.mjs"), str(PAGE)]
+def page(tmp_path: Path) -> Iterator[Page]:
+    (tmp_path / "page.html").write_text(page_of(QUANTITIES), encoding="utf-8")
+    command = [need_program("node", "nodejs"), str(HERE / "page_in_node.mjs"), str(tmp_path / "page.html")]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         yield Page(process)
         process.kill()

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock
+from support.measurements import changed
 
 from altd.publish.http import server, stream
 from altd.records import Measurement
@@ -145,7 +146,7 @@ async def test_only_so_many_streams_are_served(
 
 
 async def test_every_event_is_json_without_nan(served: Served, board: Board, measured: Measurement) -> None:
-    board.publish(replace(measured, beam=None, points_mm={"front": None}))
+    board.publish(changed(measured, None, {"front": None}))
     async with served() as unit, unit.stream() as events:
         await events.head()
         _, told = await events.event()

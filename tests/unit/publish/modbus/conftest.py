@@ -11,11 +11,13 @@ from typing import Any
 
 import pytest
 from support.clock import FakeClock
+from support.measurements import measured
 from support.modbus_wire import UNIT, Client, Measured, Serving, connected
 
 from altd.config import ModbusTcp
+from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.tcp import ModbusTcpPublisher
-from altd.records import Beam, Measurement
+from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component
 
@@ -30,8 +32,8 @@ def component(clock: FakeClock) -> Component:
     return Component("modbus", clock)
 
 
-@pytest.fixture
-def measured(clock: FakeClock) -> Measured:
+@pytest.fixture(name="measured")
+def measured_fixture(clock: FakeClock) -> Measured:
     """Makes a valid measurement whose exposures lie 520 ms back; keywords replace its fields."""
 
     def measurement(**fields: Any) -> Measurement:
@@ -43,7 +45,7 @@ def measured(clock: FakeClock) -> Measured:
             "beam": Beam(10.012, 4.987, 1.1459, -1.7184, 0.004, 0.005, 0.0011, 0.0012),
             "points_mm": {"front": (10.012, 4.987), "rear": (15.613, -3.413)},
         }
-        return Measurement(**(ordinary | fields))
+        return measured(**(ordinary | fields))
 
     return measurement
 

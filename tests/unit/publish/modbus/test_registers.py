@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.modbus_wire import Measured
 
+from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     REGISTERS,
@@ -23,7 +24,7 @@ from altd.publish.modbus.registers import (
 )
 from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
+from altd.records import Fault, Measurement
 
 
 def decode(words: list[int], address: int, layout: str) -> Any:

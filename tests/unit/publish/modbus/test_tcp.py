@@ -11,9 +11,9 @@ import pytest
 from support.modbus_wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measured, connected, frame, words
 
 from altd import __version__
+from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import ModbusTcpPublisher
-from altd.records import Beam
 from altd.status.board import Board
 from altd.status.health import Component
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import pytest
+from support.measurements import measured
 
-from altd.records import Beam, Measurement
+from altd.instruments.beam.solver import Beam
+from altd.records import Measurement
 from altd.status.health import Component, Health
 
 
@@ -15,9 +17,9 @@ def component(health: Health) -> Component:
     return health.component("serial")
 
 
-@pytest.fixture
-def measured() -> Measurement:
-    return Measurement(
+@pytest.fixture(name="measured")
+def measured_fixture() -> Measurement:
+    return measured(
         sequence=160,
         t_ns=8_000_000_000,
         time=datetime(2026, 11, 20, 8, 15, 30, 125_999, UTC),

@@ -11,11 +11,12 @@ from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
 import altd
-from altd.measuring.gate import range_fault
+from altd.instruments.beam.instrument import range_fault
+from altd.instruments.beam.solver import Beam
 from altd.measuring.spot_shape import unlike_a_laser
 from altd.publish.serial.advice import _SEEN, advice, component_steps
 from altd.reasons import LEDS_LIT, Reason
-from altd.records import Beam, CameraIdentity, Fault, NoSpot
+from altd.records import CameraIdentity, Fault, NoSpot
 from altd.status.health import MEASURING, Health, State
 from altd.vision.leds import lit_leds, told_from_leds
 from altd.vision.localise import locate

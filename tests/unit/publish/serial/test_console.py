@@ -8,7 +8,9 @@ from dataclasses import replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.measurements import changed
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.serial.console import COMMANDS, MORE, PROMPT, Console
 from altd.publish.serial.words import WIDTH
 from altd.reasons import LEDS_LIT, Reason
@@ -18,7 +20,7 @@ from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
 
 def console(measurement: Measurement | None = MEASURED) -> Console:
-    return Console(lambda: measurement, health())
+    return Console(lambda: measurement, health(), QUANTITIES)
 
 
 def well() -> Health:
@@ -30,7 +32,7 @@ def well() -> Health:
 
 def answer(line: str, measurement: Measurement | None = MEASURED) -> list[str]:
     """What is shown after the echo of one line, without the prompt."""
-    shown = Console(lambda: measurement, well()).feed(line.encode() + b"\r").decode("ascii")
+    shown = Console(lambda: measurement, well(), QUANTITIES).feed(line.encode() + b"\r").decode("ascii")
     echo, _, text = shown.partition("\r\n")
     assert echo == line
     assert text.endswith(PROMPT.decode())
@@ -109,12 +111,12 @@ def test_a_playback_is_told_with_every_measurement() -> None:
 def test_the_detail_of_a_fault_is_shown_in_ascii() -> None:
     fault = Fault(Reason.OUT_OF_RANGE, "rear", "81 mm right of the area − too far")
     assert "    81 mm right of the area ? too far" in answer(
-        "measure", replace(MEASURED, beam=None, status=(fault,))
+        "measure", changed(MEASURED, None, status=(fault,))
     )
 
 
 def test_status_says_what_is_wrong_and_what_to_do() -> None:
-    unit = Console(lambda: SPOT_LOST, health())
+    unit = Console(lambda: SPOT_LOST, health(), QUANTITIES)
     unit.health.component("camera rear").say(State.FAILED, "not found: /dev/video2; trying again")
     unit.health.component("camera rear").count("frames", 12)
     unit.health.component("serial /dev/ttyS1").say(
@@ -138,7 +140,7 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
 
 def test_neither_raw_codes_nor_healthy_spots_stand_under_what_is_wrong() -> None:
     half = replace(SPOT_LOST, status=SPOT_LOST.status[1:])
-    unit = Console(lambda: half, health())
+    unit = Console(lambda: half, health(), QUANTITIES)
     seen = "front: spot at u 345.5 v 236.8 px, diameter 41 px, peak 175 counts; rear: spot_missing, dark"
     unit.health.component(MEASURING).say(State.DEGRADED, seen)
     text = unit.feed(b"status\r").decode()
@@ -154,7 +156,7 @@ def test_status_says_that_nothing_is_wrong() -> None:
 def test_status_all_leaves_out_what_is_not_known() -> None:
     unit = well()
     unit.component("camera rear").observe({"level": None})
-    lines = Console(lambda: MEASURED, unit).feed(b"status all\r").decode().split("\r\n")
+    lines = Console(lambda: MEASURED, unit, QUANTITIES).feed(b"status all\r").decode().split("\r\n")
     assert lines[lines.index(next(line for line in lines if line.startswith("camera rear"))) + 1] == (
         "    exposure_control auto, exposure_ms 2.0, frames 147600"
     )
@@ -165,7 +167,7 @@ def test_status_of_an_ordinary_unit_fits_a_screen_of_24_lines() -> None:
     unit = health()
     for name in ("lamps", "indicators", "modbus_tcp 0.0.0.0:502"):
         unit.component(name).say(State.OK)
-    shown = Console(lambda: SPOT_LOST, unit).feed(b"status\r").decode()
+    shown = Console(lambda: SPOT_LOST, unit, QUANTITIES).feed(b"status\r").decode()
     assert shown.endswith("\r\n> ")
     assert shown.removeprefix("status\r\n").count("\r\n") < 24
 
@@ -184,20 +186,22 @@ def test_who_wants_to_leave_learns_how(line: str) -> None:
 
 @pytest.mark.parametrize("line", [*COMMANDS, "wat", "status x", "\xe4", "\xc3\xa4", "x" * 99])
 def test_no_answer_is_cut_at_the_edge_of_the_screen(line: str) -> None:
-    unit = Console(lambda: SPOT_LOST, health())
+    unit = Console(lambda: SPOT_LOST, health(), QUANTITIES)
     shown = unit.feed(line.encode("latin-1") + b"\r").split(b"\r\n")
     assert max(map(len, shown)) < WIDTH
 
 
 def test_a_fault_of_one_target_names_it_and_two_faults_of_one_kind_are_one_step() -> None:
     lit = Fault(Reason.AMBIGUOUS, "front", f"{LEDS_LIT}, 6 of 6 shine at their places")
-    unit = Console(lambda: replace(SPOT_LOST, status=(lit, replace(lit, target="rear"))), health())
+    unit = Console(
+        lambda: replace(SPOT_LOST, status=(lit, replace(lit, target="rear"))), health(), QUANTITIES
+    )
     told = " ".join(unit.feed(b"status\r").decode().split())
     assert (
         told.count("- front and rear targets: the frame LEDs are lit (6 of 6 shine at their places): ") == 1
     )
     other = replace(lit, target="rear", detail=f"{LEDS_LIT}, 3 of 6 shine at their places")
-    unit = Console(lambda: replace(SPOT_LOST, status=(lit, other)), health())
+    unit = Console(lambda: replace(SPOT_LOST, status=(lit, other)), health(), QUANTITIES)
     told = " ".join(unit.feed(b"status\r").decode().split())
     assert "- front target: the frame LEDs are lit (6 of 6" in told
     assert "- rear target: the frame LEDs are lit (3 of 6" in told
@@ -217,7 +221,7 @@ class TestPages:
         unit = health()
         for number in range(60):
             unit.component(f"serial /dev/ttyS{number:02}").say(State.OK)
-        return Console(lambda: MEASURED, unit)
+        return Console(lambda: MEASURED, unit, QUANTITIES)
 
     def test_no_page_is_longer_than_a_screen_and_none_is_left_out(self, crowded: Console) -> None:
         pages = [crowded.feed(b"status\r").removeprefix(b"status\r\n")]
@@ -247,7 +251,7 @@ class TestPages:
 
 def test_no_line_is_wider_than_the_screen() -> None:
     crowd = tuple(Fault(reason, "front", "because of " + "something " * 20) for reason in Reason)
-    unit = Console(lambda: replace(SPOT_LOST, status=crowd), health())
+    unit = Console(lambda: replace(SPOT_LOST, status=crowd), health(), QUANTITIES)
     unit.health.component("a" * 60).say(State.DEGRADED, "very " * 60 + "x" * 200)
     unit.health.facts["calibration"] = "long " * 40
     shown = unit.feed(b"status\rmeasure\rwatch\rq" + b"zzz " * 16 + b"\r").decode("ascii")
@@ -304,7 +308,7 @@ class TestWatch:
             assert unit.feed(enter) == PROMPT
 
     def test_an_invalid_line_has_its_reasons_and_no_number(self) -> None:
-        assert Console(lambda: SPOT_LOST, health()).feed(b"watch\r").splitlines()[-1] == (
+        assert Console(lambda: SPOT_LOST, health(), QUANTITIES).feed(b"watch\r").splitlines()[-1] == (
             b"08:15:31.125  NOT VALID: front_spot_missing rear_spot_missing"
         )
 

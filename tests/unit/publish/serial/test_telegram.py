@@ -9,22 +9,25 @@ import pynmea2
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.measurements import beam_of, changed, measured
 
+from altd.instruments.beam.solver import Beam
 from altd.publish.serial.fields import Mode
 from altd.publish.serial.telegram import (
     LONGEST_SENTENCE,
     LONGEST_TELEGRAM,
-    OF_BEAM,
     SENTENCES,
+    SIGMAS,
     Telegram,
     TelegramError,
     encode,
     parse,
 )
 from altd.reasons import Reason
-from altd.records import Beam, Fault, Measurement
+from altd.records import Fault, Measurement
 
-MEASURED = Measurement(
+KEYS = (*SIGMAS, *(f"sigma_{key}" for key in SIGMAS))
+MEASURED = measured(
     sequence=160,
     t_ns=8_000_000_000,
     time=datetime(2026, 11, 20, 8, 15, 30, 125_999, UTC),
@@ -46,7 +49,7 @@ READ = Telegram(
     sigma_yaw_deg=0.0011,
     sigma_pitch_deg=0.0012,
 )
-WITHOUT_NUMBERS = {**dict.fromkeys(OF_BEAM), "mode": Mode.INVALID}
+WITHOUT_NUMBERS = {**dict.fromkeys(KEYS), "mode": Mode.INVALID}
 
 
 def line(body: str) -> str:
@@ -68,9 +71,9 @@ CASES = {
         "PALTQ,,,,,,,warming_up",
     ),
     "both spots missing": (
-        replace(
+        changed(
             MEASURED,
-            beam=None,
+            None,
             status=(Fault(Reason.SPOT_MISSING, "front"), Fault(Reason.SPOT_MISSING, "rear")),
         ),
         replace(READ, **WITHOUT_NUMBERS, reasons=("front_spot_missing", "rear_spot_missing")),
@@ -78,7 +81,7 @@ CASES = {
         "PALTQ,160,20,,,,,front_spot_missing+rear_spot_missing",
     ),
     "a valid playback without a known time, with roll": (
-        replace(MEASURED, time=None, roll_deg=-0.00001, status=(Fault(Reason.PLAYBACK),)),
+        changed(MEASURED, beam_of(MEASURED), roll_deg=-0.00001, time=None, status=(Fault(Reason.PLAYBACK),)),
         replace(READ, time=None, mode=Mode.PLAYBACK, roll_deg=0.0, reasons=("playback",)),
         "PALTM,,P,160,10.012,-4.987,1.1459,-1.7184,0.0000",
         "PALTQ,160,20,0.0040,0.0041,0.0011,0.0012,playback",
@@ -90,13 +93,13 @@ CASES = {
         "PALTQ,160,20,0.0040,0.0041,0.0011,0.0012,simulated",
     ),
     "an invalid playback": (
-        replace(MEASURED, beam=None, status=(Fault(Reason.PLAYBACK), Fault(Reason.STALE))),
+        changed(MEASURED, None, status=(Fault(Reason.PLAYBACK), Fault(Reason.STALE))),
         replace(READ, **WITHOUT_NUMBERS, reasons=("stale", "playback")),
         "PALTM,081530.125,V,160,,,,,",
         "PALTQ,160,20,,,,,stale+playback",
     ),
     "a number that has no room": (
-        replace(MEASURED, beam=replace(MEASURED.beam, x_mm=-9999.9996)),
+        changed(MEASURED, replace(beam_of(MEASURED), x_mm=-9999.9996)),
         replace(READ, **WITHOUT_NUMBERS, frames=None, reasons=("does_not_fit",)),
         "PALTM,081530.125,V,160,,,,,",
         "PALTQ,160,,,,,,does_not_fit",
@@ -123,7 +126,7 @@ def test_a_foreign_parser_accepts_framing_and_checksum(measurement: Measurement 
         assert len(message.data) == 1 + len(sentence.fields)
 
 
-WIDEST = Measurement(
+WIDEST = measured(
     sequence=(1 << 32) - 1,
     t_ns=0,
     time=datetime(2026, 12, 31, 23, 59, 59, 999_999, UTC),
@@ -143,9 +146,9 @@ def test_the_widest_values_keep_to_the_length_of_the_standard() -> None:
 
 def test_reasons_that_find_no_room_are_told_as_more() -> None:
     targets = [f"target_{place}" for place in range(10)]
-    crowd = replace(
+    crowd = changed(
         WIDEST,
-        beam=None,
+        None,
         status=(*(Fault(Reason.SPOT_MISSING, name) for name in targets), Fault(Reason.STALE)),
     )
     telegram = parse(encode(crowd))
@@ -164,7 +167,7 @@ def test_a_local_time_is_sent_as_utc() -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e9])
 def test_what_is_no_ordinary_number_makes_it_invalid(value: float) -> None:
-    telegram = parse(encode(replace(MEASURED, beam=replace(MEASURED.beam, sigma_yaw_deg=value))))
+    telegram = parse(encode(changed(MEASURED, replace(beam_of(MEASURED), sigma_yaw_deg=value))))
     assert telegram.mode is Mode.INVALID
     assert telegram.reasons == ("does_not_fit",)
 
@@ -211,7 +214,7 @@ def within(limit: float) -> st.SearchStrategy[float]:
 
 
 MEASUREMENTS = st.builds(
-    Measurement,
+    measured,
     sequence=st.integers(0, 1 << 40),
     t_ns=st.just(0),
     time=st.none() | st.datetimes(timezones=st.just(UTC)),
@@ -241,6 +244,8 @@ def test_any_measurement_survives_the_wire(measurement: Measurement) -> None:
     assert telegram.encode() == wire
     if telegram.mode is Mode.INVALID:
         return
-    for name in OF_BEAM:
+    for name in KEYS:
         step = 1e-3 if name in ("x_mm", "y_mm") else 1e-4
-        assert getattr(telegram, name) == pytest.approx(getattr(measurement.beam, name), abs=0.5001 * step)
+        assert getattr(telegram, name) == pytest.approx(
+            getattr(beam_of(measurement), name), abs=0.5001 * step
+        )

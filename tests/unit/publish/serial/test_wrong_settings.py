@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.serial.console import Console
 from tools.pages.example import MEASURED
 from tools.pages.serial_examples import health
@@ -45,7 +46,7 @@ def heard(levels: list[tuple[float, int]], baud: int) -> bytes:
 
 
 def answer(keys: bytes) -> bytes:
-    console = Console(lambda: MEASURED, health())
+    console = Console(lambda: MEASURED, health(), QUANTITIES)
     return console.feed(keys) + console.rest()
 
 

@@ -1,0 +1,132 @@
+"""The instrument ``beam``: the mean spots of two targets or more, met by one straight line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from altd.config import Installation, Measuring
+from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.solver import Beam, fit_beam, joint_covariance_mm2
+from altd.measuring.calibration import Calibration
+from altd.measuring.instrument import Solution
+from altd.measuring.spot_shape import shape_doubts_mm
+from altd.reasons import Reason
+from altd.records import Fault, FloatArray, MeanSpots, TargetPoint, Value
+
+MAX_YAW_MM_PER_M = 110.0
+MAX_PITCH_MM_PER_M = 250.0
+"""The ranges that are stated for the unit (App. A.1)."""
+_MARGIN_SIGMAS = 3.0
+_MAX_MARGIN_MM_PER_M = 1.0
+"""The accuracy that is required (App. A.1). A beam may lie beyond a range by its uncertainty, up to this."""
+
+
+class BeamInstrument:
+    """See ``measuring.instrument.Instrument``; pure, it remembers nothing.
+
+    What scatters beyond ``measuring.max_sigma_…`` is no measurement; ``installation`` turns the beam of the
+    unit frame into what the controller wants.
+    """
+
+    quantities = QUANTITIES
+    min_targets = 2
+
+    def __init__(
+        self, calibration: Calibration, measuring: Measuring, installation: Installation | None = None
+    ) -> None:
+        self._calibration = {target.name: target for target in calibration.targets}
+        self._measuring = measuring
+        self._installation = installation or Installation()
+
+    def solve(self, mean: MeanSpots) -> Solution | Fault:
+        """The beam through the window's mean spots, or why there is none."""
+        points = self._points(mean)
+        if isinstance(points, Fault):
+            return points
+        targets = [self._calibration[target] for target in mean.targets]
+        doubts_mm = shape_doubts_mm(mean, points, [target.spot.shape for target in targets])
+        if isinstance(doubts_mm, Fault):
+            return doubts_mm
+        covariance = joint_covariance_mm2(mean, points) + np.diag(np.repeat(doubts_mm**2, 2))
+        z_mm = [target.z_mm for target in targets]
+        try:
+            beam = fit_beam(z_mm, points, covariance, self._installation.reference_plane_mm)
+        except np.linalg.LinAlgError:
+            return Fault(Reason.CHECK_FAILED, detail="no beam fits the points with their covariance")
+        if (unsteady := self._too_uncertain(beam)) is not None:
+            return _unexplained(mean, points, doubts_mm, covariance) or unsteady
+        if (doubt := range_fault(beam)) is not None:
+            return doubt
+        places = zip(mean.targets, points, strict=True)
+        return Solution(
+            values_of(installed(beam, self._installation)),
+            {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
+        )
+
+    def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:
+        points = []
+        for target, (u_px, v_px) in zip(mean.targets, mean.px, strict=True):
+            point = self._calibration[target].point(float(u_px), float(v_px))
+            if point is None:
+                detail = f"{target} spot at u {u_px:.1f} v {v_px:.1f} px lies outside the calibrated area"
+                return Fault(Reason.OUT_OF_RANGE, detail=detail)
+            if doubt := self._calibration[target].implausible(point, float(u_px), float(v_px)):
+                return Fault(Reason.IMPLAUSIBLE, target, doubt)
+            points.append(point)
+        return points
+
+    def _too_uncertain(self, beam: Beam) -> Fault | None:
+        """Why a beam is known worse than the accuracy that is asked for."""
+        sigma_mm = max(beam.sigma_x_mm, beam.sigma_y_mm)
+        sigma_mm_per_m = 1000 * math.radians(max(beam.sigma_yaw_deg, beam.sigma_pitch_deg))
+        if sigma_mm > self._measuring.max_sigma_mm:
+            return Fault(Reason.UNSTEADY, detail=f"displacement is uncertain by {sigma_mm:.2f} mm")
+        if sigma_mm_per_m > self._measuring.max_sigma_mm_per_m:
+            return Fault(Reason.UNSTEADY, detail=f"direction is uncertain by {sigma_mm_per_m:.2f} mm/m")
+        return None
+
+
+def _unexplained(
+    mean: MeanSpots, points: Sequence[TargetPoint], doubts_mm: FloatArray, covariance_mm2: FloatArray
+) -> Fault | None:
+    """The target whose light makes a measurement too uncertain, where it is that and no motion."""
+    scale = [math.sqrt(abs(float(np.linalg.det(point.jacobian_mm_per_px)))) for point in points]
+    unexplained_mm = np.hypot(np.array(mean.excess_px) * scale, doubts_mm)
+    worst = int(unexplained_mm.argmax())
+    if unexplained_mm[worst] ** 2 < covariance_mm2[2 * worst, 2 * worst] / 2:
+        return None
+    detail = f"what light or view do not explain leaves {unexplained_mm[worst]:.2f} mm uncertain"
+    return Fault(Reason.DISTORTED, mean.targets[worst], detail)
+
+
+def range_fault(beam: Beam) -> Fault | None:
+    """Why a beam of the unit frame, before signs and offsets, is none that the unit is made for.
+
+    One that is not finite is left to the gate.
+    """
+    if not (math.isfinite(beam.yaw_deg) and math.isfinite(beam.pitch_deg)):
+        return None
+    for name, slope, sigma_deg, limit in (
+        ("yaw", beam.yaw_mm_per_m, beam.sigma_yaw_deg, MAX_YAW_MM_PER_M),
+        ("pitch", beam.pitch_mm_per_m, beam.sigma_pitch_deg, MAX_PITCH_MM_PER_M),
+    ):
+        sigma = math.radians(sigma_deg) * (1000.0 + slope * slope / 1000.0)
+        if abs(slope) > limit + min(_MARGIN_SIGMAS * sigma, _MAX_MARGIN_MM_PER_M):
+            detail = f"{name} is {slope:.1f} mm/m, the unit measures up to {limit:g}"
+            return Fault(Reason.OUT_OF_RANGE, detail=detail)
+    return None
+
+
+def installed(beam: Beam, installation: Installation) -> Beam:
+    """The beam as the controller wants it: sign first, then offset; sigmas do not change."""
+    return replace(
+        beam,
+        x_mm=installation.sign_x * beam.x_mm + installation.offset_x_mm,
+        y_mm=installation.sign_y * beam.y_mm + installation.offset_y_mm,
+        yaw_deg=installation.sign_yaw * beam.yaw_deg + installation.offset_yaw_deg,
+        pitch_deg=installation.sign_pitch * beam.pitch_deg + installation.offset_pitch_deg,
+    )

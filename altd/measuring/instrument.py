@@ -1,0 +1,32 @@
+"""What the measuring chain asks of an instrument, the kind of unit (DESIGN §2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from altd.records import Fault, MeanSpots, Quantities, Value
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What an instrument makes of a window: values by their quantities' keys."""
+
+    values: Mapping[str, Value]
+    targets: Mapping[str, Mapping[str, Value]]
+
+
+class Instrument(Protocol):
+    """A kind of unit. It knows quantities and how they follow from mean spots, not where frames come from."""
+
+    @property
+    def quantities(self) -> Quantities:
+        """What it publishes."""
+
+    @property
+    def min_targets(self) -> int:
+        """It needs a window with the mean spots of so many targets; one without is not solved."""
+
+    def solve(self, mean: MeanSpots) -> Solution | Fault:
+        """The quantities of a window, or why there are none."""
