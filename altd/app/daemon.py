@@ -16,7 +16,7 @@ from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.pipeline import Pipeline
 from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
-from altd.config import Config, LiveCamera, SerialPort
+from altd.config import Config, LiveCameraSettings, SerialPortSettings
 from altd.errors import BadInputError, bare
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
@@ -76,7 +76,7 @@ class Daemon:
             {
                 name: CameraIdentity(serial=settings.serial)
                 for name, settings in config.cameras.items()
-                if isinstance(settings, LiveCamera)
+                if isinstance(settings, LiveCameraSettings)
             },
         )
         self._keepers = {
@@ -84,7 +84,7 @@ class Daemon:
                 settings.exposure, settings.fps, config.measuring.window, self._camera_health(name)
             )
             for name, settings in config.cameras.items()
-            if name in self._cameras and isinstance(settings, LiveCamera)
+            if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
 
     async def run(self) -> None:
@@ -164,7 +164,7 @@ class Daemon:
             place = f"serial {port.device}"
             yield place, self._serial_publisher(port, place)
 
-    def _serial_publisher(self, port: SerialPort, place: str) -> Publisher:
+    def _serial_publisher(self, port: SerialPortSettings, place: str) -> Publisher:
         component = self.health.component(place)
         if port.speaks == "modbus_rtu":
             from altd.publish.modbus.rtu import ModbusRtuPublisher

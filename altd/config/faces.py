@@ -44,7 +44,7 @@ def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
 Host = Annotated[str, AfterValidator(_address)]
 
 
-class ModbusTcp(Table):
+class ModbusTcpSettings(Table):
     """Modbus TCP server."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
@@ -55,7 +55,7 @@ class ModbusTcp(Table):
     """Modbus unit identifier; 0 and 255 are answered too."""
 
 
-class Http(Table):
+class HttpSettings(Table):
     """HTTP server: measurement, status and a stream."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
@@ -64,7 +64,7 @@ class Http(Table):
     """TCP port."""
 
 
-class Rs485(Table):
+class Rs485Settings(Table):
     """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
 
     For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
@@ -78,7 +78,7 @@ class Rs485(Table):
     """Time from the last bit until switching back."""
 
 
-class SerialPort(Table):
+class SerialPortSettings(Table):
     """One serial port and what it speaks."""
 
     device: Device
@@ -89,7 +89,7 @@ class SerialPort(Table):
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
-    rs485: Rs485 | None = None
+    rs485: Rs485Settings | None = None
     """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
     unit_id: Annotated[int, Field(ge=1, le=247)] = 1
     """Modbus RTU only."""

@@ -24,7 +24,7 @@ from pymodbus.framer import FramerRTU
 from support.guest import leave_results
 from support.measurements import measurement
 
-from altd.config import SerialPort
+from altd.config import SerialPortSettings
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
@@ -158,7 +158,7 @@ class Unit:
 
     def publisher(self, speaks: str) -> Publisher:
         fields: dict[str, Any] = {"speaks": speaks, "baud": 115200, "unit_id": UNIT, "interval_s": 0.05}
-        settings = SerialPort.model_validate({"device": (NAMES / speaks).absolute(), **fields})
+        settings = SerialPortSettings.model_validate({"device": (NAMES / speaks).absolute(), **fields})
         component = self.health.component(speaks)
         if speaks == "telegram":
             return TelegramPublisher(settings, self.board, component, self.clock)

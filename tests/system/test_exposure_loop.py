@@ -13,7 +13,7 @@ from support.clock import stop
 from altd.acquisition.auto_exposure.control import ExposureKeeper
 from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
 from altd.app.daemon import Daemon
-from altd.config import Config, ExposureControl, Installation, Measuring
+from altd.config import Config, ExposureSettings, Installation, Measuring
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
@@ -50,7 +50,7 @@ class Loop:
         self.unit = Unit(UnitConfig(seed=3, lux=lux, bits=bits, laser=Laser(power_mw=power_mw)))
         self.unit.place(POSE)
         self.health = Health(SystemClock())
-        control = ExposureControl(exposure_ms=start_ms, longest_ms=longest_ms)
+        control = ExposureSettings(exposure_ms=start_ms, longest_ms=longest_ms)
         self.keepers = {
             name: ExposureKeeper(control, 20.0, WINDOW, self.health.component(name)) for name in CAMERAS
         }

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from support.grbl_conversation import CONVERSATION
 
-from altd.config import GrblStage as Settings
+from altd.config import GrblStageSettings
 from altd.devices.grbl import driver, protocol
 from altd.devices.grbl.driver import GrblStage
 from altd.ports import (
@@ -48,8 +48,8 @@ def table(quick: None) -> Iterator[GrblTable]:
         yield table
 
 
-def settings(device: Path, **more: object) -> Settings:
-    return Settings.model_validate(
+def settings(device: Path, **more: object) -> GrblStageSettings:
+    return GrblStageSettings.model_validate(
         {
             "driver": "grbl",
             "device": device,

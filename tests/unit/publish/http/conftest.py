@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Beam, Measurement
 from altd.status.board import Board
@@ -119,7 +119,7 @@ def component(health: Health) -> Component:
 def served(board: Board, health: Health, component: Component) -> Served:
     @contextlib.asynccontextmanager
     async def serving() -> AsyncIterator[Unit]:
-        publisher = HttpPublisher(Http(host="127.0.0.1", port=0), board, health, component)
+        publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), board, health, component)
         ready = asyncio.Event()
         task = asyncio.ensure_future(publisher.run(ready.set))
         await ready.wait()

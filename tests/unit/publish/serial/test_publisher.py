@@ -19,7 +19,7 @@ from support.clock import FakeClock, stop
 from support.foreign import need_program
 from support.wire import Wire
 
-from altd.config import SerialPort
+from altd.config import SerialPortSettings
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 from altd.publish.serial.telegram import parse
 from altd.records import Measurement
@@ -138,7 +138,7 @@ class TestTelegram:
     async def test_a_missing_port_is_an_error_before_it_is_ready(
         self, board: Board, component: Component, clock: FakeClock
     ) -> None:
-        settings = SerialPort.model_validate({"device": "/dev/none", "speaks": "telegram"})
+        settings = SerialPortSettings.model_validate({"device": "/dev/none", "speaks": "telegram"})
         with pytest.raises(FileNotFoundError, match="/dev/none"):
             await TelegramPublisher(settings, board, component, clock).run(lambda: pytest.fail("not ready"))
 
@@ -320,7 +320,7 @@ async def test_a_technician_at_a_real_terminal(
     board.publish(replace(measured, t_ns=time.monotonic_ns()))
     with Line() as line:
         carrying = asyncio.create_task(line.carry())
-        settings = SerialPort.model_validate({"device": line.unit_end, "speaks": "console"})
+        settings = SerialPortSettings.model_validate({"device": line.unit_end, "speaks": "console"})
         publisher = ConsolePublisher(settings, board, health, component, SystemClock())
         async with serving(publisher):
             with Picocom(line.far_end) as terminal:
