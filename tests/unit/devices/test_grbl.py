@@ -379,6 +379,6 @@ def drives_grbl_itself(grbl_itself: Path) -> None:
     stage.close()
 
 
-# Made by hand (docs/decisions/stage.md): no package has it, and in CI nothing may be skipped.
+# Made by hand (docs/decisions/0010-stage.md): no package has it, and in CI nothing may be skipped.
 if shutil.which(GRBL_ITSELF):
     test_grbl_itself_is_driven = drives_grbl_itself
