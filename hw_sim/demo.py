@@ -17,7 +17,15 @@ from pathlib import Path
 
 from altd.app.daemon import Daemon
 from altd.app.parts import calibration_of, cameras_of
-from altd.config import Config, HttpSettings, ModbusTcpSettings, SerialPortSettings, Target
+from altd.config import (
+    Config,
+    ConsolePortSettings,
+    HttpSettings,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    Target,
+    TelegramPortSettings,
+)
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, bare
 from altd.ports import Camera
@@ -215,10 +223,10 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
         modbus_tcp=ModbusTcpSettings(host=LOCALHOST, port=faces.modbus_port),
         http=HttpSettings(host=LOCALHOST, port=faces.http_port),
         serial=(
-            SerialPortSettings(device=faces.telegram.unit_end, speaks="telegram"),
-            SerialPortSettings(device=faces.console.unit_end, speaks="console"),
+            TelegramPortSettings(device=faces.telegram.unit_end, speaks="telegram"),
+            ConsolePortSettings(device=faces.console.unit_end, speaks="console"),
             # what mbpoll takes unless told otherwise: the Modbus specification's own choice
-            SerialPortSettings(
+            ModbusRtuPortSettings(
                 device=faces.modbus_rtu.unit_end, speaks="modbus_rtu", baud=19200, parity="even"
             ),
         ),

@@ -16,7 +16,13 @@ from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.pipeline import Pipeline
 from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
-from altd.config import Config, LiveCameraSettings, SerialPortSettings
+from altd.config import (
+    AnySerialPortSettings,
+    Config,
+    LiveCameraSettings,
+    ModbusRtuPortSettings,
+    TelegramPortSettings,
+)
 from altd.errors import BadInputError, bare
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
@@ -164,15 +170,15 @@ class Daemon:
             place = f"serial {port.device}"
             yield place, self._serial_publisher(port, place)
 
-    def _serial_publisher(self, port: SerialPortSettings, place: str) -> Publisher:
+    def _serial_publisher(self, port: AnySerialPortSettings, place: str) -> Publisher:
         component = self.health.component(place)
-        if port.speaks == "modbus_rtu":
+        if isinstance(port, ModbusRtuPortSettings):
             from altd.publish.modbus.rtu import ModbusRtuPublisher
 
             return ModbusRtuPublisher(port, self.board, component)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 
-        if port.speaks == "telegram":
+        if isinstance(port, TelegramPortSettings):
             return TelegramPublisher(port, self.board, component, self.clock)
         return ConsolePublisher(port, self.board, self.health, component, self.clock)
 

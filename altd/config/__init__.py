@@ -11,7 +11,16 @@ from altd.config.cameras import (
     RecordingCameraSettings,
     V4l2CameraSettings,
 )
-from altd.config.faces import HttpSettings, ModbusTcpSettings, Rs485Settings, SerialPortSettings
+from altd.config.faces import (
+    AnySerialPortSettings,
+    ConsolePortSettings,
+    HttpSettings,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    Rs485Settings,
+    SerialPortSettings,
+    TelegramPortSettings,
+)
 from altd.config.lamps import AnyLampsSettings, CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
 from altd.config.loading import load_config
 from altd.config.measuring import Measuring
@@ -23,9 +32,11 @@ from altd.config.whole import Config
 __all__ = [
     "AnyCameraSettings",
     "AnyLampsSettings",
+    "AnySerialPortSettings",
     "AravisCameraSettings",
     "CameraLampsSettings",
     "Config",
+    "ConsolePortSettings",
     "ExposureSettings",
     "GpiodLampsSettings",
     "GrblStageSettings",
@@ -34,6 +45,7 @@ __all__ = [
     "Installation",
     "LiveCameraSettings",
     "Measuring",
+    "ModbusRtuPortSettings",
     "ModbusTcpSettings",
     "RecordingCameraSettings",
     "Rs485Settings",
@@ -41,6 +53,7 @@ __all__ = [
     "SerialPortSettings",
     "Table",
     "Target",
+    "TelegramPortSettings",
     "Unit",
     "V4l2CameraSettings",
     "load_config",

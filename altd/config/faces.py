@@ -42,6 +42,7 @@ def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
 
 
 Host = Annotated[str, AfterValidator(_address)]
+UnitId = Annotated[int, Field(ge=1, le=247)]
 
 
 class ModbusTcpSettings(Table):
@@ -51,7 +52,7 @@ class ModbusTcpSettings(Table):
     """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 502
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
-    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
 
 
@@ -79,19 +80,40 @@ class Rs485Settings(Table):
 
 
 class SerialPortSettings(Table):
-    """One serial port and what it speaks."""
+    """What every serial port has, whatever it speaks."""
 
     device: Device
     """The port, best by its stable name, such as /dev/serial/by-id/…"""
-    speaks: Literal["telegram", "console", "modbus_rtu"]
-    """What travels on it."""
     baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rs485: Rs485Settings | None = None
     """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
-    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
-    """Modbus RTU only."""
+
+
+class TelegramPortSettings(SerialPortSettings):
+    """A serial port that sends the measurement as a telegram, again and again."""
+
+    speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
-    """Telegram only: time from one telegram to the next."""
+    """Time from one telegram to the next."""
+
+
+class ConsolePortSettings(SerialPortSettings):
+    """A serial port with a console for a technician."""
+
+    speaks: Literal["console"]
+
+
+class ModbusRtuPortSettings(SerialPortSettings):
+    """A serial port that serves Modbus RTU."""
+
+    speaks: Literal["modbus_rtu"]
+    unit_id: UnitId = 1
+    """Modbus unit identifier; requests to another one are not answered."""
+
+
+AnySerialPortSettings = Annotated[
+    TelegramPortSettings | ConsolePortSettings | ModbusRtuPortSettings, Field(discriminator="speaks")
+]

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from altd.config.cameras import AnyCameraSettings
-from altd.config.faces import HttpSettings, ModbusTcpSettings, SerialPortSettings
+from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
 from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
 from altd.config.measuring import Measuring
 from altd.config.stage import GrblStageSettings, Scan
@@ -25,7 +25,7 @@ class Config(Table):
     installation: Installation = Installation()
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None
-    serial: tuple[SerialPortSettings, ...] = ()
+    serial: tuple[AnySerialPortSettings, ...] = ()
     lamps: AnyLampsSettings | None = None
     indicators: IndicatorsSettings | None = None
     stage: GrblStageSettings | None = None

@@ -29,8 +29,7 @@ class Wire:
         return cls(far, near, Path(os.ttyname(near)))
 
     def settings(self, **changes: object) -> SerialPortSettings:
-        values: dict[str, object] = {"device": self.device, "speaks": "telegram", **changes}
-        return SerialPortSettings.model_validate(values)
+        return SerialPortSettings.model_validate({"device": self.device, **changes})
 
     def send(self, data: bytes) -> None:
         os.write(self.far, data)

@@ -12,6 +12,7 @@ from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
     Config,
+    ConsolePortSettings,
     ExposureSettings,
     GpiodLampsSettings,
     GrblStageSettings,
@@ -19,13 +20,14 @@ from altd.config import (
     IndicatorsSettings,
     Installation,
     Measuring,
+    ModbusRtuPortSettings,
     ModbusTcpSettings,
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
-    SerialPortSettings,
     Table,
     Target,
+    TelegramPortSettings,
     Unit,
     V4l2CameraSettings,
 )
@@ -52,11 +54,9 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
     ("[modbus_tcp]", ModbusTcpSettings, "Leave the table out and the face is off. Registers: `modbus.md`."),
     ("[http]", HttpSettings, "Leave the table out and the face is off. Routes: `http.md`."),
-    (
-        "[[serial]]",
-        SerialPortSettings,
-        "One table a port. What it can speak: `telegram.md`, `console.md`, `modbus.md`.",
-    ),
+    ('[[serial]], speaks = "telegram"', TelegramPortSettings, "One table a port. Sentences: `telegram.md`."),
+    ('[[serial]], speaks = "console"', ConsolePortSettings, "What can be typed: `console.md`."),
+    ('[[serial]], speaks = "modbus_rtu"', ModbusRtuPortSettings, "Registers: `modbus.md`."),
     (
         "[serial.rs485]",
         Rs485Settings,
@@ -69,6 +69,8 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[scan]", Scan, "All keys have defaults."),
 )
 
+_TAGS = ("driver", "speaks")
+"""The keys that say which table it is: they come first."""
 
 _SPOILT = """\
 [unit]
@@ -143,7 +145,7 @@ def _lines() -> Iterator[str]:
         yield ""
         yield "| key | value | default | what it is |"
         yield "|---|---|---|---|"
-        for name, field in model.model_fields.items():
+        for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in _TAGS):
             meaning = " ".join((field.description or "").replace("``", "`").split())
             yield f"| `{name}` | {_value(field)} | {_default(field)} | {meaning} |"
 

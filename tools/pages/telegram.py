@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from altd.config import SerialPortSettings
+from altd.config import TelegramPortSettings
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
     LONGEST_SENTENCE,
@@ -28,7 +28,7 @@ def page() -> str:
         DOES_NOT_FIT, "a number is too large for its field", "check the offsets in `[installation]`"
     )
     seconds = seconds_on_line(
-        SerialPortSettings(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM
+        TelegramPortSettings(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM
     )
     warnings = ", ".join(f"`{reason}`" for reason in Reason if reason.is_warning)
     return f"""# The serial telegram
