@@ -11,7 +11,7 @@ import numpy as np
 from altd.calibration.file import save_calibration
 from altd.calibration.flat import flats_of
 from altd.calibration.scan import calibrate_scan
-from altd.config import Config, Http, ModbusTcp, SerialPort, Target, Unit
+from altd.config import Config, HttpSettings, ModbusTcpSettings, Target, TelegramPortSettings, Unit
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.records import Frame
@@ -89,9 +89,9 @@ def make_config(
             Target(name="front", z_mm=0.0, camera="front"),
             Target(name="rear", z_mm=280.0, camera="rear"),
         ),
-        modbus_tcp=ModbusTcp(host=local, port=modbus_port) if modbus_port else None,
-        http=Http(host=local, port=http_port) if http_port else None,
-        serial=(SerialPort(device=telegram, speaks="telegram", baud=115200, interval_s=0.1),)
+        modbus_tcp=ModbusTcpSettings(host=local, port=modbus_port) if modbus_port else None,
+        http=HttpSettings(host=local, port=http_port) if http_port else None,
+        serial=(TelegramPortSettings(device=telegram, speaks="telegram", baud=115200, interval_s=0.1),)
         if telegram
         else (),
     )

@@ -17,7 +17,15 @@ from pathlib import Path
 
 from altd.app.daemon import Daemon
 from altd.app.parts import calibration_of, cameras_of
-from altd.config import Config, Http, ModbusTcp, SerialPort, Target
+from altd.config import (
+    Config,
+    ConsolePortSettings,
+    HttpSettings,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    Target,
+    TelegramPortSettings,
+)
 from altd.config import Unit as UnitTable
 from altd.errors import BadInputError, bare
 from altd.ports import Camera
@@ -212,13 +220,15 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
             Target(name=FRONT, z_mm=0.0, camera=FRONT),
             Target(name=REAR, z_mm=unit.config.target_distance_mm, camera=REAR),
         ),
-        modbus_tcp=ModbusTcp(host=LOCALHOST, port=faces.modbus_port),
-        http=Http(host=LOCALHOST, port=faces.http_port),
+        modbus_tcp=ModbusTcpSettings(host=LOCALHOST, port=faces.modbus_port),
+        http=HttpSettings(host=LOCALHOST, port=faces.http_port),
         serial=(
-            SerialPort(device=faces.telegram.unit_end, speaks="telegram"),
-            SerialPort(device=faces.console.unit_end, speaks="console"),
+            TelegramPortSettings(device=faces.telegram.unit_end, speaks="telegram"),
+            ConsolePortSettings(device=faces.console.unit_end, speaks="console"),
             # what mbpoll takes unless told otherwise: the Modbus specification's own choice
-            SerialPort(device=faces.modbus_rtu.unit_end, speaks="modbus_rtu", baud=19200, parity="even"),
+            ModbusRtuPortSettings(
+                device=faces.modbus_rtu.unit_end, speaks="modbus_rtu", baud=19200, parity="even"
+            ),
         ),
     )
 

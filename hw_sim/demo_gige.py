@@ -8,7 +8,7 @@ import sys
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
-from altd.config import AravisCamera, ExposureControl, Measuring
+from altd.config import AravisCameraSettings, ExposureSettings, Measuring
 from altd.errors import BadInputError
 from hw_sim.faults import Fault
 from hw_sim.unit import EXPOSURES_MS, Unit
@@ -27,10 +27,10 @@ class Hardware:
     def tables(self) -> dict[str, Any]:
         """The tables of ``altd.toml`` that such cameras need."""
         cameras = {
-            name: AravisCamera(
+            name: AravisCameraSettings(
                 driver="aravis",
                 device=address,
-                exposure=ExposureControl(exposure_ms=EXPOSURES_MS[name]),  # at which the unit was scanned
+                exposure=ExposureSettings(exposure_ms=EXPOSURES_MS[name]),  # at which the unit was scanned
             )
             for name, address in self._addresses.items()
         }

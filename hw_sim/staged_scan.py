@@ -13,7 +13,7 @@ import numpy as np
 from altd.app.scan import scanner_of
 from altd.cli.scan import run_scan
 from altd.cli.scan_screen import ScanScreen
-from altd.config import Config, GrblStage, Scan, Target
+from altd.config import Config, GrblStageSettings, Scan, Target
 from altd.config import Unit as UnitTable
 from hw_sim.camera import make_cameras
 from hw_sim.grbl_table import GrblTable
@@ -50,7 +50,7 @@ def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
             Target(name=FRONT, z_mm=0.0, camera=FRONT),
             Target(name=REAR, z_mm=unit.config.target_distance_mm, camera=REAR),
         ),
-        stage=GrblStage(driver="grbl", device=device, feed_mm_per_min=6000.0),
+        stage=GrblStageSettings(driver="grbl", device=device, feed_mm_per_min=6000.0),
         scan=scan,
     )
 

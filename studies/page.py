@@ -25,7 +25,7 @@ same pages.
 
 What they are worth: the parts are simulated, and a simulator holds only what its authors thought of.
 Lenses, print, speckle, noise and stage errors are in it; refraction in the window and a beam over a
-hundred metres are not (`../decisions/simulator.md`). Where ours is worse than the thesis, the table says
+hundred metres are not (`../decisions/0005-simulator.md`). Where ours is worse than the thesis, the table says
 so.
 
 """

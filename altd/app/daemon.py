@@ -16,7 +16,13 @@ from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.pipeline import Pipeline
 from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
-from altd.config import Config, LiveCamera, SerialPort
+from altd.config import (
+    AnySerialPortSettings,
+    Config,
+    LiveCameraSettings,
+    ModbusRtuPortSettings,
+    TelegramPortSettings,
+)
 from altd.errors import BadInputError, bare
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -78,7 +84,7 @@ class Daemon:
             {
                 name: CameraIdentity(serial=settings.serial)
                 for name, settings in config.cameras.items()
-                if isinstance(settings, LiveCamera)
+                if isinstance(settings, LiveCameraSettings)
             },
         )
         self._keepers = {
@@ -86,7 +92,7 @@ class Daemon:
                 settings.exposure, settings.fps, config.measuring.window, self._camera_health(name)
             )
             for name, settings in config.cameras.items()
-            if name in self._cameras and isinstance(settings, LiveCamera)
+            if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
 
     async def run(self) -> None:
@@ -166,15 +172,15 @@ class Daemon:
             place = f"serial {port.device}"
             yield place, self._serial_publisher(port, place)
 
-    def _serial_publisher(self, port: SerialPort, place: str) -> Publisher:
+    def _serial_publisher(self, port: AnySerialPortSettings, place: str) -> Publisher:
         component = self.health.component(place)
-        if port.speaks == "modbus_rtu":
+        if isinstance(port, ModbusRtuPortSettings):
             from altd.publish.modbus.rtu import ModbusRtuPublisher
 
             return ModbusRtuPublisher(port, self.board, component)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 
-        if port.speaks == "telegram":
+        if isinstance(port, TelegramPortSettings):
             return TelegramPublisher(port, self.board, component, self.clock)
         return ConsolePublisher(port, self.board, self.health, component, self.clock)
 

@@ -9,7 +9,14 @@ from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureSetter
 from altd.calibration.file import check_camera, check_image_size, load_calibration
-from altd.config import AravisCamera, CameraLamps, Config, LiveCamera, RecordingCamera, V4l2Camera
+from altd.config import (
+    AravisCameraSettings,
+    CameraLampsSettings,
+    Config,
+    LiveCameraSettings,
+    RecordingCameraSettings,
+    V4l2CameraSettings,
+)
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
@@ -30,7 +37,7 @@ def missing_files(config: Config) -> list[MissingFile]:
     """What `altd run` will not find."""
     played: dict[Path, list[str]] = {}
     for name, camera in config.cameras.items():
-        if isinstance(camera, RecordingCamera):
+        if isinstance(camera, RecordingCameraSettings):
             played.setdefault(camera.path, []).append(f"cameras.{name}.path")
     named = [MissingFile("unit.calibration", config.unit.calibration, "altd calibrate")]
     named += [MissingFile(", ".join(keys), path, "altd record") for path, keys in played.items()]
@@ -44,7 +51,7 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
     errors: dict[str, BadInputError] = {}
     playbacks = _Playbacks()
     for name, settings in config.cameras.items():
-        if isinstance(settings, RecordingCamera) and settings.path not in missing:
+        if isinstance(settings, RecordingCameraSettings) and settings.path not in missing:
             try:
                 cameras[name] = playbacks.camera(name, settings)
             except BadInputError as error:
@@ -66,7 +73,7 @@ def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
     cameras: dict[str, Camera] = {}
     for name in (target.camera for target in config.targets):
         settings = config.cameras[name]
-        if isinstance(settings, RecordingCamera):
+        if isinstance(settings, RecordingCameraSettings):
             cameras[name] = playbacks.camera(name, settings)
         else:
             cameras[name] = live_camera(name, settings)
@@ -79,7 +86,7 @@ class _Playbacks:
     def __init__(self) -> None:
         self._playbacks: dict[Path, Playback] = {}
 
-    def camera(self, name: str, settings: RecordingCamera) -> PlaybackCamera:
+    def camera(self, name: str, settings: RecordingCameraSettings) -> PlaybackCamera:
         """A camera of a recording; raises BadInputError that names the recording."""
         playback = self._playbacks.get(settings.path)
         if playback is None:
@@ -89,17 +96,17 @@ class _Playbacks:
         return PlaybackCamera(name, playback)
 
 
-def live_camera(name: str, settings: V4l2Camera | AravisCamera) -> Camera:
+def live_camera(name: str, settings: V4l2CameraSettings | AravisCameraSettings) -> Camera:
     """The driver behind a camera's table. Imported only when wanted."""
-    if isinstance(settings, V4l2Camera):
-        from altd.devices.v4l2.camera import V4l2Camera as Video4LinuxCamera
+    if isinstance(settings, V4l2CameraSettings):
+        from altd.devices.v4l2.camera import V4l2Camera
 
-        return Video4LinuxCamera(name, settings)
+        return V4l2Camera(name, settings)
     try:
-        from altd.devices.aravis.driver import AravisCamera as GigeVisionCamera
+        from altd.devices.aravis.driver import AravisCamera
     except ImportError as error:
         raise BadInputError(f"cameras.{name}", str(error)) from error
-    return GigeVisionCamera(name, settings)
+    return AravisCamera(name, settings)
 
 
 def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration:
@@ -118,7 +125,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
         if isinstance(camera, PlaybackCamera):
             check_image_size(calibration, path, target.name, camera.width, camera.height)
             check_camera(calibration, path, target.name, camera.identity)
-        elif isinstance(settings, LiveCamera):
+        elif isinstance(settings, LiveCameraSettings):
             check_image_size(calibration, path, target.name, settings.width, settings.height)
     return calibration
 
@@ -128,7 +135,7 @@ def setters_of(config: Config) -> dict[str, ExposureSetter]:
     return {
         name: ExposureSetter(settings.exposure, settings.fps)
         for name, settings in config.cameras.items()
-        if isinstance(settings, LiveCamera) and settings.exposure.control != "camera"
+        if isinstance(settings, LiveCameraSettings) and settings.exposure.control != "camera"
     }
 
 
@@ -139,11 +146,11 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
     """
     if config.lamps is None:
         return None
-    if not isinstance(config.lamps, CameraLamps):
+    if not isinstance(config.lamps, CameraLampsSettings):
         from altd.devices.gpio.lamps import GpioFrameLamps
 
         return GpioFrameLamps(config.lamps)
-    from altd.devices.camera_lamps import CameraLamps as LampsOnCameras
+    from altd.devices.camera_lamps import CameraLamps
 
     switching: dict[str, SwitchingCamera] = {}
     for name in config.lamps.cameras:
@@ -151,7 +158,7 @@ def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: 
         if not isinstance(camera, SwitchingCamera):
             raise BadInputError(place, f"lamps: camera {name!r} has no output to switch")
         switching[name] = camera
-    return LampsOnCameras(switching, config.lamps.line, alone)
+    return CameraLamps(switching, config.lamps.line, alone)
 
 
 def indicators_of(config: Config) -> Indicators | None:

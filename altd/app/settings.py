@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from altd.config import Config, load_config
+from altd.config import Config, TelegramPortSettings, load_config
 from altd.config.draft import Draft
 from altd.config.wording import Fault
 from altd.publish.serial.telegram import LONGEST_TELEGRAM
@@ -21,7 +21,7 @@ def load_settings(path: Path) -> Config:
 def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
     """The longest telegram is through before the next one is due."""
     for number, port in enumerate(draft.serial):
-        if port is None or port.speaks != "telegram":
+        if not isinstance(port, TelegramPortSettings):
             continue
         takes_s = seconds_on_line(port, LONGEST_TELEGRAM)
         if port.rs485 is not None:

@@ -8,10 +8,11 @@ SUMMARY = "list cameras, GPIO lines and serial ports as the config wants them"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """None."""
+    """The command takes none."""
 
 
-def _devices(_options: argparse.Namespace) -> int:
+def run(_options: argparse.Namespace) -> int:
+    """Print what is connected."""
     from altd.app.connected_devices import lines
 
     for line in lines():

@@ -33,18 +33,18 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.lamps_by_hand import LampsByHand
     from altd.app.parts import cameras_of, indicators_of, lamps_of
     from altd.app.settings import load_settings
-    from altd.config import CameraLamps
+    from altd.config import CameraLampsSettings
     from altd.ports import Indicator, LampsError
 
     config, place = load_settings(options.config), options.config
     stopped = options.look == "stopped"
-    if stopped and isinstance(config.lamps, CameraLamps):
+    if stopped and isinstance(config.lamps, CameraLampsSettings):
         config = config.model_copy(
             update={"lamps": None}
         )  # of a dead daemon's camera nobody gets hold at once
     if config.lamps is None and config.indicators is None and not stopped:
         raise BadInputError(place, "no [lamps] and no [indicators] table")
-    cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLamps) else {}
+    cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLampsSettings) else {}
     fitted = [Indicator(key) for key in config.indicators.lines] if config.indicators is not None else []
     lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
     by_hand = LampsByHand(lamps, indicators, fitted, lambda line: print(line, flush=True))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
-from types import ModuleType
+from typing import Protocol
 
 from altd import __version__
 from altd.cli import (
@@ -29,7 +29,20 @@ from altd.cli.arguments import Parser
 from altd.cli.options import DEFAULT_CONFIG
 from altd.process.endings import run_to_end
 
-COMMANDS: dict[str, ModuleType] = {
+
+class Command(Protocol):
+    """What the module of a command has."""
+
+    SUMMARY: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Tell argparse what the command takes."""
+
+    def run(self, options: argparse.Namespace, /) -> int:
+        """Do it; the return value is the exit status."""
+
+
+COMMANDS: dict[str, Command] = {
     "run": run,
     "calibrate": calibrate,
     "replay": replay,
@@ -64,8 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         name = f"altd {options.command}"
         _choose_config(parser, options)
         _set_up_libraries()
-        status: int = COMMANDS[options.command].run(options)
-        return status
+        return COMMANDS[options.command].run(options)
 
     return run_to_end(work, lambda: name)
 

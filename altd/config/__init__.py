@@ -1,44 +1,60 @@
-"""``altd.toml`` as pydantic models, the tables of one room in one file; reading it, wording its faults."""
+"""``altd.toml`` as pydantic models, the tables of one room in one file; reading it, wording its faults.
+
+A model that a driver or a face is made of is called ``…Settings``; the driver or face has the name without.
+"""
 
 from altd.config.cameras import (
-    AravisCamera,
-    CameraTable,
-    ExposureControl,
-    LiveCamera,
-    RecordingCamera,
-    V4l2Camera,
+    AnyCameraSettings,
+    AravisCameraSettings,
+    ExposureSettings,
+    LiveCameraSettings,
+    RecordingCameraSettings,
+    V4l2CameraSettings,
 )
-from altd.config.faces import Http, ModbusTcp, Rs485, SerialPort
-from altd.config.lamps import CameraLamps, GpiodLamps, IndicatorLamps, LampsTable
+from altd.config.faces import (
+    AnySerialPortSettings,
+    ConsolePortSettings,
+    HttpSettings,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    Rs485Settings,
+    SerialPortSettings,
+    TelegramPortSettings,
+)
+from altd.config.lamps import AnyLampsSettings, CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
 from altd.config.loading import load_config
 from altd.config.measuring import Measuring
-from altd.config.stage import GrblStage, Scan
+from altd.config.stage import GrblStageSettings, Scan
 from altd.config.table import Table
 from altd.config.unit import Installation, Target, Unit
 from altd.config.whole import Config
 
 __all__ = [
-    "AravisCamera",
-    "CameraLamps",
-    "CameraTable",
+    "AnyCameraSettings",
+    "AnyLampsSettings",
+    "AnySerialPortSettings",
+    "AravisCameraSettings",
+    "CameraLampsSettings",
     "Config",
-    "ExposureControl",
-    "GpiodLamps",
-    "GrblStage",
-    "Http",
-    "IndicatorLamps",
+    "ConsolePortSettings",
+    "ExposureSettings",
+    "GpiodLampsSettings",
+    "GrblStageSettings",
+    "HttpSettings",
+    "IndicatorsSettings",
     "Installation",
-    "LampsTable",
-    "LiveCamera",
+    "LiveCameraSettings",
     "Measuring",
-    "ModbusTcp",
-    "RecordingCamera",
-    "Rs485",
+    "ModbusRtuPortSettings",
+    "ModbusTcpSettings",
+    "RecordingCameraSettings",
+    "Rs485Settings",
     "Scan",
-    "SerialPort",
+    "SerialPortSettings",
     "Table",
     "Target",
+    "TelegramPortSettings",
     "Unit",
-    "V4l2Camera",
+    "V4l2CameraSettings",
     "load_config",
 ]

@@ -26,7 +26,7 @@ def _camera_name(name: str) -> str:
     return name
 
 
-class RecordingCamera(Table):
+class RecordingCameraSettings(Table):
     """A camera that plays a recording; every output then says ``playback``."""
 
     driver: Literal["recording"]
@@ -38,7 +38,7 @@ class RecordingCamera(Table):
     """Start again at the end."""
 
 
-class ExposureControl(Table):
+class ExposureSettings(Table):
     """Exposure and gain of one camera."""
 
     control: Literal["auto", "fixed", "camera"] = "auto"
@@ -75,7 +75,7 @@ class ExposureControl(Table):
         return self
 
 
-class LiveCamera(Table):
+class LiveCameraSettings(Table):
     """What every camera that is no recording has."""
 
     width: Annotated[int, Field(ge=64, le=16384)] = 752
@@ -84,14 +84,14 @@ class LiveCamera(Table):
     """Rows of a frame."""
     fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
     """Frames a second."""
-    exposure: ExposureControl = ExposureControl()
+    exposure: ExposureSettings = ExposureSettings()
     """A table of its own, see below."""
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
     """The camera's serial number, as `altd devices` shows it: another one in its place is
     ``wrong_camera``. The serial number in the calibration counts as well."""
 
 
-class V4l2Camera(LiveCamera):
+class V4l2CameraSettings(LiveCameraSettings):
     """A USB or MIPI camera through the kernel's Video4Linux."""
 
     driver: Literal["v4l2"]
@@ -104,7 +104,7 @@ class V4l2Camera(LiveCamera):
     input, for instance, which every maker calls something else."""
 
 
-class AravisCamera(LiveCamera):
+class AravisCameraSettings(LiveCameraSettings):
     """A GigE Vision camera through Aravis."""
 
     driver: Literal["aravis"]
@@ -128,4 +128,6 @@ class AravisCamera(LiveCamera):
     """GenICam features of this camera to set when it is opened, in this order."""
 
 
-CameraTable = Annotated[RecordingCamera | V4l2Camera | AravisCamera, Field(discriminator="driver")]
+AnyCameraSettings = Annotated[
+    RecordingCameraSettings | V4l2CameraSettings | AravisCameraSettings, Field(discriminator="driver")
+]

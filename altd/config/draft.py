@@ -9,12 +9,12 @@ from typing import Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from altd.config.cameras import CameraTable, LiveCamera, RecordingCamera
-from altd.config.faces import Http, ModbusTcp, SerialPort
-from altd.config.lamps import CameraLamps, GpiodLamps, IndicatorLamps
+from altd.config.cameras import AnyCameraSettings, LiveCameraSettings, RecordingCameraSettings
+from altd.config.faces import HttpSettings, ModbusTcpSettings, SerialPortSettings
+from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
 from altd.config.measuring import Measuring
 from altd.config.places import Keys
-from altd.config.stage import GrblStage
+from altd.config.stage import GrblStageSettings
 from altd.config.unit import Target
 from altd.config.whole import Config
 
@@ -24,20 +24,24 @@ class Draft:
     """The tables of a config that rules look at. None: not there, or faulty."""
 
     targets: tuple[Target | None, ...]
-    cameras: Mapping[str, RecordingCamera | LiveCamera | None]
+    cameras: Mapping[str, RecordingCameraSettings | LiveCameraSettings | None]
     measuring: Measuring | None
-    modbus_tcp: ModbusTcp | None
-    http: Http | None
-    serial: tuple[SerialPort | None, ...]
-    lamps: GpiodLamps | CameraLamps | None
-    indicators: IndicatorLamps | None
-    stage: GrblStage | None
+    modbus_tcp: ModbusTcpSettings | None
+    http: HttpSettings | None
+    serial: tuple[SerialPortSettings | None, ...]
+    lamps: GpiodLampsSettings | CameraLampsSettings | None
+    indicators: IndicatorsSettings | None
+    stage: GrblStageSettings | None
 
-    def live(self) -> dict[str, LiveCamera]:
+    def live(self) -> dict[str, LiveCameraSettings]:
         """The cameras that are no recordings and that a target names."""
         named = {target.camera for target in self.targets if target is not None}
         cameras = self.cameras.items()
-        return {name: camera for name, camera in cameras if isinstance(camera, LiveCamera) and name in named}
+        return {
+            name: camera
+            for name, camera in cameras
+            if isinstance(camera, LiveCameraSettings) and name in named
+        }
 
 
 def draft_of(config: Config) -> Draft:
@@ -64,7 +68,7 @@ def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
     named = cameras.items() if isinstance(cameras, dict) else ()
     return Draft(
         targets=rows("targets"),
-        cameras={name: _valid(CameraTable, camera) for name, camera in named},
+        cameras={name: _valid(AnyCameraSettings, camera) for name, camera in named},
         serial=rows("serial"),
         **{name: table(name) for name in ("measuring", "modbus_tcp", "http", "lamps", "indicators", "stage")},
     )

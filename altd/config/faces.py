@@ -42,20 +42,21 @@ def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
 
 
 Host = Annotated[str, AfterValidator(_address)]
+UnitId = Annotated[int, Field(ge=1, le=247)]
 
 
-class ModbusTcp(Table):
+class ModbusTcpSettings(Table):
     """Modbus TCP server."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
     """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 502
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
-    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
+    unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
 
 
-class Http(Table):
+class HttpSettings(Table):
     """HTTP server: measurement, status and a stream."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
@@ -64,7 +65,7 @@ class Http(Table):
     """TCP port."""
 
 
-class Rs485(Table):
+class Rs485Settings(Table):
     """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
 
     For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
@@ -78,20 +79,41 @@ class Rs485(Table):
     """Time from the last bit until switching back."""
 
 
-class SerialPort(Table):
-    """One serial port and what it speaks."""
+class SerialPortSettings(Table):
+    """What every serial port has, whatever it speaks."""
 
     device: Device
     """The port, best by its stable name, such as /dev/serial/by-id/…"""
-    speaks: Literal["telegram", "console", "modbus_rtu"]
-    """What travels on it."""
     baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
-    rs485: Rs485 | None = None
+    rs485: Rs485Settings | None = None
     """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
-    unit_id: Annotated[int, Field(ge=1, le=247)] = 1
-    """Modbus RTU only."""
+
+
+class TelegramPortSettings(SerialPortSettings):
+    """A serial port that sends the measurement as a telegram, again and again."""
+
+    speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
-    """Telegram only: time from one telegram to the next."""
+    """Time from one telegram to the next."""
+
+
+class ConsolePortSettings(SerialPortSettings):
+    """A serial port with a console for a technician."""
+
+    speaks: Literal["console"]
+
+
+class ModbusRtuPortSettings(SerialPortSettings):
+    """A serial port that serves Modbus RTU."""
+
+    speaks: Literal["modbus_rtu"]
+    unit_id: UnitId = 1
+    """Modbus unit identifier; requests to another one are not answered."""
+
+
+AnySerialPortSettings = Annotated[
+    TelegramPortSettings | ConsolePortSettings | ModbusRtuPortSettings, Field(discriminator="speaks")
+]

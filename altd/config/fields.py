@@ -51,16 +51,27 @@ def field_at(keys: Keys, document: Any, annotation: Any) -> tuple[Any, list[Any]
 
 
 def tables_at(annotation: Any, table: Any) -> list[type[Table]]:
-    """The models that a table may be of: where its driver is known, the one of that driver."""
+    """The models that a table may be of: where the value of its tag is known, the one of that value."""
     models = [option for option, _ in _options(annotation) if _is_table(option)]
-    driver = table.get("driver") if isinstance(table, dict) else None
-    fitting = [model for model in models if driver in _drivers(model)]
+    tag = tag_at(annotation)
+    value = table.get(tag) if isinstance(table, dict) else None
+    fitting = [model for model in models if value in tags_of(model, tag)]
     return fitting or models
 
 
-def drivers_at(annotation: Any) -> list[str]:
-    """The drivers that a table may name."""
-    return [driver for model in tables_at(annotation, None) for driver in _drivers(model)]
+def tag_at(annotation: Any) -> str:
+    """The key by which a table's model is chosen, such as ``driver``; empty: there is no choice."""
+    for _, metadata in _options(annotation):
+        for part in metadata:
+            if isinstance(part, FieldInfo) and isinstance(part.discriminator, str):
+                return part.discriminator
+    return ""
+
+
+def tags_of(model: type[Table], tag: str) -> tuple[str, ...]:
+    """The values of a tag that choose a model."""
+    field = model.model_fields.get(tag)
+    return () if field is None else get_args(field.annotation)
 
 
 def _step(annotation: Any, key: str | int, node: Any) -> tuple[Any, list[Any]] | None:
@@ -98,11 +109,6 @@ def _plain(annotation: Any, metadata: list[Any]) -> tuple[Any, list[Any]]:
 
 def _is_table(option: Any) -> bool:
     return isinstance(option, type) and issubclass(option, Table)
-
-
-def _drivers(model: type[Table]) -> tuple[str, ...]:
-    field = model.model_fields.get("driver")
-    return () if field is None else get_args(field.annotation)
 
 
 def _parts(limit: Any) -> list[Any]:

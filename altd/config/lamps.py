@@ -10,7 +10,7 @@ from altd.config.complaints import complaint
 from altd.config.table import GpioLineName, Name, Table
 
 
-class GpiodLamps(Table):
+class GpiodLampsSettings(Table):
     """The frame LEDs on lines of a GPIO chip."""
 
     driver: Literal["gpiod"]
@@ -22,7 +22,7 @@ class GpiodLamps(Table):
     """The LEDs are lit when the line is low."""
 
 
-class CameraLamps(Table):
+class CameraLampsSettings(Table):
     """The frame LEDs on an output line of the cameras (GenICam LineSelector, UserOutputValue)."""
 
     driver: Literal["camera"]
@@ -32,10 +32,10 @@ class CameraLamps(Table):
     """The camera's own name of the output line."""
 
 
-LampsTable = Annotated[GpiodLamps | CameraLamps, Field(discriminator="driver")]
+AnyLampsSettings = Annotated[GpiodLampsSettings | CameraLampsSettings, Field(discriminator="driver")]
 
 
-class IndicatorLamps(Table):
+class IndicatorsSettings(Table):
     """The four lamps on the housing, on lines of a GPIO chip. A lamp without a line is left out."""
 
     driver: Literal["gpiod"]

@@ -11,10 +11,10 @@ import os
 from collections.abc import Callable, Iterator
 
 from altd.config.addresses import overlap
-from altd.config.cameras import AravisCamera, RecordingCamera, V4l2Camera
+from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings, V4l2CameraSettings
 from altd.config.complaints import shown
 from altd.config.draft import Draft
-from altd.config.lamps import CameraLamps, GpiodLamps
+from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings
 from altd.config.places import Keys
 from altd.config.wording import Fault
 from altd.errors import did_you_mean
@@ -63,7 +63,9 @@ def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:
     """Either all play one recording in step, or all are live and paired by time."""
     live = draft.live()
     measuring = draft.measuring
-    playing = [(name, table) for name, table in draft.cameras.items() if isinstance(table, RecordingCamera)]
+    playing = [
+        (name, table) for name, table in draft.cameras.items() if isinstance(table, RecordingCameraSettings)
+    ]
     for name, recording in playing:
         if live:
             other = next(iter(live))
@@ -124,9 +126,9 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
     """No two tables are of one camera."""
     first: dict[tuple[str, str], str] = {}
     for name, camera in draft.live().items():
-        if isinstance(camera, V4l2Camera):
+        if isinstance(camera, V4l2CameraSettings):
             device = os.path.normpath(camera.device)
-        elif isinstance(camera, AravisCamera):
+        elif isinstance(camera, AravisCameraSettings):
             device = camera.device
         else:
             continue
@@ -168,7 +170,7 @@ def _serial_ports(draft: Draft) -> Iterator[Fault]:
 
 def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
     """Lamps hang on outputs of GigE Vision cameras that measure."""
-    if not isinstance(draft.lamps, CameraLamps):
+    if not isinstance(draft.lamps, CameraLampsSettings):
         return
     named = {target.camera for target in draft.targets if target is not None}
     for number, name in enumerate(draft.lamps.cameras):
@@ -178,7 +180,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         if name not in draft.cameras:
             slip = did_you_mean(name, draft.cameras)
             yield Fault(keys, f"there is no table [cameras.{name}]{slip}")
-        elif camera is not None and not isinstance(camera, AravisCamera):
+        elif camera is not None and not isinstance(camera, AravisCameraSettings):
             yield Fault(
                 keys, f'{shown(name)} has no output; possible: a camera with driver "aravis"', about=(table,)
             )
@@ -187,7 +189,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         elif name in draft.lamps.cameras[:number]:
             yield Fault(keys, f"{shown(name)} stands in the list twice; possible: each camera once")
         elif (
-            isinstance(camera, AravisCamera)
+            isinstance(camera, AravisCameraSettings)
             and camera.trigger == "line"
             and camera.trigger_line == draft.lamps.line
         ):
@@ -198,7 +200,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
 def _gpio_lines(draft: Draft) -> Iterator[Fault]:
     """A GPIO line has one lamp."""
     places: list[tuple[Keys, str, str]] = []
-    if isinstance(draft.lamps, GpiodLamps):
+    if isinstance(draft.lamps, GpiodLampsSettings):
         places += [
             (("lamps", "lines", n), draft.lamps.chip, line) for n, line in enumerate(draft.lamps.lines)
         ]

@@ -9,7 +9,7 @@ from pydantic import Field
 from altd.config.table import Device, StageMillimetres, Table
 
 
-class GrblStage(Table):
+class GrblStageSettings(Table):
     """The xy stage of `altd scan`: a Grbl 1.1 controller on a serial port.
 
     In the controller's coordinates the stage is sent to sign · position + offset.

@@ -6,11 +6,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from altd.config.cameras import CameraTable
-from altd.config.faces import Http, ModbusTcp, SerialPort
-from altd.config.lamps import IndicatorLamps, LampsTable
+from altd.config.cameras import AnyCameraSettings
+from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
+from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
 from altd.config.measuring import Measuring
-from altd.config.stage import GrblStage, Scan
+from altd.config.stage import GrblStageSettings, Scan
 from altd.config.table import Name, Table
 from altd.config.unit import Installation, Target, Unit
 
@@ -20,13 +20,13 @@ class Config(Table):
 
     unit: Unit
     targets: Annotated[tuple[Target, ...], Field(min_length=2)]
-    cameras: dict[Name, CameraTable] = Field(default={})
+    cameras: dict[Name, AnyCameraSettings] = Field(default={})
     measuring: Measuring = Measuring()
     installation: Installation = Installation()
-    modbus_tcp: ModbusTcp | None = None
-    http: Http | None = None
-    serial: tuple[SerialPort, ...] = ()
-    lamps: LampsTable | None = None
-    indicators: IndicatorLamps | None = None
-    stage: GrblStage | None = None
+    modbus_tcp: ModbusTcpSettings | None = None
+    http: HttpSettings | None = None
+    serial: tuple[AnySerialPortSettings, ...] = ()
+    lamps: AnyLampsSettings | None = None
+    indicators: IndicatorsSettings | None = None
+    stage: GrblStageSettings | None = None
     scan: Scan = Scan()

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from altd.config.complaints import FAULTS, shown
-from altd.config.fields import drivers_at, expected, field_at, tables_at
+from altd.config.fields import expected, field_at, tables_at, tag_at, tags_of
 from altd.config.places import Keys, Place, Places
 from altd.config.whole import Config
 from altd.errors import did_you_mean
@@ -118,16 +118,11 @@ def _in_words(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]
             yield Fault((*keys, *more), text)
     elif kind == "extra_forbidden":
         yield _unknown(keys, document)
-    elif kind in ("missing", "union_tag_not_found"):
-        keys = keys if kind == "missing" else (*keys, "driver")
+    elif kind == "missing":
         kind_of_it = "table" if len(keys) == 1 else "key"
         yield Fault(keys, f"this {kind_of_it} is missing{_possible(keys, document)}", "table")
-    elif kind == "union_tag_invalid":
-        value = value.get("driver") if isinstance(value, dict) else value
-        drivers = _drivers(keys, document)
-        slip = did_you_mean(value, drivers)
-        choice = " or ".join(map(shown, drivers))
-        yield Fault((*keys, "driver"), f"{shown(value)} {WHY[kind]}; possible: {choice}{slip}")
+    elif kind in ("union_tag_not_found", "union_tag_invalid"):
+        yield _without_model(keys, value, document)
     elif what == "key":
         takes = expected(*_key_type(keys), shown)
         yield Fault(keys, f"a name {WHY.get(kind, _OTHERWISE)}; possible: {takes}", "key")
@@ -140,17 +135,17 @@ def _in_words(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]
 def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:
     """The keys in the file, and what of the last is wrong: its value, also for one of a union, or itself.
 
-    pydantic puts in more: between a table and its key the driver's name, behind a key which member of a union
-    complains, or ``[key]``.
+    pydantic puts in more: between a table and its key the value of its tag, behind a key which member of a
+    union complains, or ``[key]``.
     """
     keys: list[str | int] = []
     table, last = document, len(detail["loc"]) - 1
-    tagged = False
+    tag = ""
     for number, part in enumerate(detail["loc"]):
         if part == "[key]" and number == last:
             return tuple(keys), "key"
-        if tagged and isinstance(table, dict) and part == table.get("driver"):
-            tagged = False
+        if tag and isinstance(table, dict) and part == table.get(tag):
+            tag = ""
             continue
         there = isinstance(table, dict) and part in table
         there |= isinstance(table, list) and isinstance(part, int) and part < len(table)
@@ -158,8 +153,21 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
             return tuple(keys), "member"
         keys.append(part)
         table = table[part] if there else None
-        tagged = len(tables_at(_type(tuple(keys), document), None)) > 1
+        tag = tag_at(_type(tuple(keys), document))
     return tuple(keys), "value"
+
+
+def _without_model(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
+    """A table whose model cannot be told: its tag, such as ``driver``, is missing or has no such value."""
+    annotation = _type(keys, document)
+    tag = tag_at(annotation)
+    values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]
+    choice = " or ".join(map(shown, values))
+    if isinstance(table, dict) and tag not in table:
+        return Fault((*keys, tag), f"this key is missing; possible: {choice}", "table")
+    value = table.get(tag) if isinstance(table, dict) else table
+    slip = did_you_mean(value, values)
+    return Fault((*keys, tag), f"{shown(value)} {WHY['union_tag_invalid']}; possible: {choice}{slip}")
 
 
 def _unknown(keys: Keys, document: dict[str, Any]) -> Fault:
@@ -179,14 +187,19 @@ def _unknown(keys: Keys, document: dict[str, Any]) -> Fault:
 
 
 def _homes(name: str | int) -> list[str]:
-    """The tables that have such a key."""
+    """The tables that have such a key, and with which tag."""
     homes = []
     for table, field in Config.model_fields.items():
-        inner = field.annotation
-        if get_origin(inner) in (dict, tuple):
-            inner = get_args(inner)[-1 if get_origin(inner) is dict else 0]
-        if any(name in model.model_fields for model in tables_at(inner, None)):
-            homes.append(f"[{table}.NAME]" if table == "cameras" else f"[{table}]")
+        inner, home = field.annotation, f"[{table}]"
+        if get_origin(inner) is dict:
+            inner, home = get_args(inner)[1], f"[{table}.NAME]"
+        elif get_origin(inner) is tuple:
+            inner, home = get_args(inner)[0], f"[[{table}]]"
+        models, tag = tables_at(inner, None), tag_at(inner)
+        having = [model for model in models if name in model.model_fields]
+        if having:
+            values = [shown(value) for model in having for value in tags_of(model, tag)]
+            homes.append(home if having == models else f"{home} with {tag} = {' or '.join(values)}")
     return homes
 
 
@@ -213,8 +226,3 @@ def _key_type(keys: Keys) -> tuple[Any, list[Any]]:
     """The type of the keys of a table whose keys are free."""
     found = field_at(keys[:-1], {}, Config)
     return (str, []) if found is None else (get_args(found[0])[0], [])
-
-
-def _drivers(keys: Keys, document: dict[str, Any]) -> list[str]:
-    annotation = _type(keys, document)
-    return [] if annotation is None else drivers_at(annotation)

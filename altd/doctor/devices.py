@@ -7,7 +7,7 @@ import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from altd.config import Config, V4l2Camera
+from altd.config import Config, V4l2CameraSettings
 from altd.doctor.finding import Finding, good, wrong
 from altd.doctor.machine import Account, Machine, group_name, user_name
 
@@ -39,7 +39,7 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
     needs_mbit_s: dict[str, float] = {}
     speeds: dict[str, int] = {}
     for name, camera in config.cameras.items():
-        if not isinstance(camera, V4l2Camera):
+        if not isinstance(camera, V4l2CameraSettings):
             continue
         subject = f"camera {name}"
         yield from _device(f"{subject} {camera.device}", camera.device, CAMERA_NAMES, machine)
@@ -49,7 +49,11 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
             bytes_px = 1 if camera.pixel_format == "GREY" else 2
             needed = camera.width * camera.height * bytes_px * camera.fps * 8e-6
             needs_mbit_s[number] = needs_mbit_s.get(number, 0.0) + needed
-    video = {name: camera.device for name, camera in config.cameras.items() if isinstance(camera, V4l2Camera)}
+    video = {
+        name: camera.device
+        for name, camera in config.cameras.items()
+        if isinstance(camera, V4l2CameraSettings)
+    }
     yield from _twice("camera", video, machine)
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]

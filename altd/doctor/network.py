@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.config import AravisCamera, Config
+from altd.config import AravisCameraSettings, Config
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 
@@ -32,7 +32,9 @@ class _Route:
 
 def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
     """The interfaces that the cameras of driver "aravis" hang on; a camera by another name may be on any."""
-    cameras = {name: camera for name, camera in config.cameras.items() if isinstance(camera, AravisCamera)}
+    cameras = {
+        name: camera for name, camera in config.cameras.items() if isinstance(camera, AravisCameraSettings)
+    }
     interfaces: dict[str, int] = {}
     for name, camera in cameras.items():
         try:

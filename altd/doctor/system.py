@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.config import AravisCamera, Config, RecordingCamera
+from altd.config import AravisCameraSettings, Config, RecordingCameraSettings
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 from altd.errors import BadInputError
@@ -30,7 +30,7 @@ def libraries(config: Config | None) -> Iterator[Finding]:
     lamps = () if config is None else (config.lamps, config.indicators)
     if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
         yield _library("gpiod", "gpiod")
-    if config is None or any(isinstance(camera, AravisCamera) for camera in cameras):
+    if config is None or any(isinstance(camera, AravisCameraSettings) for camera in cameras):
         yield _aravis(needed=config is not None)
 
 
@@ -65,7 +65,7 @@ def calibration(config: Config, place: Path) -> Iterator[Finding]:
     from altd.app.parts import calibration_of, cameras_of
 
     path = config.unit.calibration
-    played = all(isinstance(camera, RecordingCamera) for camera in config.cameras.values())
+    played = all(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values())
     try:
         cameras = cameras_of(config, place) if played and config.cameras else {}
     except BadInputError as error:

@@ -17,7 +17,7 @@ from typing import Literal
 
 import serial
 
-from altd.config import Rs485
+from altd.config import Rs485Settings
 
 _TIOCSRS485 = 0x542F  # not in Python's termios
 _RS485 = struct.Struct("=3I20x")
@@ -39,7 +39,7 @@ def open_serial(
     *,
     parity: Literal["none", "even", "odd"] = "none",
     stop_bits: Literal[1, 2] = 1,
-    rs485: Rs485 | None = None,
+    rs485: Rs485Settings | None = None,
     read_timeout_s: float = 0.0,
     write_timeout_s: float = 0.0,
 ) -> serial.Serial:
@@ -86,7 +86,7 @@ def close_serial(port: serial.Serial) -> None:
     port.close()
 
 
-def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485) -> None:
+def _switch_to_rs485(descriptor: int, device: Path, wanted: Rs485Settings) -> None:
     """Let the kernel switch the transceiver; raises OSError when it cannot, or not as wanted.
 
     pyserial's ``rs485_mode`` is not used: it keeps neither the error's number nor what the driver made of it.

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import serial
 
-from altd.config import SerialPort
+from altd.config import SerialPortSettings
 from altd.serial_port.opening import close_serial, open_serial
 
 CHUNK = 4096
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 
 @contextlib.asynccontextmanager
-async def opened(settings: SerialPort, limit: int, *, fresh: bool) -> AsyncIterator[Port]:
+async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> AsyncIterator[Port]:
     """The port, open; raises OSError with a sentence for a technician and the name of the device.
 
     At most ``limit`` bytes wait to go out. ``fresh``: those that the kernel holds count too, for what must
@@ -132,13 +132,13 @@ class Port:
             self._loop.remove_writer(self._descriptor)
 
 
-def describe(settings: SerialPort) -> str:
+def describe(settings: SerialPortSettings) -> str:
     """The port in the words of a technician: ``/dev/ttyS1, 9600 baud 8N1``."""
     mode = " RS485" if settings.rs485 is not None else ""
     return f"{settings.device}, {settings.baud} baud 8{settings.parity[0].upper()}{settings.stop_bits}{mode}"
 
 
-def seconds_on_line(settings: SerialPort, length: int) -> float:
+def seconds_on_line(settings: SerialPortSettings, length: int) -> float:
     """How long ``length`` bytes are on the line: start bit, 8 data bits, parity and stop bits for each."""
     bits = 1 + 8 + (settings.parity != "none") + settings.stop_bits
     return length * bits / settings.baud

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from altd.config import V4l2Camera as Settings
+from altd.config import V4l2CameraSettings
 from altd.devices.v4l2.camera import V4l2Camera
 from altd.ports import CameraError
 
@@ -40,7 +40,7 @@ def camera(device: Path, **settings: object) -> V4l2Camera:
     vivid counts time in the guest's ticks of 10 ms: of other rates it makes steps of two lengths.
     """
     table = {"driver": "v4l2", "device": device, "width": 640, "height": 360, "fps": 25, **settings}
-    return V4l2Camera("front", Settings.model_validate(table))
+    return V4l2Camera("front", V4l2CameraSettings.model_validate(table))
 
 
 def outcome(call: Callable[[], object]) -> dict[str, object]:

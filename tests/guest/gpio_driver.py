@@ -9,7 +9,7 @@ from pathlib import Path
 from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
 
-from altd.config import GpiodLamps, IndicatorLamps
+from altd.config import GpiodLampsSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import chip_paths, look_at
 from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators
 from altd.devices.gpio.lines import OutputLines
@@ -51,7 +51,7 @@ results["devices"] = [line.split()[-1] for line in Path("/proc/devices").read_te
 unit.pull_up("LED_B")
 pins = "LED_A", "LED_B"
 for active_low in (False, True):
-    lamps = GpioFrameLamps(GpiodLamps(driver="gpiod", chip="unit", lines=pins, active_low=active_low))
+    lamps = GpioFrameLamps(GpiodLampsSettings(driver="gpiod", chip="unit", lines=pins, active_low=active_low))
     steps = {"before": unit.levels(*pins)}
     lamps.open()
     steps["opened"] = unit.levels(*pins)
@@ -66,7 +66,7 @@ for active_low in (False, True):
     results["consumers"] = consumers
 
 indicators = GpioIndicators(
-    IndicatorLamps(driver="gpiod", chip="unit", data="DATA", error="ERROR", power="POWER", ok="OK")
+    IndicatorsSettings(driver="gpiod", chip="unit", data="DATA", error="ERROR", power="POWER", ok="OK")
 )
 names = "DATA", "ERROR", "POWER", "OK"
 indicators.open()
@@ -78,7 +78,7 @@ for look in looks:
 indicators.close()
 results["indicators"] = shown
 
-some = GpioIndicators(IndicatorLamps(driver="gpiod", chip=str(unit.path), error="ERROR"))
+some = GpioIndicators(IndicatorsSettings(driver="gpiod", chip=str(unit.path), error="ERROR"))
 some.open()
 some.show(frozenset({Indicator.ERROR, Indicator.OK}))
 results["some indicators"] = unit.levels(*names)
@@ -118,7 +118,7 @@ unit.path.chmod(0o660)
 results["for a group"] = as_nobody(opened("unit", "LED_A"))
 
 # a chip that goes away while it is held, and comes back under another number
-lost = GpioFrameLamps(GpiodLamps(driver="gpiod", chip="unit", lines=pins))
+lost = GpioFrameLamps(GpiodLampsSettings(driver="gpiod", chip="unit", lines=pins))
 lost.open()
 lost.switch(True)
 unit.unplug()

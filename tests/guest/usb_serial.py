@@ -24,7 +24,7 @@ from pymodbus.framer import FramerRTU
 from support.guest import leave_results
 from support.measurements import measurement
 
-from altd.config import SerialPort
+from altd.config import ConsolePortSettings, ModbusRtuPortSettings, TelegramPortSettings
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
@@ -158,14 +158,16 @@ class Unit:
         """The longest that the event loop was held."""
 
     def publisher(self, speaks: str) -> Publisher:
-        fields: dict[str, Any] = {"speaks": speaks, "baud": 115200, "unit_id": UNIT, "interval_s": 0.05}
-        settings = SerialPort.model_validate({"device": (NAMES / speaks).absolute(), **fields})
+        line: dict[str, Any] = {"device": (NAMES / speaks).absolute(), "speaks": speaks, "baud": 115200}
         component = self.health.component(speaks)
         if speaks == "telegram":
-            return TelegramPublisher(settings, self.board, component, self.clock)
+            telegram = TelegramPortSettings(**line, interval_s=0.05)
+            return TelegramPublisher(telegram, self.board, component, self.clock)
         if speaks == "console":
-            return ConsolePublisher(settings, self.board, self.health, component, self.clock)
-        return ModbusRtuPublisher(settings, self.board, component)
+            return ConsolePublisher(
+                ConsolePortSettings(**line), self.board, self.health, component, self.clock
+            )
+        return ModbusRtuPublisher(ModbusRtuPortSettings(**line, unit_id=UNIT), self.board, component)
 
     def states(self) -> list[State]:
         return [component.state for component in self.health]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
 
-from altd.config import AravisCamera as Settings
+from altd.config import AravisCameraSettings
 from altd.ports import CameraError, CameraTimeoutError
 from altd.records import Frame
 
@@ -33,7 +33,9 @@ def driver(name: str = "front", device: str = HOME, **settings: object) -> Aravi
     """The driver with the config's defaults but for ``settings``."""
     from altd.devices.aravis.driver import AravisCamera  # which a bare machine cannot import
 
-    return AravisCamera(name, Settings.model_validate({"driver": "aravis", "device": device, **settings}))
+    return AravisCamera(
+        name, AravisCameraSettings.model_validate({"driver": "aravis", "device": device, **settings})
+    )
 
 
 def register(address: str, number: int, value: int | None = None) -> int | None:

@@ -81,7 +81,7 @@ def _boot(kernel: str, folder: Path, kernel_arguments: tuple[str, ...], timeout_
     """Let the machine run until it switches itself off; raises subprocess.TimeoutExpired."""
     with tempfile.TemporaryDirectory(prefix="uml-") as sockets, (folder / "console").open("wb") as console:
         processor = random.choice(sorted(os.sched_getaffinity(0)))
-        machine = ["taskset", "-c", str(processor)]  # four times as fast: see docs/decisions/test-kernel.md
+        machine = ["taskset", "-c", str(processor)]  # four times as fast (docs/decisions/0012)
         machine += [kernel, f"mem={_MEMORY}", f"uml_dir={sockets}/", "con=null", "con0=fd:0,fd:1", "quiet"]
         machine += ["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro", f"init={_GUEST / 'init'}"]
         machine += [f"guest_folder={folder}", *kernel_arguments]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from altd.config import SerialPort
+from altd.config import SerialPortSettings
 
 
 @dataclass
@@ -28,9 +28,8 @@ class Wire:
         tty.setraw(near)
         return cls(far, near, Path(os.ttyname(near)))
 
-    def settings(self, **changes: object) -> SerialPort:
-        values: dict[str, object] = {"device": self.device, "speaks": "telegram", **changes}
-        return SerialPort.model_validate(values)
+    def settings(self, **changes: object) -> SerialPortSettings:
+        return SerialPortSettings.model_validate({"device": self.device, **changes})
 
     def send(self, data: bytes) -> None:
         os.write(self.far, data)

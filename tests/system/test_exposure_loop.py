@@ -14,7 +14,7 @@ from support.measurements import beam_of
 from altd.acquisition.auto_exposure.control import ExposureKeeper
 from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
 from altd.app.daemon import Daemon
-from altd.config import Config, ExposureControl, Measuring
+from altd.config import Config, ExposureSettings, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import Beam
 from altd.measuring.calibration import Calibration
@@ -53,7 +53,7 @@ class Loop:
         self.unit = Unit(UnitConfig(seed=3, lux=lux, bits=bits, laser=Laser(power_mw=power_mw)))
         self.unit.place(POSE)
         self.health = Health(SystemClock())
-        control = ExposureControl(exposure_ms=start_ms, longest_ms=longest_ms)
+        control = ExposureSettings(exposure_ms=start_ms, longest_ms=longest_ms)
         self.keepers = {
             name: ExposureKeeper(control, 20.0, WINDOW, self.health.component(name)) for name in CAMERAS
         }

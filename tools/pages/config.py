@@ -9,25 +9,27 @@ from typing import Any, get_args
 from pydantic.fields import FieldInfo
 
 from altd.config import (
-    AravisCamera,
-    CameraLamps,
+    AravisCameraSettings,
+    CameraLampsSettings,
     Config,
-    ExposureControl,
-    GpiodLamps,
-    GrblStage,
-    Http,
-    IndicatorLamps,
+    ConsolePortSettings,
+    ExposureSettings,
+    GpiodLampsSettings,
+    GrblStageSettings,
+    HttpSettings,
+    IndicatorsSettings,
     Installation,
     Measuring,
-    ModbusTcp,
-    RecordingCamera,
-    Rs485,
+    ModbusRtuPortSettings,
+    ModbusTcpSettings,
+    RecordingCameraSettings,
+    Rs485Settings,
     Scan,
-    SerialPort,
     Table,
     Target,
+    TelegramPortSettings,
     Unit,
-    V4l2Camera,
+    V4l2CameraSettings,
 )
 from altd.config.fields import expected
 from altd.config.loading import config_of
@@ -36,31 +38,39 @@ from altd.errors import BadInputError
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
     ("[[targets]]", Target, "Required, at least two, in beam order."),
-    ('[cameras.NAME], driver = "v4l2"', V4l2Camera, "One table for each target's `camera`."),
-    ('[cameras.NAME], driver = "aravis"', AravisCamera, "Needs the Debian packages that `cameras.md` names."),
-    ('[cameras.NAME], driver = "recording"', RecordingCamera, "Made by `altd record`."),
+    ('[cameras.NAME], driver = "v4l2"', V4l2CameraSettings, "One table for each target's `camera`."),
+    (
+        '[cameras.NAME], driver = "aravis"',
+        AravisCameraSettings,
+        "Needs the Debian packages that `cameras.md` names.",
+    ),
+    ('[cameras.NAME], driver = "recording"', RecordingCameraSettings, "Made by `altd record`."),
     (
         "[cameras.NAME.exposure]",
-        ExposureControl,
+        ExposureSettings,
         "For the drivers `v4l2` and `aravis`. All keys have defaults.",
     ),
     ("[measuring]", Measuring, "All keys have defaults."),
     ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
-    ("[modbus_tcp]", ModbusTcp, "Leave the table out and the face is off. Registers: `modbus.md`."),
-    ("[http]", Http, "Leave the table out and the face is off. Routes: `http.md`."),
+    ("[modbus_tcp]", ModbusTcpSettings, "Leave the table out and the face is off. Registers: `modbus.md`."),
+    ("[http]", HttpSettings, "Leave the table out and the face is off. Routes: `http.md`."),
+    ('[[serial]], speaks = "telegram"', TelegramPortSettings, "One table a port. Sentences: `telegram.md`."),
+    ('[[serial]], speaks = "console"', ConsolePortSettings, "What can be typed: `console.md`."),
+    ('[[serial]], speaks = "modbus_rtu"', ModbusRtuPortSettings, "Registers: `modbus.md`."),
     (
-        "[[serial]]",
-        SerialPort,
-        "One table a port. What it can speak: `telegram.md`, `console.md`, `modbus.md`.",
+        "[serial.rs485]",
+        Rs485Settings,
+        "Stands below the `[[serial]]` that it belongs to. All keys have defaults.",
     ),
-    ("[serial.rs485]", Rs485, "Stands below the `[[serial]]` that it belongs to. All keys have defaults."),
-    ('[lamps], driver = "gpiod"', GpiodLamps, "Leave the table out and there are no frame LEDs."),
-    ('[lamps], driver = "camera"', CameraLamps, "Instead of the table above."),
-    ("[indicators]", IndicatorLamps, "Leave the table out and there are none."),
-    ("[stage]", GrblStage, "Needed by `altd scan` alone: `calibration.md`."),
+    ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Leave the table out and there are no frame LEDs."),
+    ('[lamps], driver = "camera"', CameraLampsSettings, "Instead of the table above."),
+    ("[indicators]", IndicatorsSettings, "Leave the table out and there are none."),
+    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, "All keys have defaults."),
 )
 
+_TAGS = ("driver", "speaks")
+"""The keys that say which table it is: they come first."""
 
 _SPOILT = """\
 [unit]
@@ -135,7 +145,7 @@ def _lines() -> Iterator[str]:
         yield ""
         yield "| key | value | default | what it is |"
         yield "|---|---|---|---|"
-        for name, field in model.model_fields.items():
+        for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in _TAGS):
             meaning = " ".join((field.description or "").replace("``", "`").split())
             yield f"| `{name}` | {_value(field)} | {_default(field)} | {meaning} |"
 

@@ -6,7 +6,7 @@ import struct
 import sys
 from collections.abc import Iterable
 
-from altd.config import ModbusTcp, SerialPort
+from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -37,7 +37,7 @@ EXAMPLE = Snapshot(
 
 def page() -> str:
     """The page as Markdown."""
-    tcp, rtu = ModbusTcp(), SerialPort.model_fields
+    tcp, rtu = ModbusTcpSettings(), ModbusRtuPortSettings.model_fields
     baud, parity, stop_bits = (rtu[key].default for key in ("baud", "parity", "stop_bits"))
     float_end = FLOATS + 2 * len(FLOAT_BLOCK)
     read_floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {len(FLOAT_BLOCK)}"

@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from altd.config import SerialPort
+from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
 from altd.records import Fault
@@ -47,8 +47,8 @@ def health() -> Health:
     clock = _TwoHoursLater()
     unit = Health(clock)
     unit.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02, workshop, stage 2"}
-    telegram = SerialPort(device=Path("/dev/ttyS1"), speaks="telegram")
-    console = SerialPort(device=Path("/dev/ttyS2"), speaks="console")
+    telegram = TelegramPortSettings(device=Path("/dev/ttyS1"), speaks="telegram")
+    console = ConsolePortSettings(device=Path("/dev/ttyS2"), speaks="console")
     for name, message in (
         ("camera front", ""),
         ("camera rear", ""),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from altd.config import SerialPort
+from altd.config import TelegramPortSettings
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
     LONGEST_SENTENCE,
@@ -27,7 +27,9 @@ def page() -> str:
     too_large = _row(
         DOES_NOT_FIT, "a number is too large for its field", "check the offsets in `[installation]`"
     )
-    seconds = seconds_on_line(SerialPort(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM)
+    seconds = seconds_on_line(
+        TelegramPortSettings(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM
+    )
     warnings = ", ".join(f"`{reason}`" for reason in Reason if reason.is_warning)
     return f"""# The serial telegram
 

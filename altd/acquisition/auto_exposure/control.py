@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from altd.acquisition.auto_exposure.rule import ExposureRule, Setting, limits_of, look, setting_for
-from altd.config import ExposureControl
+from altd.config import ExposureSettings
 from altd.ports import Camera, CameraRefusedError, ExposureRange
 from altd.records import Frame, NoSpot, Spot
 from altd.status.health import Component
@@ -23,7 +23,7 @@ class ExposureSetter:
     It outlives the camera: a camera that was opened again gets what was last wished for.
     """
 
-    def __init__(self, control: ExposureControl, fps: float) -> None:
+    def __init__(self, control: ExposureSettings, fps: float) -> None:
         self.wish = Setting(control.exposure_ms, control.gain_db)
         self.limits: ExposureRange | None = None
         """Within which may be wished; None before the camera was opened, and where it has nothing to set."""
@@ -93,7 +93,7 @@ class ExposureSetter:
 class ExposureKeeper:
     """The loop's side: what is seen of the spot becomes wishes and, in the camera's health, figures."""
 
-    def __init__(self, control: ExposureControl, fps: float, window: int, component: Component) -> None:
+    def __init__(self, control: ExposureSettings, fps: float, window: int, component: Component) -> None:
         self.setter = None if control.control == "camera" else ExposureSetter(control, fps)
         """What the camera's thread sets with; None: nothing is set."""
         self._control = control.control

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.config import ExposureControl
+from altd.config import ExposureSettings
 from altd.ports import ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray, Spot
@@ -104,7 +104,7 @@ def look(frame: Frame, spot: Spot | NoSpot) -> Sight:
     return Sight(seen, float(_cells(pixels).max()) / full)
 
 
-def limits_of(control: ExposureControl, camera: ExposureRange, fps: float) -> ExposureRange:
+def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
     """What the config allows, the camera can do, and the time between two frames leaves."""
     longest_ms = min(control.longest_ms, camera.longest_ms, (1 - _READOUT_SHARE) * 1000 / fps)
     return ExposureRange(

@@ -86,7 +86,7 @@ class _Sums:
 
     They square the condition, which does no harm here: the waves of a lattice are nearly orthogonal over the
     pixels of a scan, so the matrix, scaled to a diagonal of 1, has a condition of 1.0 to 1.2
-    (docs/decisions/memory.md). Unscaled it has up to 10¹³: a blur leaves next to nothing of the highest
+    (docs/decisions/0029-memory.md). Unscaled it has up to 10¹³: a blur leaves next to nothing of the highest
     harmonics.
     """
 

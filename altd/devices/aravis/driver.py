@@ -15,7 +15,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from altd.config import AravisCamera as Settings
+from altd.config import AravisCameraSettings
 from altd.devices.aravis import gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import Block
@@ -57,7 +57,7 @@ class AravisCamera:
 
     waits = False
 
-    def __init__(self, name: str, settings: Settings) -> None:
+    def __init__(self, name: str, settings: AravisCameraSettings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
         self.playback = False

@@ -7,7 +7,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from altd.config import AravisCamera as Settings
+from altd.config import AravisCameraSettings
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import RETENTION_NS, Assembler, StreamFormat
 from altd.devices.aravis.packets import PacketSocket
@@ -59,7 +59,9 @@ class Opened:
             self.device.trigger()
 
 
-def set_up(device: Device, settings: Settings, camera: str, own_address: str, address: str) -> Opened:
+def set_up(
+    device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
+) -> Opened:
     """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
     with suppress(CameraRefusedError):  # its last controller may have died while it streamed
         device.stop()
@@ -80,7 +82,9 @@ def set_up(device: Device, settings: Settings, camera: str, own_address: str, ad
     return Opened(device, stream, exposure_range, gain is not None, exposure_ms, gain_db)
 
 
-def _start_stream(device: Device, settings: Settings, camera: str, own_address: str, address: str) -> Stream:
+def _start_stream(
+    device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
+) -> Stream:
     packet_bytes = device.settle_packet_size(settings.packet_bytes)
     if not MIN_PACKET_BYTES <= packet_bytes <= MAX_PACKET_BYTES:
         raise CameraRefusedError(f"packets of {packet_bytes} bytes: {MIN_PACKET_BYTES} to {MAX_PACKET_BYTES}")
@@ -144,7 +148,7 @@ def _set_format(device: Device, wanted: str) -> None:
     device.set("PixelFormat", wanted)
 
 
-def _set_region(device: Device, settings: Settings) -> None:
+def _set_region(device: Device, settings: AravisCameraSettings) -> None:
     wanted = settings.offset_x_px, settings.offset_y_px, settings.width, settings.height
     try:
         device.set_region(*wanted)
@@ -161,7 +165,7 @@ def _set_region(device: Device, settings: Settings) -> None:
         )
 
 
-def _set_trigger(device: Device, settings: Settings) -> None:
+def _set_trigger(device: Device, settings: AravisCameraSettings) -> None:
     if settings.trigger == "free":
         _set_rate(device, settings.fps)
         return

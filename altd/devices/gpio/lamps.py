@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from altd.config import GpiodLamps, IndicatorLamps
+from altd.config import GpiodLampsSettings, IndicatorsSettings
 from altd.devices.gpio.lines import OutputLines
 from altd.ports import Indicator
 
@@ -10,7 +10,7 @@ from altd.ports import Indicator
 class GpioFrameLamps:
     """See ``altd.ports.Lamps``: the lines of one chip, switched in one call."""
 
-    def __init__(self, settings: GpiodLamps) -> None:
+    def __init__(self, settings: GpiodLampsSettings) -> None:
         self._names = settings.lines
         self._lines = OutputLines(settings.chip, settings.lines, settings.active_low)
 
@@ -30,7 +30,7 @@ class GpioFrameLamps:
 class GpioIndicators:
     """See ``altd.ports.Indicators``; an indicator without a line is left out."""
 
-    def __init__(self, settings: IndicatorLamps) -> None:
+    def __init__(self, settings: IndicatorsSettings) -> None:
         self._names = {Indicator(key): line for key, line in settings.lines.items()}
         self._lines = OutputLines(settings.chip, tuple(self._names.values()), settings.active_low)
 

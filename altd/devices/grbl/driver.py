@@ -13,7 +13,7 @@ import math
 import threading
 import time
 
-from altd.config import GrblStage as Settings
+from altd.config import GrblStageSettings
 from altd.devices.grbl.line import Line
 from altd.devices.grbl.protocol import (
     HOLD,
@@ -63,7 +63,7 @@ _OLDEST = (1, 1)
 class GrblStage:
     """See ``altd.ports.Stage``."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: GrblStageSettings) -> None:
         self._settings = settings
         self._line: Line | None = None
         self._stopping = threading.Event()

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from altd.config import V4l2Camera as Settings
+from altd.config import V4l2CameraSettings
 from altd.devices.counting import FrameCounter
 from altd.devices.v4l2 import abi
 from altd.devices.v4l2.controls import controls_of, set_controls
@@ -53,7 +53,7 @@ class _Running:
 class V4l2Camera:
     """One camera; see ``altd.ports.Camera``. Its path is followed anew at each opening."""
 
-    def __init__(self, name: str, settings: Settings) -> None:
+    def __init__(self, name: str, settings: V4l2CameraSettings) -> None:
         self.name = name
         self.origin = Origin.CAMERA
         self.playback = False

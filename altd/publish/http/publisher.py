@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.publish.http.page import page_of
 from altd.publish.http.server import listen, serve
 from altd.publish.http.stream import EventStream, Streams
@@ -35,7 +35,7 @@ NOTHING_YET = {
 class HttpPublisher:
     """Serves the unit's page and its API."""
 
-    def __init__(self, settings: Http, board: Board, health: Health, component: Component) -> None:
+    def __init__(self, settings: HttpSettings, board: Board, health: Health, component: Component) -> None:
         self.port = settings.port
         """Where it serves; for port 0, what the system chose."""
         self._settings = settings

@@ -19,7 +19,7 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
@@ -48,7 +48,7 @@ _HEADERS = [
 ]
 
 
-def listen(settings: Http) -> socket.socket:
+def listen(settings: HttpSettings) -> socket.socket:
     """The listening socket; raises OSError that names the address."""
     listener = listen_tcp(settings.host, settings.port)
     # what is set here every accepted connection inherits

@@ -1,6 +1,6 @@
 """From a request to its response: the protocol data unit, the same on every wire.
 
-pymodbus reads the request, checks it and builds the response; ``docs/decisions/modbus.md`` says why its
+pymodbus reads the request, checks it and builds the response; ``docs/decisions/0002-modbus.md`` says why its
 servers and its other functions are not used.
 """
 

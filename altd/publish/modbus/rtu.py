@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from pymodbus.framer import FramerRTU
 
-from altd.config import SerialPort
+from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.bus import LONGEST, Bus
 from altd.publish.modbus.responder import Responder
 from altd.serial_port.port import Port, describe, opened
@@ -32,7 +32,7 @@ def silence_s(baud: int) -> float:
 class ModbusRtuPublisher:
     """Serves the board over Modbus RTU; is silent to any unit id but its own."""
 
-    def __init__(self, settings: SerialPort, board: Board, component: Component) -> None:
+    def __init__(self, settings: ModbusRtuPortSettings, board: Board, component: Component) -> None:
         self._settings = settings
         self._responder = Responder(board, component)
         self._component = component

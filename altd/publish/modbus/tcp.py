@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from pymodbus.constants import ExcCodes
 
-from altd.config import ModbusTcp
+from altd.config import ModbusTcpSettings
 from altd.publish.modbus.responder import Responder
 from altd.status.board import Board
 from altd.status.health import Component, State
@@ -64,7 +64,7 @@ def next_to_go(clients: list[_Client]) -> _Client:
 class ModbusTcpPublisher:
     """Serves the board over Modbus TCP."""
 
-    def __init__(self, settings: ModbusTcp, board: Board, component: Component) -> None:
+    def __init__(self, settings: ModbusTcpSettings, board: Board, component: Component) -> None:
         self._settings = settings
         self._responder = Responder(board, component)
         self._component = component

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from altd.config import SerialPort
+from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
 from altd.publish.serial.telegram import LINE_END, LONGEST_TELEGRAM, encode
@@ -28,7 +28,9 @@ event loop about a millisecond, whatever comes in. 6,400 characters a second are
 class TelegramPublisher:
     """Sends the measurement of the moment at a fixed interval; what comes in is ignored."""
 
-    def __init__(self, settings: SerialPort, board: Board, component: Component, clock: Clock) -> None:
+    def __init__(
+        self, settings: TelegramPortSettings, board: Board, component: Component, clock: Clock
+    ) -> None:
         self._settings = settings
         self._board = board
         self._component = component
@@ -81,7 +83,7 @@ class ConsolePublisher:
     """Lets one person at a terminal ask the unit."""
 
     def __init__(
-        self, settings: SerialPort, board: Board, health: Health, component: Component, clock: Clock
+        self, settings: ConsolePortSettings, board: Board, health: Health, component: Component, clock: Clock
     ) -> None:
         self._settings = settings
         self._board = board
@@ -134,12 +136,12 @@ class ConsolePublisher:
             self._component.count("answers_dropped")
 
 
-def telegram_message(settings: SerialPort) -> str:
+def telegram_message(settings: TelegramPortSettings) -> str:
     """What health says of a port whose telegrams go out."""
     return f"telegram every {settings.interval_s:g} s on {describe(settings)}"
 
 
-def console_message(settings: SerialPort) -> str:
+def console_message(settings: ConsolePortSettings) -> str:
     """What health says of a port with a console."""
     return f"console on {describe(settings)}"
 

@@ -14,7 +14,7 @@ from fuzz.served import Faces, served
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
-from altd.config import SerialPort
+from altd.config import ConsolePortSettings
 from altd.publish.serial import publisher as serial_publisher
 from altd.publish.serial.keys import PASTE_S
 from altd.publish.serial.publisher import ConsolePublisher
@@ -57,7 +57,7 @@ class _Line:
         self.far, near = os.openpty()
         os.set_blocking(self.far, False)
         tty.setraw(near)
-        settings = SerialPort.model_validate({"device": os.ttyname(near), "speaks": "console"})
+        settings = ConsolePortSettings.model_validate({"device": os.ttyname(near), "speaks": "console"})
         self._console = ConsolePublisher(
             settings, faces.board, faces.health, faces.component(NAME), faces.clock
         )

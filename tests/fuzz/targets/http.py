@@ -11,7 +11,7 @@ from fuzz.served import served
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.publish.http.publisher import HttpPublisher
 
 NAME = "http"
@@ -41,7 +41,7 @@ EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.sampled_from((1_000_0
 
 _face = served(
     lambda faces: HttpPublisher(
-        Http(host="127.0.0.1", port=0), faces.board, faces.health, faces.component(NAME)
+        HttpSettings(host="127.0.0.1", port=0), faces.board, faces.health, faces.component(NAME)
     )
 )
 

@@ -10,7 +10,7 @@ from fuzz.served import read_all, served
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
-from altd.config import ModbusTcp
+from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 
 NAME = "modbus_tcp"
@@ -46,7 +46,7 @@ EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.integers(1, 300))
 
 _face = served(
     lambda faces: ModbusTcpPublisher(
-        ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), faces.board, faces.component(NAME)
+        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), faces.board, faces.component(NAME)
     )
 )
 

@@ -9,7 +9,7 @@ from support.frames import Blob, frame, light
 from altd.acquisition import frame_sets as exposures
 from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureSetter
 from altd.acquisition.frame_sets import Exposures
-from altd.config import ExposureControl, Measuring
+from altd.config import ExposureSettings, Measuring
 from altd.ports import CameraEndedError, CameraError, ExposureRange
 from altd.records import Frame, Origin
 from altd.runtime.clock import SystemClock
@@ -101,7 +101,7 @@ async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_
 
     front, rear = Settable("front"), Camera("rear")
     front.start_ns = rear.start_ns = time.monotonic_ns()
-    setters = {"front": ExposureSetter(ExposureControl(exposure_ms=3.0), 20.0)}
+    setters = {"front": ExposureSetter(ExposureSettings(exposure_ms=3.0), 20.0)}
     async with Exposures((front, rear), Measuring(), Health(SystemClock()), setters) as cameras:
         taken = await cameras.after(front.start_ns - PERIOD_NS, 3)
     assert asked == [(3.0, 0.0)]

@@ -18,7 +18,7 @@ from altd.acquisition.auto_exposure.control import ExposureSetter
 from altd.acquisition.auto_exposure.rule import Setting
 from altd.acquisition.grabbing import grab
 from altd.acquisition.inbox import Inbox
-from altd.config import ExposureControl
+from altd.config import ExposureSettings
 from altd.ports import (
     CameraBusyError,
     CameraEndedError,
@@ -150,7 +150,7 @@ class SettableLyingCamera(LyingCamera):
 
 async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(component: Component) -> None:
     camera = SettableLyingCamera(3600.0)
-    setter = ExposureSetter(ExposureControl(exposure_ms=3.0), 20.0)
+    setter = ExposureSetter(ExposureSettings(exposure_ms=3.0), 20.0)
     inbox = Inbox(["front"])
     task = asyncio.create_task(grab(camera, inbox, component, setter))
     (first,) = await inbox.take()
@@ -441,7 +441,7 @@ class SettableCamera(ScriptedCamera):
 
 
 def setter(exposure_ms: float = 10.0) -> ExposureSetter:
-    return ExposureSetter(ExposureControl(control="fixed", exposure_ms=exposure_ms), fps=4.0)
+    return ExposureSetter(ExposureSettings(control="fixed", exposure_ms=exposure_ms), fps=4.0)
 
 
 class AllFrames(Inbox):

@@ -291,6 +291,31 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "is the port of serial.0 too",
     ),
     ('speaks = "telegram"', 'speaks = «"telegramm"', "serial.0.speaks", "did you mean `telegram`?"),
+    (
+        '[[serial]]\ndevice = "/dev/ttyS0"\nspeaks = "telegram"',
+        '«[[serial]]\ndevice = "/dev/ttyS0"',
+        "serial.0.speaks",
+        'this key is missing; possible: "telegram" or "console" or "modbus_rtu"',
+    ),
+    (
+        'speaks = "console"',
+        'speaks = "console"\n«interval_s = 1.0',
+        "serial.1.interval_s",
+        "no such key; possible: baud, device, parity, rs485, speaks, stop_bits; "
+        'it is a key of [[serial]] with speaks = "telegram"',
+    ),
+    (
+        'speaks = "console"',
+        'speaks = "console"\n«unit_id = 1',
+        "serial.1.unit_id",
+        'it is a key of [modbus_tcp] and of [[serial]] with speaks = "modbus_rtu"',
+    ),
+    (
+        "width = 752",
+        'width = 752\n«trigger = "free"',
+        "cameras.front.trigger",
+        'it is a key of [cameras.NAME] with driver = "aravis"',
+    ),
     ("baud = 9600", "baud = «9601", "serial.0.baud", "9601 is not possible; possible: 1200 or 2400"),
     (
         "interval_s = 1.0",

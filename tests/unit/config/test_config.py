@@ -262,9 +262,9 @@ def test_every_quantity_of_the_config_was_asked_for() -> None:
         "Target.z_mm",
         "Installation.offset_x_mm",
         "Installation.reference_plane_mm",
-        "ExposureControl.exposure_ms",
-        "AravisCamera.features",
-        "GrblStage.offset_y_mm",
+        "ExposureSettings.exposure_ms",
+        "AravisCameraSettings.features",
+        "GrblStageSettings.offset_y_mm",
         "Scan.centre_x_mm",
         "Measuring.max_sigma_mm",
     } <= asked

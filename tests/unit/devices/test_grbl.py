@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from support.grbl_conversation import CONVERSATION
 
-from altd.config import GrblStage as Settings
+from altd.config import GrblStageSettings
 from altd.devices.grbl import driver, protocol
 from altd.devices.grbl.driver import GrblStage
 from altd.ports import (
@@ -48,8 +48,8 @@ def table(quick: None) -> Iterator[GrblTable]:
         yield table
 
 
-def settings(device: Path, **more: object) -> Settings:
-    return Settings.model_validate(
+def settings(device: Path, **more: object) -> GrblStageSettings:
+    return GrblStageSettings.model_validate(
         {
             "driver": "grbl",
             "device": device,
@@ -379,6 +379,6 @@ def drives_grbl_itself(grbl_itself: Path) -> None:
     stage.close()
 
 
-# Made by hand (docs/decisions/stage.md): no package has it, and in CI nothing may be skipped.
+# Made by hand (docs/decisions/0010-stage.md): no package has it, and in CI nothing may be skipped.
 if shutil.which(GRBL_ITSELF):
     test_grbl_itself_is_driven = drives_grbl_itself

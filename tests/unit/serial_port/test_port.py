@@ -16,7 +16,7 @@ import serial
 from support.foreign import need_program
 from support.wire import Wire
 
-from altd.config import SerialPort
+from altd.config import SerialPortSettings
 from altd.serial_port import port
 from altd.serial_port.opening import close_serial, open_serial
 from altd.serial_port.port import describe, opened, seconds_on_line
@@ -41,7 +41,7 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
         async with asyncio.timeout(3.0):
             while not (far.exists() and near.exists()):  # noqa: ASYNC110  a foreign program makes them
                 await asyncio.sleep(0.005)
-        settings = SerialPort(device=near, speaks="telegram", baud=115200, parity="even", stop_bits=2)
+        settings = SerialPortSettings(device=near, baud=115200, parity="even", stop_bits=2)
         async with opened(settings, limit=100, fresh=True) as line:
             with serial.Serial(str(far), 115200, timeout=1) as client:
                 line.write(b"$PALT\r\n")
@@ -142,7 +142,7 @@ async def test_no_descriptor_is_left_open(wire: Wire) -> None:
 
 
 def test_the_time_on_the_line_counts_start_parity_and_stop_bits() -> None:
-    settings = SerialPort(device=Path("/dev/ttyS1"), speaks="telegram", parity="even", stop_bits=2)
+    settings = SerialPortSettings(device=Path("/dev/ttyS1"), parity="even", stop_bits=2)
     assert seconds_on_line(settings, 96) == pytest.approx(0.12)
     assert describe(settings) == "/dev/ttyS1, 9600 baud 8E2"
 

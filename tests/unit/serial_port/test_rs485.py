@@ -12,7 +12,7 @@ import pytest
 from support.foreign import need_program
 from support.wire import Wire
 
-from altd.config import Rs485
+from altd.config import Rs485Settings
 from altd.serial_port.opening import open_serial
 from altd.serial_port.port import describe
 
@@ -20,10 +20,10 @@ HERE = Path(__file__).parent
 OPENS = """
 import sys
 from pathlib import Path
-from altd.config import Rs485
+from altd.config import Rs485Settings
 from altd.serial_port.opening import close_serial, open_serial
 try:
-    close_serial(open_serial(Path(sys.argv[1]), 9600, rs485=Rs485.model_validate_json(sys.argv[2])))
+    close_serial(open_serial(Path(sys.argv[1]), 9600, rs485=Rs485Settings.model_validate_json(sys.argv[2])))
 except OSError as error:
     print(error)
 """
@@ -39,7 +39,7 @@ def driver(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
-def opened(wire: Wire, driver: Path, settings: Rs485, cannot: str = "") -> tuple[str, str]:
+def opened(wire: Wire, driver: Path, settings: Rs485Settings, cannot: str = "") -> tuple[str, str]:
     """What the driver was asked, and what the opener complained of."""
     log = driver.with_name("log")
     log.write_text("")
@@ -52,13 +52,13 @@ def opened(wire: Wire, driver: Path, settings: Rs485, cannot: str = "") -> tuple
 @pytest.mark.parametrize(
     ("settings", "asked"),
     [
-        (Rs485(), "enabled on-send before 0 after 0"),
-        (Rs485(rts_while_sending="low"), "enabled after-send before 0 after 0"),
-        (Rs485(delay_before_ms=3, delay_after_ms=100), "enabled on-send before 3 after 100"),
+        (Rs485Settings(), "enabled on-send before 0 after 0"),
+        (Rs485Settings(rts_while_sending="low"), "enabled after-send before 0 after 0"),
+        (Rs485Settings(delay_before_ms=3, delay_after_ms=100), "enabled on-send before 3 after 100"),
     ],
 )
 def test_the_driver_is_asked_in_the_kernels_own_words(
-    wire: Wire, driver: Path, settings: Rs485, asked: str
+    wire: Wire, driver: Path, settings: Rs485Settings, asked: str
 ) -> None:
     assert opened(wire, driver, settings) == (asked, "")
 
@@ -75,7 +75,7 @@ def test_the_driver_is_asked_in_the_kernels_own_words(
 def test_a_driver_that_does_less_is_refused_and_says_what(
     wire: Wire, driver: Path, cannot: str, told: str
 ) -> None:
-    _, complaint = opened(wire, driver, Rs485(rts_while_sending="low", delay_after_ms=5), cannot)
+    _, complaint = opened(wire, driver, Rs485Settings(rts_while_sending="low", delay_after_ms=5), cannot)
     assert told in complaint
     assert str(wire.device) in complaint
 
@@ -83,7 +83,7 @@ def test_a_driver_that_does_less_is_refused_and_says_what(
 def test_a_port_without_such_a_mode_is_refused_and_left_free(wire: Wire) -> None:
     for _ in range(2):
         with pytest.raises(OSError, match="has no RS485 mode") as caught:
-            open_serial(wire.device, 9600, rs485=Rs485())
+            open_serial(wire.device, 9600, rs485=Rs485Settings())
         assert caught.value.errno == errno.ENOTTY
 
 

@@ -6,7 +6,7 @@ from support.clock import FakeClock
 
 from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureKeeper, ExposureSetter
 from altd.acquisition.auto_exposure.rule import Setting
-from altd.config import ExposureControl
+from altd.config import ExposureSettings
 from altd.ports import CameraLostError, CameraRefusedError, ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot
@@ -54,7 +54,7 @@ class Camera:
 
 def setter_of(control: str = "auto", exposure_ms: float = 2.0, gain_db: float = 0.0) -> ExposureSetter:
     settings = {"control": control, "exposure_ms": exposure_ms, "gain_db": gain_db}
-    return ExposureSetter(ExposureControl.model_validate(settings), fps=20.0)
+    return ExposureSetter(ExposureSettings.model_validate(settings), fps=20.0)
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_auto_stays_within_what_the_camera_can_and_fixed_asks_for_what_is_writte
 
 def test_a_camera_with_nothing_to_set_is_left_alone_and_says_so(component: Component) -> None:
     camera = Camera(able=None)
-    keeper = ExposureKeeper(ExposureControl(), 20.0, 20, component)
+    keeper = ExposureKeeper(ExposureSettings(), 20.0, 20, component)
     assert keeper.setter is not None
     keeper.setter.opened(camera)
     assert keeper.setter.set(camera) is None
@@ -129,7 +129,7 @@ def test_a_refusal_is_told_and_ends_the_wishing_until_the_camera_is_opened_again
     component: Component,
 ) -> None:
     camera = Camera()
-    keeper = ExposureKeeper(ExposureControl(), 20.0, 4, component)
+    keeper = ExposureKeeper(ExposureSettings(), 20.0, 4, component)
     setter = keeper.setter
     assert setter is not None
     setter.opened(camera)
@@ -160,7 +160,7 @@ def test_a_camera_that_goes_away_while_it_is_set_is_lost() -> None:
 
 def test_a_spot_too_bright_is_exposed_less_and_health_shows_with_what(component: Component) -> None:
     camera = Camera()
-    keeper = ExposureKeeper(ExposureControl(), 20.0, 4, component)
+    keeper = ExposureKeeper(ExposureSettings(), 20.0, 4, component)
     setter = keeper.setter
     assert setter is not None
     setter.opened(camera)
@@ -180,7 +180,7 @@ def test_a_spot_too_bright_is_exposed_less_and_health_shows_with_what(component:
 
 @pytest.mark.parametrize("mark", ["changing", "leds_on"])
 def test_what_is_not_the_beam_s_exposure_is_not_looked_at(component: Component, mark: str) -> None:
-    keeper = ExposureKeeper(ExposureControl(), 20.0, 4, component)
+    keeper = ExposureKeeper(ExposureSettings(), 20.0, 4, component)
     assert keeper.setter is not None
     keeper.setter.opened(Camera())
     pixels = np.full((48, 64), 255, np.uint8)
@@ -195,7 +195,7 @@ def test_what_is_not_the_beam_s_exposure_is_not_looked_at(component: Component, 
 def test_without_control_the_level_is_shown_and_nothing_is_wished(
     component: Component, control: str, sets: bool
 ) -> None:
-    keeper = ExposureKeeper(ExposureControl.model_validate({"control": control}), 20.0, 4, component)
+    keeper = ExposureKeeper(ExposureSettings.model_validate({"control": control}), 20.0, 4, component)
     assert (keeper.setter is not None) is sets
     if keeper.setter is not None:
         keeper.setter.opened(Camera())

@@ -18,7 +18,7 @@ from altd.acquisition.auto_exposure.rule import (
     look,
     setting_for,
 )
-from altd.config import ExposureControl
+from altd.config import ExposureSettings
 from altd.ports import ExposureRange
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot
@@ -64,7 +64,7 @@ def test_exposure_comes_first_and_gain_only_where_it_does_not_do(light_ms: float
 
 
 def test_the_limits_are_those_of_config_camera_and_frame_rate_together() -> None:
-    control = ExposureControl(shortest_ms=0.1, longest_ms=30.0, largest_gain_db=12.0)
+    control = ExposureSettings(shortest_ms=0.1, longest_ms=30.0, largest_gain_db=12.0)
     wide, narrow = ExposureRange(0.01, 900.0, 0.0, 48.0), ExposureRange(0.5, 8.0, 2.0, 6.0)
     assert limits_of(control, wide, fps=20.0) == ExposureRange(0.1, 30.0, 0.0, 12.0)
     assert limits_of(control, narrow, fps=20.0) == ExposureRange(0.5, 8.0, 2.0, 6.0)

@@ -118,7 +118,7 @@ class TestFrames:
 
     def test_come_when_software_triggers_them(self, cameras: Cameras) -> None:
         """At multiples of the period. The simulated camera looks each 40 ms whether it was triggered, and now
-        and then oversleeps by 100 ms (docs/decisions/gige.md)."""
+        and then oversleeps by 100 ms (docs/decisions/0014-gige.md)."""
         cameras.start()
         with Grabbed(driver(trigger="software", fps=4)) as grabbed:
             grabbed.await_frames(8)

@@ -42,10 +42,10 @@ def test_without_aravis_the_config_is_refused_with_the_remedy() -> None:
 import sys
 sys.modules["gi"] = None
 from altd.app.parts import live_camera
-from altd.config import AravisCamera
+from altd.config import AravisCameraSettings
 from altd.errors import BadInputError
 try:
-    live_camera("front", AravisCamera(driver="aravis", device="10.0.0.7"))
+    live_camera("front", AravisCameraSettings(driver="aravis", device="10.0.0.7"))
 except BadInputError as error:
     print(error)
 """

@@ -10,13 +10,13 @@ import pytest
 from support.foreign import need_program
 from support.guest import GuestRun, run_in_guest
 
-from altd.config import V4l2Camera as Settings
+from altd.config import V4l2CameraSettings
 from altd.devices.v4l2.camera import V4l2Camera
 from altd.ports import CameraLostError, CameraNotFoundError, CameraRefusedError
 
 
 def camera(device: Path) -> V4l2Camera:
-    return V4l2Camera("front", Settings(driver="v4l2", device=device))
+    return V4l2Camera("front", V4l2CameraSettings(driver="v4l2", device=device))
 
 
 def test_a_camera_that_is_not_there_is_not_found(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from support.measurements import measured
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
@@ -121,7 +121,7 @@ def component(health: Health) -> Component:
 def served(board: Board, health: Health, component: Component) -> Served:
     @contextlib.asynccontextmanager
     async def serving() -> AsyncIterator[Unit]:
-        publisher = HttpPublisher(Http(host="127.0.0.1", port=0), board, health, component)
+        publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), board, health, component)
         ready = asyncio.Event()
         task = asyncio.ensure_future(publisher.run(ready.set))
         await ready.wait()

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.foreign import need
 
-from altd.config import Http
+from altd.config import HttpSettings
 from altd.publish.http import server
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
@@ -26,7 +26,7 @@ from .conftest import Served
 async def test_a_taken_port_is_an_error(board: Board, health: Health, component: Component) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         publisher = HttpPublisher(
-            Http(host="127.0.0.1", port=taken.getsockname()[1]), board, health, component
+            HttpSettings(host="127.0.0.1", port=taken.getsockname()[1]), board, health, component
         )
         with pytest.raises(OSError, match="in use") as caught:
             await publisher.run(lambda: pytest.fail("not ready"))
@@ -34,7 +34,7 @@ async def test_a_taken_port_is_an_error(board: Board, health: Health, component:
 
 
 async def test_a_foreign_address_is_an_error(board: Board, health: Health, component: Component) -> None:
-    publisher = HttpPublisher(Http(host="192.0.2.1", port=0), board, health, component)
+    publisher = HttpPublisher(HttpSettings(host="192.0.2.1", port=0), board, health, component)
     with pytest.raises(OSError, match=r"192\.0\.2\.1"):
         await publisher.run(lambda: pytest.fail("not ready"))
 
@@ -45,7 +45,7 @@ async def test_it_can_be_served_again_on_the_same_port(
     async with served() as unit, unit.stream() as events:
         await events.head()
         port = unit.port
-    publisher = HttpPublisher(Http(host="127.0.0.1", port=port), board, health, component)
+    publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=port), board, health, component)
     ready = asyncio.Event()
     task = asyncio.ensure_future(publisher.run(ready.set))
     await asyncio.wait_for(ready.wait(), 1.0)
@@ -191,7 +191,7 @@ async def test_many_clients_at_once_are_all_answered(served: Served) -> None:
 
 
 async def test_it_listens_on_ipv6(board: Board, health: Health, component: Component) -> None:
-    publisher = HttpPublisher(Http(host="::1", port=0), board, health, component)
+    publisher = HttpPublisher(HttpSettings(host="::1", port=0), board, health, component)
     ready = asyncio.Event()
     task = asyncio.ensure_future(publisher.run(ready.set))
     await asyncio.wait({task, waiting := asyncio.ensure_future(ready.wait())}, return_when="FIRST_COMPLETED")

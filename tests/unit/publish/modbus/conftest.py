@@ -14,7 +14,7 @@ from support.clock import FakeClock
 from support.measurements import measured
 from support.modbus_wire import UNIT, Client, Measured, Serving, connected
 
-from altd.config import ModbusTcp
+from altd.config import ModbusTcpSettings
 from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Measurement
@@ -76,7 +76,9 @@ def serving() -> Serving:
 @pytest.fixture
 async def tcp(board: Board, component: Component, serving: Serving) -> AsyncIterator[ModbusTcpPublisher]:
     """A Modbus TCP publisher on a free port of the loopback."""
-    publisher = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), board, component)
+    publisher = ModbusTcpPublisher(
+        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component
+    )
     async with serving(publisher):
         yield publisher
 

@@ -15,7 +15,7 @@ from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Measured, Serving
 
-from altd.config import SerialPort
+from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
@@ -77,7 +77,7 @@ async def test_over_rtu_mbpoll_reads_the_same(
 ) -> None:
     board.publish(measured())
     unit, controller = line
-    port = SerialPort(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
+    port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
     at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
     async with serving(ModbusRtuPublisher(port, board, component)):
         values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)

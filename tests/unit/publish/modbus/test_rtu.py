@@ -14,7 +14,7 @@ import pytest
 from support.modbus_rtu_wire import COLLIDING, READ_OF_20, crc, frame
 from support.modbus_wire import ONE, ONE_ANSWER, UNIT, Serving
 
-from altd.config import SerialPort
+from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
 from altd.status.board import Board
@@ -53,9 +53,9 @@ class Controller:
         return await self.hear(1, within_s=0.03) == b""
 
 
-def settings(device: str, **fields: Any) -> SerialPort:
+def settings(device: str, **fields: Any) -> ModbusRtuPortSettings:
     ordinary: dict[str, Any] = {"speaks": "modbus_rtu", "baud": 115200, "unit_id": UNIT}
-    return SerialPort(device=Path(device), **(ordinary | fields))
+    return ModbusRtuPortSettings(device=Path(device), **(ordinary | fields))
 
 
 @pytest.fixture

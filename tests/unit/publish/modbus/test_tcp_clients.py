@@ -25,7 +25,7 @@ from support.modbus_wire import (
     words,
 )
 
-from altd.config import ModbusTcp
+from altd.config import ModbusTcpSettings
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
 from altd.status.board import Board
@@ -222,7 +222,7 @@ async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTc
 async def test_an_address_in_use_is_an_os_error(
     tcp: ModbusTcpPublisher, board: Board, component: Component, serving: Serving
 ) -> None:
-    second = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=tcp.port), board, component)
+    second = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component)
     with pytest.raises(OSError, match="address already in use"):
         async with serving(second):
             pass
@@ -231,7 +231,9 @@ async def test_an_address_in_use_is_an_os_error(
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
     board: Board, component: Component, serving: Serving
 ) -> None:
-    publisher = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=0, unit_id=UNIT), board, component)
+    publisher = ModbusTcpPublisher(
+        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component
+    )
     before = asyncio.all_tasks()
     async with contextlib.AsyncExitStack() as stack:
         async with serving(publisher):
@@ -242,6 +244,6 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
         assert component.counters["clients"] == 0
         for client in clients:
             assert await client.is_closed()
-    again = ModbusTcpPublisher(ModbusTcp(host="127.0.0.1", port=publisher.port), board, component)
+    again = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=publisher.port), board, component)
     async with serving(again):
         pass

@@ -12,14 +12,14 @@ import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import pytest
 from support.clock import FakeClock, stop
 from support.foreign import need_program
 from support.wire import Wire
 
-from altd.config import SerialPort
+from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 from altd.publish.serial.telegram import parse
 from altd.records import Measurement
@@ -33,6 +33,10 @@ GONE = "the port is gone"
 
 def lines(count: int) -> Callable[[bytes], bool]:
     return lambda data: data.count(b"\n") >= count
+
+
+def telegram_port(wire: Wire, **line: Any) -> TelegramPortSettings:
+    return TelegramPortSettings(device=wire.device, speaks="telegram", interval_s=0.5, **line)
 
 
 @contextlib.asynccontextmanager
@@ -50,7 +54,7 @@ class TestTelegram:
     def publisher(
         self, wire: Wire, board: Board, component: Component, clock: FakeClock
     ) -> TelegramPublisher:
-        return TelegramPublisher(wire.settings(interval_s=0.5), board, component, clock)
+        return TelegramPublisher(telegram_port(wire), board, component, clock)
 
     async def test_it_speaks_at_its_interval_and_says_what_the_board_says(
         self,
@@ -120,9 +124,7 @@ class TestTelegram:
         self, wire: Wire, board: Board, component: Component, clock: FakeClock, measured: Measurement
     ) -> None:
         board.publish(measured)
-        async with serving(
-            TelegramPublisher(wire.settings(baud=1200, interval_s=0.5), board, component, clock)
-        ):
+        async with serving(TelegramPublisher(telegram_port(wire, baud=1200), board, component, clock)):
             await wire.receive(lines(2))
         assert component.state is State.DEGRADED
         assert "takes 0.88 s at 1200 baud but one is due every 0.5 s" in component.message
@@ -138,7 +140,7 @@ class TestTelegram:
     async def test_a_missing_port_is_an_error_before_it_is_ready(
         self, board: Board, component: Component, clock: FakeClock
     ) -> None:
-        settings = SerialPort.model_validate({"device": "/dev/none", "speaks": "telegram"})
+        settings = TelegramPortSettings.model_validate({"device": "/dev/none", "speaks": "telegram"})
         with pytest.raises(FileNotFoundError, match="/dev/none"):
             await TelegramPublisher(settings, board, component, clock).run(lambda: pytest.fail("not ready"))
 
@@ -148,7 +150,8 @@ class TestConsole:
     def publisher(
         self, wire: Wire, board: Board, health: Health, component: Component, clock: FakeClock
     ) -> ConsolePublisher:
-        return ConsolePublisher(wire.settings(speaks="console"), board, health, component, clock)
+        settings = ConsolePortSettings(device=wire.device, speaks="console")
+        return ConsolePublisher(settings, board, health, component, clock)
 
     async def test_a_session(
         self,
@@ -320,7 +323,7 @@ async def test_a_technician_at_a_real_terminal(
     board.publish(replace(measured, t_ns=time.monotonic_ns()))
     with Line() as line:
         carrying = asyncio.create_task(line.carry())
-        settings = SerialPort.model_validate({"device": line.unit_end, "speaks": "console"})
+        settings = ConsolePortSettings.model_validate({"device": line.unit_end, "speaks": "console"})
         publisher = ConsolePublisher(settings, board, health, component, SystemClock())
         async with serving(publisher):
             with Picocom(line.far_end) as terminal:
