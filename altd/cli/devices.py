@@ -11,7 +11,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """None."""
 
 
-def _devices(_options: argparse.Namespace) -> int:
+def run(_options: argparse.Namespace) -> int:
+    """Print them."""
     from altd.app.connected_devices import lines
 
     for line in lines():
