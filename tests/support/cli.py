@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -60,38 +59,3 @@ def refusal_of(*arguments: object, capsys: pytest.CaptureFixture[str]) -> str:
     status = main([str(argument) for argument in arguments])
     printed = capsys.readouterr()
     return refusal(Outcome(status, printed.out, printed.err))
-
-
-CONFIG = """
-[unit]
-serial = "TEST-1"
-calibration = "{calibration}"
-
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
-driver = "recording"
-path = "{recording}"
-repeat = true
-
-[cameras.rear]
-driver = "recording"
-path = "{recording}"
-repeat = true
-
-[measuring]
-window = 4
-"""
-
-
-def write_config(path: Path, calibration: Path, recording: Path, more: str = "") -> Path:
-    path.write_text(CONFIG.format(calibration=calibration, recording=recording) + more)
-    return path

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from support.cli import altd, write_config
+from support.cli import altd
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 BEAMS = [(10.0, 5.0, 0.02, -0.03)] * 3
 

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal
 from support.foreign import need_program
+from support.unit_toml import write_config
 
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
