@@ -8,19 +8,10 @@ import numpy as np
 
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
-from support.cli import altd
 from support.unit_toml import unit_toml
 
 POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
 """What the unit is to measure: the truth of every frame."""
-
-
-def calibrate(seed: int, folder: Path) -> Path:
-    """Scan and calibrate the unit as a technician does; returns the calibration file."""
-    calibration = folder / "calibration.json"
-    assert altd("scan", "-o", folder / "scan", "--seed", seed, module="hw_sim").status == 0
-    assert altd("calibrate", folder / "scan", "-o", calibration).status == 0
-    return calibration
 
 
 def render(seed: int, folder: Path, exposures: int) -> Path:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from support.cli import altd
+from support.cli import altd_here
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
 
@@ -45,7 +45,7 @@ class PlayedUnit:
         unit = cls(folder)
         write_scan(folder / "scan")
         write_beams(unit.beams, BEAMS)
-        assert altd("calibrate", folder / "scan", "-o", unit.calibration).status == 0
+        assert altd_here("calibrate", folder / "scan", "-o", unit.calibration).status == 0
         write_config(unit.config, unit.calibration, unit.beams)
         return unit
 
