@@ -5,21 +5,28 @@ from __future__ import annotations
 import asyncio
 import functools
 import inspect
+import os
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as altd itself; before numpy is there
+
+import cv2
 import pytest
 from support import own_network
-from support.cli import altd
 from support.foreign import need
+from support.made_once import made_once
 from support.places import SHARED_DATA
 from support.played_unit import PlayedUnit
+from support.simulated_unit import scan_and_calibrate
 from support.wire import Wire
 
 from altd.calibration.file import load_calibration
 from altd.measuring.calibration import Calibration
+
+cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 
 
 @pytest.fixture(scope="session")
@@ -38,18 +45,21 @@ def wire() -> Iterator[Wire]:
 
 
 @pytest.fixture(scope="session")
-def calibration_of_unit_3(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    """The calibration of the simulated unit with seed 3, from a scan as a technician makes it."""
-    folder = tmp_path_factory.mktemp("unit-3")
-    assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
-    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
-    return load_calibration(folder / "cal.json")
+def unit_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``scan`` and ``cal.json`` of the simulated unit with seed 3, as a technician makes them."""
+    return made_once(tmp_path_factory, "unit-3", functools.partial(scan_and_calibrate, 3))
+
+
+@pytest.fixture(scope="session")
+def calibration_of_unit_3(unit_3: Path) -> Calibration:
+    """The calibration of the simulated unit with seed 3."""
+    return load_calibration(unit_3 / "cal.json")
 
 
 @pytest.fixture(scope="session")
 def played_unit(tmp_path_factory: pytest.TempPathFactory) -> PlayedUnit:
     """A calibrated unit that plays a recording."""
-    return PlayedUnit.made(tmp_path_factory.mktemp("played-unit"))
+    return PlayedUnit(made_once(tmp_path_factory, "played-unit", PlayedUnit.made))
 
 
 @pytest.fixture(autouse=True)

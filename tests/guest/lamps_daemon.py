@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
-from support.cli import write_config
 from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
+from support.unit_toml import write_config
 
 STATUS = "http://127.0.0.1:8080/api/status"
 LINES = "LED_A", "LED_B", "DATA", "ERROR", "POWER", "OK"

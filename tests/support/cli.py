@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import io
 import json
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
-
-import pytest
-
-from altd.cli.main import main
+from unittest import mock
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,21 @@ def altd(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outco
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
+def altd_here(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outcome:
+    """The same without a process of its own, which takes half a second to start; logs are not part of it."""
+    main = importlib.import_module(f"{module}.__main__").main
+    given = io.TextIOWrapper(io.BytesIO(stdin.encode()), "utf-8")
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", "backslashreplace") for _ in range(2))
+    with redirect_stdout(out), redirect_stderr(err), mock.patch("sys.stdin", given):
+        status = main([str(argument) for argument in arguments])
+    return Outcome(status, _text_of(out), _text_of(err))
+
+
+def _text_of(written: io.TextIOWrapper) -> str:
+    written.seek(0)  # flushes, too
+    return written.buffer.read().decode().replace("\r\n", "\n")
+
+
 def refusal(outcome: Outcome) -> str:
     """The one line on stderr of a command that refused its input: status 2, no output, no traceback."""
     assert outcome.status == 2, outcome
@@ -53,45 +67,3 @@ def unreadable(outcome: Outcome) -> str:
     lines = outcome.err.splitlines()
     assert len(lines) == 1, outcome.err
     return lines[0]
-
-
-def refusal_of(*arguments: object, capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of a command that refuses its input, without a process of its own."""
-    status = main([str(argument) for argument in arguments])
-    printed = capsys.readouterr()
-    return refusal(Outcome(status, printed.out, printed.err))
-
-
-CONFIG = """
-[unit]
-serial = "TEST-1"
-calibration = "{calibration}"
-
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
-driver = "recording"
-path = "{recording}"
-repeat = true
-
-[cameras.rear]
-driver = "recording"
-path = "{recording}"
-repeat = true
-
-[measuring]
-window = 4
-"""
-
-
-def write_config(path: Path, calibration: Path, recording: Path, more: str = "") -> Path:
-    path.write_text(CONFIG.format(calibration=calibration, recording=recording) + more)
-    return path

@@ -8,18 +8,10 @@ import numpy as np
 
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
-from support.cli import altd
+from support.unit_toml import unit_toml
 
 POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
 """What the unit is to measure: the truth of every frame."""
-
-
-def calibrate(seed: int, folder: Path) -> Path:
-    """Scan and calibrate the unit as a technician does; returns the calibration file."""
-    calibration = folder / "calibration.json"
-    assert altd("scan", "-o", folder / "scan", "--seed", seed, module="hw_sim").status == 0
-    assert altd("calibrate", folder / "scan", "-o", calibration).status == 0
-    return calibration
 
 
 def render(seed: int, folder: Path, exposures: int) -> Path:
@@ -35,31 +27,7 @@ def render(seed: int, folder: Path, exposures: int) -> Path:
     return path
 
 
-CONFIG = """
-[unit]
-serial = "SIM-{seed}"
-calibration = "{calibration}"
-
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
-driver = "v4l2"
-device = "/dev/v4l/by-path/front"
-fps = {fps}
-
-[cameras.rear]
-driver = "v4l2"
-device = "/dev/v4l/by-path/rear"
-fps = {fps}
-
+_MORE = """\
 [measuring]
 pair_by = "time"
 
@@ -75,5 +43,8 @@ port = 8080
 
 def write_config(path: Path, seed: int, calibration: Path, fps: float) -> Path:
     """A unit with two Video4Linux cameras, on the network of its own machine alone."""
-    path.write_text(CONFIG.format(seed=seed, calibration=calibration, fps=fps))
+    front, rear = (
+        f'driver = "v4l2"\ndevice = "/dev/v4l/by-path/{name}"\nfps = {fps}' for name in ("front", "rear")
+    )
+    path.write_text(unit_toml(f"SIM-{seed}", calibration, front, rear, _MORE))
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from altd.records import Frame
 
 WIDTH, HEIGHT = 752, 480
+_REACH = 2.5
+"""1/e² diameters from its centre a Gaussian is 2·10⁻²² of its peak: nothing is lost there."""
 
 
 @dataclass(frozen=True)
@@ -25,13 +28,16 @@ class Blob:
 
 def light(*blobs: Blob, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
     """The sum of blobs on a grid of pixel centres, counts as float."""
-    v, u = np.mgrid[:height, :width].astype(float)
     image = np.zeros((height, width))
     for b in blobs:
+        first, second = b.diameter_px, b.second_diameter_px or b.diameter_px
+        reach_px = math.ceil(_REACH * max(first, second))
+        left, right = (min(max(round(b.u_px) + side * reach_px, 0), width) for side in (-1, 1))
+        top, bottom = (min(max(round(b.v_px) + side * reach_px, 0), height) for side in (-1, 1))
+        v, u = np.mgrid[top:bottom, left:right].astype(float)
         along = (u - b.u_px) * np.cos(b.angle_rad) + (v - b.v_px) * np.sin(b.angle_rad)
         across = -(u - b.u_px) * np.sin(b.angle_rad) + (v - b.v_px) * np.cos(b.angle_rad)
-        first, second = b.diameter_px, b.second_diameter_px or b.diameter_px
-        image += b.peak * np.exp(-8 * ((along / first) ** 2 + (across / second) ** 2))
+        image[top:bottom, left:right] += b.peak * np.exp(-8 * ((along / first) ** 2 + (across / second) ** 2))
     return image
 
 

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from support.cli import altd, write_config
+from support.cli import altd_here
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 BEAMS = [(10.0, 5.0, 0.02, -0.03)] * 3
 
@@ -44,7 +45,7 @@ class PlayedUnit:
         unit = cls(folder)
         write_scan(folder / "scan")
         write_beams(unit.beams, BEAMS)
-        assert altd("calibrate", folder / "scan", "-o", unit.calibration).status == 0
+        assert altd_here("calibrate", folder / "scan", "-o", unit.calibration).status == 0
         write_config(unit.config, unit.calibration, unit.beams)
         return unit
 

@@ -18,10 +18,11 @@ from typing import Any
 
 import pytest
 from support import evidence
-from support.cli import altd, refusal, unreadable, write_config
+from support.cli import altd, refusal, unreadable
 from support.devices import full_device
 from support.pngs import png
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 from altd.calibration.file import save_calibration
 from altd.recording.reader import open_recording

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from support.clock import stop
 from support.measurements import beam_of
+from support.unit_toml import TARGETS
 
 from altd.acquisition.auto_exposure.control import ExposureKeeper
 from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
@@ -269,10 +270,7 @@ async def test_the_daemon_controls_its_live_cameras_and_shows_it_in_health(
     config = Config.model_validate(
         {
             "unit": {"serial": "SIM-3", "calibration": "unused.json"},
-            "targets": [
-                {"name": FRONT, "z_mm": 0.0, "camera": FRONT},
-                {"name": REAR, "z_mm": 280.0, "camera": REAR},
-            ],
+            "targets": TARGETS,
             "cameras": {FRONT: camera, REAR: camera},
             "measuring": {"pair_by": "time"},
         }

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.fed_unit import POSE, calibrate, render, write_config
+from support.fed_unit import POSE, render, write_config
 from support.foreign import need_program
 from support.guest import run_in_guest
 from support.measurements import beam_of
+from support.simulated_unit import scan_and_calibrate
 
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
@@ -49,7 +50,8 @@ class FedUnit:
 @pytest.fixture(scope="module")
 def unit(tmp_path_factory: pytest.TempPathFactory) -> FedUnit:
     folder = tmp_path_factory.mktemp("unit")
-    return FedUnit(folder, calibrate(SEED, folder), render(SEED, folder, EXPOSURES))
+    scan_and_calibrate(SEED, folder)
+    return FedUnit(folder, folder / "cal.json", render(SEED, folder, EXPOSURES))
 
 
 @pytest.fixture(scope="module")

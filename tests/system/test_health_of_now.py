@@ -11,6 +11,7 @@ from typing import Any
 
 from support.clock import stop
 from support.played_unit import free_port
+from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon
 from altd.config import Config
@@ -25,10 +26,7 @@ def config(port: int) -> Config:
     return Config.model_validate(
         {
             "unit": {"serial": "SIM-3", "calibration": "unused.json"},
-            "targets": [
-                {"name": FRONT, "z_mm": 0.0, "camera": FRONT},
-                {"name": REAR, "z_mm": 280.0, "camera": REAR},
-            ],
+            "targets": TARGETS,
             "cameras": {FRONT: camera, REAR: camera},
             "measuring": {"pair_by": "time"},
             "http": {"host": "127.0.0.1", "port": port},

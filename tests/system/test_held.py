@@ -10,9 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
-from support.cli import altd, write_config
+from support.cli import altd
 from support.held import hold
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 from benchmarks.live.parts import free_port
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal
 from support.guest import run_in_guest
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 SWALLOWED = """
 import os, signal, sys, time

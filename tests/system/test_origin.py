@@ -24,12 +24,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd, write_config
+from support.cli import altd
 from support.foreign import need_program
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
 from support.played_unit import free_port
 from support.recordings import header, write_beams, write_scan
+from support.unit_toml import write_config
 
 from altd.app.scan import scanner_of
 from altd.config import Config, Scan

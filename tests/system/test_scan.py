@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal
 from support.recordings import write_beams
+from support.unit_toml import write_config
 
 from altd.acquisition import frame_sets as exposures
 from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError

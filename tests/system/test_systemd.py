@@ -15,10 +15,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal
 from support.foreign import need
 from support.places import ROOT
 from support.recordings import write_beams, write_scan
+from support.unit_toml import write_config
 
 UNIT = ROOT / "systemd" / "altd.service"
 WIDEST_PAUSE_S = 2.0

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from support.measurements import beam_of
+from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon
 from altd.calibration.file import load_calibration, save_calibration
@@ -301,10 +302,7 @@ def test_the_daemon_holds_its_cameras_against_the_config(
     config = Config.model_validate(
         {
             "unit": {"serial": calibration.unit_serial, "calibration": tmp_path / "cal.json"},
-            "targets": [
-                {"name": "front", "z_mm": 0, "camera": "front"},
-                {"name": "rear", "z_mm": 280, "camera": "rear"},
-            ],
+            "targets": TARGETS,
             "cameras": {"front": camera, "rear": {**camera, "serial": "R-9"}},
             "measuring": {"pair_by": "time", "window": 1},
         }

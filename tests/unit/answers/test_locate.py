@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd, unreadable
+from support.cli import altd_here, unreadable
 from support.frames import Blob, frame, light
 
 from altd.answers.locate import doubt
@@ -36,7 +36,7 @@ def pictures(tmp_path: Path) -> list[Path]:
 
 
 def test_an_object_an_image(pictures: list[Path]) -> None:
-    outcome = altd("locate", *pictures[:2])
+    outcome = altd_here("locate", *pictures[:2])
     assert (outcome.status, outcome.err) == (0, "")
     spot, dark = outcome.objects
     assert list(spot) == list(dark) == KEYS
@@ -50,7 +50,7 @@ def test_an_object_an_image(pictures: list[Path]) -> None:
 
 
 def test_images_that_are_none_do_not_stop_the_others(pictures: list[Path]) -> None:
-    outcome = altd("locate", *pictures)
+    outcome = altd_here("locate", *pictures)
     assert outcome.status == 2
     assert [row["image"] for row in outcome.objects] == [str(path) for path in pictures]
     assert [row["reason"] for row in outcome.objects] == [None, "spot_missing", *["unreadable"] * 3, None]
@@ -67,12 +67,12 @@ def test_images_that_are_none_do_not_stop_the_others(pictures: list[Path]) -> No
 
 
 def test_only_what_cannot_be_read_fails(pictures: list[Path]) -> None:
-    assert "is not an image" in unreadable(altd("locate", pictures[2]))
+    assert "is not an image" in unreadable(altd_here("locate", pictures[2]))
 
 
 def test_csv_has_the_same_in_rows(pictures: list[Path]) -> None:
-    outcome = altd("locate", "--format", "csv", *pictures)
-    objects = altd("locate", *pictures).objects
+    outcome = altd_here("locate", "--format", "csv", *pictures)
+    objects = altd_here("locate", *pictures).objects
     header, *rows = csv.reader(io.StringIO(outcome.out, newline=""), strict=True)
     assert outcome.status == 2
     assert header == KEYS
@@ -119,7 +119,7 @@ def test_a_spot_that_something_clips_is_doubted() -> None:
 @pytest.mark.parametrize("name", ["TEM00_200mm.pgm", "k-500mm.png", "t-348mm.pgm", "t-hene.pgm"])
 def test_photographs_are_doubted_by_what_their_table_says(name: str, shared_data: Path) -> None:
     """The page: none of them is as even as its noise is low; the two lie 0.4 to 4.1 px apart."""
-    (row,) = altd("locate", shared_data / "beams" / name).objects
+    (row,) = altd_here("locate", shared_data / "beams" / name).objects
     apart_px = np.hypot(row["u_px"] - row["ellipse_u_px"], row["v_px"] - row["ellipse_v_px"])
     allowed_px = 5 * np.hypot(row["sigma_px"], row["ellipse_sigma_px"])
     assert apart_px > 3 * allowed_px

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.cli import Outcome, altd
+from support.cli import Outcome, altd_here
 from support.played_unit import PlayedUnit
 from support.recordings import place_px
 
@@ -24,7 +24,7 @@ def folder(played_unit: PlayedUnit) -> Path:
 
 
 def map_(calibration: Path, *more: object, stdin: str = LINES) -> Outcome:
-    return altd("map", "--calibration", calibration, "--target", "rear", *more, stdin=stdin)
+    return altd_here("map", "--calibration", calibration, "--target", "rear", *more, stdin=stdin)
 
 
 def test_px_become_mm_or_the_reason(folder: Path) -> None:

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as Xml
 from pathlib import Path
 
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 from support.played_unit import PlayedUnit
 from support.recordings import Shot, write
 
@@ -46,7 +46,7 @@ def groups(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) ->
     header["note"] = "a $ and a <b>"
     (path / "recording.json").write_text(json.dumps(header))
     arguments = ("--calibration", played_unit.calibration, "--window", 3, "--every", 3)
-    outcome = altd("replay", path, *arguments, "--plot", folder / "p.svg")
+    outcome = altd_here("replay", path, *arguments, "--plot", folder / "p.svg")
     assert (outcome.status, outcome.err) == (0, "")
     assert [line["valid"] for line in outcome.objects] == [True, True, False, False, True, True]
     return drawn(folder / "p.svg")
@@ -73,7 +73,9 @@ def test_a_scan_shows_how_far_it_is_off(played_unit: PlayedUnit, tmp_path: Path)
     shots: list[Shot] = [((x, 0.0), (x, 0.0), (x, 0.0)) for x in (-25.0, 0.0, 25.0) for _ in range(2)]
     path = write(tmp_path / "rec", "scan", shots)
     assert (
-        altd("replay", path, "--calibration", played_unit.calibration, "--plot", tmp_path / "p.svg").status
+        altd_here(
+            "replay", path, "--calibration", played_unit.calibration, "--plot", tmp_path / "p.svg"
+        ).status
         == 0
     )
     assert {"values of dx_mm", "values of dy_mm", "sigma of dx_mm"} <= drawn(tmp_path / "p.svg").keys()
@@ -81,5 +83,7 @@ def test_a_scan_shows_how_far_it_is_off(played_unit: PlayedUnit, tmp_path: Path)
 
 def test_the_same_is_drawn_the_same(played_unit: PlayedUnit, tmp_path: Path) -> None:
     for name in ("a.svg", "b.svg"):
-        altd("replay", played_unit.beams, "--calibration", played_unit.calibration, "--plot", tmp_path / name)
+        altd_here(
+            "replay", played_unit.beams, "--calibration", played_unit.calibration, "--plot", tmp_path / name
+        )
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

@@ -17,7 +17,7 @@ import pyarrow
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from support.cli import Outcome, altd, refusal
+from support.cli import Outcome, altd_here, refusal
 from support.played_unit import PlayedUnit
 from support.recordings import Shot, write
 
@@ -52,7 +52,7 @@ def spoilt(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def replay(recording: Path, unit: PlayedUnit, *more: object) -> Outcome:
-    return altd("replay", recording, "--calibration", unit.calibration, *more)
+    return altd_here("replay", recording, "--calibration", unit.calibration, *more)
 
 
 def flat(line: dict[str, Any]) -> list[Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import refusal_of
+from support.cli import altd_here, refusal
 from support.recordings import header, write_scan
 
 from altd.calibration.flat import flat_likeness, flats_of
@@ -243,5 +243,5 @@ def test_the_command_line_refuses_with_one_line_and_writes_nothing(
         (scan, "scan: is of kind 'scan', not 'flat'"),
         (tmp_path / "other", "other: is a flat of unit 'TEST-2', the scan is of unit 'TEST-1'"),
     ):
-        assert complaint in refusal_of("calibrate", scan, "--flat", flat, "-o", output, capsys=capsys)
+        assert complaint in refusal(altd_here("calibrate", scan, "--flat", flat, "-o", output))
         assert not output.exists()

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.plates import View, add_disc, grid_mm, plate_light, tilted, write_plate
 
 from altd.calibration.file import load_calibration, save_calibration
@@ -238,7 +238,7 @@ class TestRefused:
 
 
 def test_the_command_line_calibrates_from_a_plate(two_dark: Path, tmp_path: Path) -> None:
-    outcome = altd("calibrate", two_dark, "-o", tmp_path / "cal.json")
+    outcome = altd_here("calibrate", two_dark, "-o", tmp_path / "cal.json")
     assert outcome.status == 0
     assert "altd calibrate: left out: rear LED x 50 y 50 mm: dark\n" in outcome.err
     assert "a plate shows no laser spot: its pattern and fall-off are taken as 0.015 mm" in outcome.out
@@ -249,6 +249,6 @@ def test_the_command_line_calibrates_from_a_plate(two_dark: Path, tmp_path: Path
     cv2.imwrite(str(damaged / "rear0001.png"), np.zeros((480, 752), np.uint8))
     cv2.imwrite(str(damaged / "rear0003.png"), np.zeros((480, 752), np.uint8))
     assert "rear: no LED of the plate is seen" in refusal(
-        altd("calibrate", damaged, "-o", tmp_path / "new.json")
+        altd_here("calibrate", damaged, "-o", tmp_path / "new.json")
     )
     assert not (tmp_path / "new.json").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.places import ROOT
 
 from altd.cli import main as cli
@@ -78,11 +78,11 @@ def test_so_it_is_with_the_simulator(
     ("module", "first"), [("altd.cli", "altd doctor"), ("hw_sim", "python -m hw_sim demo")]
 )
 def test_without_a_command_it_shows_what_there_is_and_what_to_try_first(module: str, first: str) -> None:
-    outcome = altd(module=module)
+    outcome = altd_here(module=module)
     assert (outcome.status, outcome.out) == (2, "")
     text = outcome.err
     assert text.index("commands:") < text.index("first steps:") < text.rindex(f"  {first} ")
-    asked = altd("--help", module=module)
+    asked = altd_here("--help", module=module)
     assert (asked.status, asked.out, asked.err) == (0, text, "")
 
 
@@ -142,7 +142,7 @@ class TestWithoutAConfig:
 def test_the_shipped_config_passes_its_own_check() -> None:
     """In a fresh clone, where neither a calibration nor a recording lies beside it; and that is said."""
     shipped = ROOT / "config" / "altd.toml"
-    outcome = altd("check-config", shipped)
+    outcome = altd_here("check-config", shipped)
     assert (outcome.status, outcome.err) == (0, "")
     good, *missing = outcome.out.splitlines()
     assert good == f"{shipped}: good: unit ALT-0001, 2 targets"
@@ -150,4 +150,4 @@ def test_the_shipped_config_passes_its_own_check() -> None:
         "unit.calibration",
         "cameras.front.path, cameras.rear.path",
     ]
-    refusal(altd("run", "--config", shipped))
+    refusal(altd_here("run", "--config", shipped))

@@ -5,30 +5,17 @@ A case is (what is replaced, what by, the key that is wrong, words of the compla
 
 from __future__ import annotations
 
-BASE = """\
-[unit]
-serial = "TEST-1"
-calibration = "cal.json"
+from support.unit_toml import unit_toml
 
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
+_FRONT_CAMERA = """
 driver = "v4l2"
 device = "/dev/video0"
 width = 752
 fps = 20
 pixel_format = "GREY"
 controls = { gain = 16 }
-
-[cameras.rear]
+"""
+_REAR_CAMERA = """
 driver = "aravis"
 device = "192.168.77.20"
 height = 480
@@ -42,7 +29,8 @@ exposure_ms = 2.0
 shortest_ms = 0.05
 longest_ms = 20.0
 gain_db = 0.0
-
+"""
+_MORE = """\
 [measuring]
 window = 20
 every = 1
@@ -102,6 +90,7 @@ columns = 6
 pitch_mm = 25.0
 order = "serpentine"
 """
+BASE = unit_toml("TEST-1", "cal.json", _FRONT_CAMERA, _REAR_CAMERA, _MORE)
 
 _CAMERA_LAMPS = '[lamps]\ndriver = "camera"\n'
 _GPIOD_LAMPS = '[lamps]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["LED_FRONT", "LED_REAR"]'

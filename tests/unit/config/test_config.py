@@ -6,13 +6,13 @@ from typing import Any, get_args
 
 import pytest
 from pydantic import ValidationError
-from support.cli import CONFIG
 from support.places import ROOT
+from support.unit_toml import played_toml
 
 from altd.config import Config, Table, load_config
 from altd.errors import BadInputError
 
-GOOD = CONFIG.format(calibration="cal.json", recording="rec")
+GOOD = played_toml("cal.json", "rec")
 
 
 def write(tmp_path: Path, text: str) -> Path:

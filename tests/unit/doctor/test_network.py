@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.foreign import need, need_program
+from support.unit_toml import unit_toml
 
 from altd.config import Config
 from altd.doctor import network
@@ -131,28 +132,13 @@ def test_a_camera_by_its_serial_number_may_be_on_any_interface(
     )
 
 
-CONFIG = """
-[unit]
-serial = "ALT-0007"
-calibration = "calibration.json"
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-[measuring]
-pair_by = "time"
-[cameras.front]
-driver = "aravis"
-device = "192.168.77.20"
-packet_bytes = 1500
-[cameras.rear]
-driver = "aravis"
-device = "10.9.8.7"
-"""
+CONFIG = unit_toml(
+    "ALT-0007",
+    "calibration.json",
+    'driver = "aravis"\ndevice = "192.168.77.20"\npacket_bytes = 1500',
+    'driver = "aravis"\ndevice = "10.9.8.7"',
+    '[measuring]\npair_by = "time"\n',
+)
 
 A_SMALL_MTU = """
 mount -t sysfs sys /sys

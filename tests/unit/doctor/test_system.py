@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,8 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd_here, refusal
 from support.foreign import need_program
+from support.unit_toml import write_config
 
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import load_config
@@ -79,11 +81,10 @@ def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.fixture(scope="module")
-def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unit(unit_3: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a config whose recording and calibration are good."""
     folder = tmp_path_factory.mktemp("unit")
-    assert altd("scan", "-o", folder / "scan", "--seed", 3, module="hw_sim").status == 0
-    assert altd("calibrate", folder / "scan", "-o", folder / "cal.json").status == 0
+    shutil.copytree(unit_3, folder, dirs_exist_ok=True)
     config = write_config(folder / "altd.toml", folder / "cal.json", folder / "scan")
     serial = load_calibration(folder / "cal.json").unit_serial
     config.write_text(config.read_text().replace("TEST-1", serial))
@@ -149,7 +150,7 @@ class TestCommand:
     def test_it_ends_with_1_when_something_is_wrong(self, unit: Path, tmp_path: Path) -> None:
         more = '\n[[serial]]\ndevice = "/dev/ttyUSB77"\nspeaks = "console"\n'
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "scan", more)
-        outcome = altd("doctor", "--config", config)
+        outcome = altd_here("doctor", "--config", config)
         assert outcome.status == 1
         assert outcome.err == ""
         assert "WRONG   serial /dev/ttyUSB77: is not there" in outcome.out
@@ -164,15 +165,15 @@ class TestCommand:
         assert capsys.readouterr().out == "good    all: is well\n0 wrong, 0 could be better, 1 good\n"
 
     def test_without_a_config_it_looks_at_the_computer(self) -> None:
-        outcome = altd("doctor")
+        outcome = altd_here("doctor")
         assert outcome.status in (0, 1)
         assert outcome.err == ""
         assert "library gpiod" in outcome.out
 
     def test_a_config_that_cannot_be_read_is_a_bad_argument(self, tmp_path: Path) -> None:
-        line = refusal(altd("doctor", "--config", tmp_path / "none.toml"))
+        line = refusal(altd_here("doctor", "--config", tmp_path / "none.toml"))
         assert line.startswith("altd doctor: ")
-        assert altd("doctor", "nonsense").status == 2
+        assert altd_here("doctor", "nonsense").status == 2
 
     def test_a_check_that_fails_hides_no_other(self, monkeypatch: pytest.MonkeyPatch, tree: Tree) -> None:
         def breaks(_: object) -> None:

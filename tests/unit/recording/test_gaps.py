@@ -4,7 +4,7 @@ import random
 from pathlib import Path
 
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 from support.played_unit import PlayedUnit
 
 from altd.recording.gaps import gaps
@@ -86,7 +86,7 @@ def without_rows(played_unit: PlayedUnit, tmp_path: Path) -> Path:
 
 
 def test_replay_names_them_and_goes_on(played_unit: PlayedUnit, without_rows: Path) -> None:
-    outcome = altd("replay", without_rows, "--calibration", played_unit.calibration, "--window", 4)
+    outcome = altd_here("replay", without_rows, "--calibration", played_unit.calibration, "--window", 4)
     place = f"altd replay: {without_rows}/frames.csv"
     assert outcome.err.splitlines() == [
         f"{place}: row 10: before it sequence 4 is missing",
@@ -100,7 +100,7 @@ def test_many_are_counted(played_unit: PlayedUnit, without_rows: Path) -> None:
     rows = (played_unit.beams / "frames.csv").read_text().splitlines()
     kept = [rows[0], *(row for row in rows[1:] if "rear" not in row or int(row.split(",")[0]) % 2)]
     (without_rows / "frames.csv").write_text("\n".join(kept) + "\n")
-    outcome = altd("replay", without_rows, "--calibration", played_unit.calibration)
+    outcome = altd_here("replay", without_rows, "--calibration", played_unit.calibration)
     assert len(outcome.err.splitlines()) == 4
     assert outcome.err.endswith("frames.csv: 3 more such places; 6 exposures lack a frame in all\n")
 
@@ -108,7 +108,7 @@ def test_many_are_counted(played_unit: PlayedUnit, without_rows: Path) -> None:
 def test_a_camera_without_any_row_is_one_line(played_unit: PlayedUnit, without_rows: Path) -> None:
     rows = (played_unit.beams / "frames.csv").read_text().splitlines()
     (without_rows / "frames.csv").write_text("\n".join(row for row in rows if ",rear," not in row) + "\n")
-    outcome = altd("replay", without_rows, "--calibration", played_unit.calibration)
+    outcome = altd_here("replay", without_rows, "--calibration", played_unit.calibration)
     assert outcome.err == f"altd replay: {without_rows}/frames.csv: no row of camera 'rear'\n"
     assert all(not line["valid"] for line in outcome.objects)
 
@@ -122,7 +122,7 @@ def test_calibrate_names_them_too(played_unit: PlayedUnit, tmp_path: Path) -> No
     rows = (played_unit.folder / "scan" / "frames.csv").read_text().splitlines()
     del rows[-5]  # the rear's of the third exposure from the end
     (scan / "frames.csv").write_text("\n".join(rows) + "\n")
-    outcome = altd("calibrate", scan, "-o", tmp_path / "cal.json")
+    outcome = altd_here("calibrate", scan, "-o", tmp_path / "cal.json")
     assert outcome.status == 0
     line = f"altd calibrate: {scan}/frames.csv: row 56: sequence 27 has no row of camera 'rear'"
     assert line in outcome.err.splitlines()

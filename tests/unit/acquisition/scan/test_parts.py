@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli import write_config
 from support.frames import Blob, frame, light
+from support.unit_toml import write_config
 
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
 from altd.acquisition.scan.node import judge

@@ -14,9 +14,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd, refusal, write_config
+from support.cli import altd, refusal
 from support.frames import frame
 from support.recordings import write, write_beams, write_scan
+from support.unit_toml import write_config
 
 from altd.calibration.file import load_calibration
 

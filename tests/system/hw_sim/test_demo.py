@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import asyncio
 import fcntl
 import functools
 import http.client
@@ -20,18 +19,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
-from support.measurements import measured as measurement_of
-
-from altd.app.daemon import Daemon
-from altd.runtime.clock import SystemClock
-from altd.status.health import Health
-from hw_sim.demo_figures import Figures
-from hw_sim.demo_lines import Line
-from hw_sim.unit import Unit
 
 DEMO = [sys.executable, "-m", "hw_sim", "demo", "--seed", "3"]
 NUMBER = r"([+-]?\d+\.\d+)"
@@ -248,56 +238,3 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, 
     finally:
         os.close(device)
         os.close(terminal)
-
-
-async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -> None:
-    with Line() as line:
-        carrying = asyncio.create_task(line.carry())
-        unit = os.open(line.unit_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            for round_ in (b"1", b"2"):
-                os.write(unit, b"nobody hears " + round_)
-                await asyncio.sleep(0.1)
-                far = os.open(line.far_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-                await asyncio.sleep(0.1)
-                os.write(unit, b"out " + round_)
-                os.write(far, b"in " + round_)
-                await asyncio.sleep(0.1)
-                assert os.read(far, 100) == b"out " + round_
-                assert os.read(unit, 100) == b"in " + round_
-                os.write(unit, b"not read " + round_)
-                await asyncio.sleep(0.1)
-                os.close(far)
-                await asyncio.sleep(0.1)
-        finally:
-            os.close(unit)
-            carrying.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await carrying
-
-
-@pytest.mark.parametrize(
-    ("front", "rear", "measured", "dropped", "late", "lost"),
-    [
-        (100, 100, 100, 0, 0, 0),
-        (101, 100, 100, 0, 0, 0),
-        (100, 97, 100, 0, 0, 3),
-        (99, 97, 100, 0, 0, 4),
-        (99, 99, 99, 0, 0, 1),
-        (100, 100, 100, 1, 0, 1),
-        (100, 100, 99, 2, 0, 1),
-        (100, 100, 100, 0, 1, 1),
-    ],
-    ids=["none", "one on its way", "rear", "each its own", "the same", "dropped", "both dropped", "late"],
-)
-async def test_a_pair_is_lost_once_however_its_frames_are(
-    front: int, rear: int, measured: int, dropped: int, late: int, lost: int
-) -> None:
-    health = Health(SystemClock())
-    health.component("camera front").count("frames", front)
-    health.component("camera rear").count("frames", rear)
-    health.component("measuring").count("dropped_front", dropped)
-    health.component("measuring").count("late_frames", late)
-    figures = Figures(cast("Daemon", SimpleNamespace(health=health)), cast("Unit", None))
-    figures.take(measurement_of(None, sequence=99, frames=0), skipped=measured - 1)
-    assert figures.pairs_lost == lost

@@ -1,0 +1,25 @@
+"""What takes seconds to make is made once a run: the first worker that wants it makes it, others wait."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """A folder of the whole run, whichever of its workers asks; ``make`` fills it, no test changes it."""
+    base = factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent  # that of the run; each worker has one of its own in it
+    folder, made = base / name, base / f"{name}.made"
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not made.exists():
+            folder.mkdir()  # fails where making it failed before: its cause stands in the first test's report
+            make(folder)
+            made.touch()
+    return folder

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import asyncio
+import os
+
+import pytest
+
+from hw_sim.demo_lines import Line
+
+
+async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -> None:
+    with Line() as line:
+        carrying = asyncio.create_task(line.carry())
+        unit = os.open(line.unit_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            for round_ in (b"1", b"2"):
+                os.write(unit, b"nobody hears " + round_)
+                await asyncio.sleep(0.1)
+                far = os.open(line.far_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                await asyncio.sleep(0.1)
+                os.write(unit, b"out " + round_)
+                os.write(far, b"in " + round_)
+                await asyncio.sleep(0.1)
+                assert os.read(far, 100) == b"out " + round_
+                assert os.read(unit, 100) == b"in " + round_
+                os.write(unit, b"not read " + round_)
+                await asyncio.sleep(0.1)
+                os.close(far)
+                await asyncio.sleep(0.1)
+        finally:
+            os.close(unit)
+            carrying.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await carrying
