@@ -191,7 +191,7 @@ class Reason(StrEnum):
     remedy: str
     meaning: str
 
-    def __new__(
+    def __new__(  # noqa: PLR0913  a row of the table
         cls,
         code: str,
         scope: Scope,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from altd.errors import BadInputError, did_you_mean
@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
         options: argparse.Namespace
         options, unknown = self.parse_known_args(arguments)
         if unknown:
-            self._command(options.command)._refuse(unknown)
+            self._command(options.command).refuse_unknown(unknown)
         if options.command is None:
             complain(self.format_help().rstrip())
             return None
@@ -75,7 +75,8 @@ class Parser(argparse.ArgumentParser):
         """End with status 2 and a line about a command's arguments."""
         self._command(command).error(message)
 
-    def _refuse(self, unknown: list[str]) -> NoReturn:
+    def refuse_unknown(self, unknown: list[str]) -> NoReturn:
+        """End with status 2 and a line about the first of the arguments that nobody knows."""
         first = unknown[0]
         if not first.startswith("-") or first == "-":
             self.error(f"{first!r} is an argument too many; {self._one_line_usage()}")
@@ -101,8 +102,8 @@ class Parser(argparse.ArgumentParser):
 
     def _command(self, name: str | None) -> Parser:
         for action in self._actions:
-            if isinstance(action, argparse._SubParsersAction) and name in action.choices:
-                parser: Parser = action.choices[name]
+            parser = action.choices.get(name) if isinstance(action.choices, Mapping) else None
+            if isinstance(parser, Parser):
                 return parser
         return self
 
