@@ -7,6 +7,7 @@ part of the sensor and one of another sensor have them elsewhere; what stands be
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -88,7 +89,7 @@ class SensorMatch:
         return most and self.aside >= max(_MIN_ASIDE, _ABSENT_SHARE * self.expected)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class HotPixels:
     """A sensor's hot pixels: ``always`` (n, 2) in every frame, ``sometimes`` (m, 2) in some."""
 
@@ -98,15 +99,25 @@ class HotPixels:
     def compare(self, pixels: PixelArray) -> SensorMatch:
         """Hold a frame against them."""
         seen = hot_pixels(pixels)
-        known, now = _as_set(self.always), _as_set(seen)
+        known, now = self._always_set, _as_set(seen)
         present = len(known & now)
-        foreign = len(now - known - _as_set(self.sometimes))
+        foreign = len(now - known - self._sometimes_set)
         expected = len(known) - self._hidden(pixels, known - now)
         aside = _aside(known - now, now - known, pixels.shape[1])
         return SensorMatch(expected, present, foreign, self._offset_px(seen, present), aside)
 
+    @cached_property
+    def _always_set(self) -> set[tuple[int, int]]:
+        return _as_set(self.always)
+
+    @cached_property
+    def _sometimes_set(self) -> set[tuple[int, int]]:
+        return _as_set(self.sometimes)
+
     def _hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
         """How many of the missing ones light drowns: their neighbours are brighter than most of the frame."""
+        if not missing:
+            return 0
         ordinary = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
         rows, columns = pixels.shape
         return sum(
@@ -117,7 +128,7 @@ class HotPixels:
 
     def _offset_px(self, seen: Places, present: int) -> tuple[int, int] | None:
         """Where most of the hot pixels lie the same way beside their places, if not in them."""
-        if not 0 < len(seen) <= MAX_PIXELS or not len(self.always):
+        if not 0 < len(seen) <= MAX_PIXELS or present == len(self.always):
             return None
         offsets = (seen[:, None, :] - self.always[None, :, :]).reshape(-1, 2)
         near = offsets[np.abs(offsets).max(axis=1) <= _MAX_OFFSET_PX]

@@ -17,13 +17,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import Frame, NoSpot, PixelArray
+from altd.records import PixelArray
 from altd.vision.background import Image
 from altd.vision.flat import Flat
-from altd.vision.localise import SATURATED_FROM, noise_of
-from altd.vision.patch import patch_around
-from altd.vision.search import search
-from altd.vision.settings import SpotSettings
+from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.localise import SATURATED_FROM
 
 MAX_SHIFT_PX = 12
 """Lags that are searched, either way in u and v."""
@@ -78,7 +76,7 @@ class Sample:
         energy, noise = self.energy
         return math.sqrt(energy / float(self.weight.sum())) if energy > noise else 0.0
 
-    @property
+    @cached_property
     def energy(self) -> tuple[float, float]:
         """The weighted squares of the relative brightness without those of noise, and their uncertainty."""
         noise = (self.weight * np.where(np.isfinite(self.variance), self.variance, 0)).ravel()
@@ -86,15 +84,14 @@ class Sample:
         return energy, math.sqrt(2 * _CORRELATED_PIXELS * float(noise @ noise))
 
 
-def sample_of(frame: Frame, settings: SpotSettings) -> Sample | None:
+def sample_of(analysis: FrameAnalysis) -> Sample | None:
     """The sample under the brightest spot of a frame; None where there is no spot."""
-    found = search(frame.pixels)
-    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
-    if patch is None or isinstance(patch, NoSpot):
+    patch = analysis.brightest_patch
+    if patch is None:
         return None
-    noise = noise_of(frame, found, settings)
+    noise = analysis.noise
     smooth, correction = _smoothed(patch.excess)
-    clipped = _near_clipped(patch.pixels, frame.full_scale)
+    clipped = _near_clipped(patch.pixels, analysis.frame.full_scale)
     counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
     light = np.where(counts, smooth, np.float32(1))
     relative = np.where(counts, np.clip(patch.excess / light - 1, -1, _MAX_RELATIVE), 0)
@@ -122,6 +119,8 @@ def _smoothed(image: Image) -> tuple[Image, Image]:
 
 def _near_clipped(pixels: PixelArray, full_scale: int) -> npt.NDArray[np.bool_]:
     """The pixels whose smoothed surroundings lack what was clipped; a single one is a hot pixel."""
+    if pixels.max() < SATURATED_FROM * full_scale:
+        return np.zeros(pixels.shape, dtype=np.bool_)
     clipped = (pixels >= SATURATED_FROM * full_scale).astype(np.uint8)
     several = cv2.boxFilter(clipped, cv2.CV_32F, (3, 3), normalize=False) > 1
     reach = 2 * round(2 * _SMOOTHING_PX) + 1
@@ -204,26 +203,27 @@ def match(sample: Sample, texture: Texture) -> Match | None:
     best = _Peak.at(score, (int(score.argmax()) // score.shape[1], int(score.argmax()) % score.shape[1]))
     if score[best.lag] <= 0:
         return None
-    height, amplitude, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
+    height, gain, rest = _projected(sample, best.displaced(expected, sample.relative.shape))
     left = np.where(usable, _correlated(expected, weight * rest) / root, np.float32(0))
     noise = max(float(np.sqrt(np.mean(np.square(left[usable])))), 1e-9)
-    nearest = _Peak.at(score, _nearest_peak(score, _RIVAL_SHARE * float(score[best.lag])))
-    rival = _projected(sample, nearest.displaced(expected, sample.relative.shape))
-    if rival[0] >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
-        height, amplitude, _ = rival
-    else:
-        nearest = best
+    chosen = best
+    nearest_lag = _nearest_peak(score, _RIVAL_SHARE * float(score[best.lag]))
+    if nearest_lag != best.lag:
+        nearest = _Peak.at(score, nearest_lag)
+        rival_height, rival_gain, _ = _projected(sample, nearest.displaced(expected, sample.relative.shape))
+        if rival_height >= (1 - _INTERPOLATION_LOSS) * height - _RIVAL_SIGMAS * noise:
+            chosen, height, gain = nearest, rival_height, rival_gain
     seen, uncertain = sample.energy
     return Match(
-        u_px=MAX_SHIFT_PX - nearest.lag[1] - nearest.off_u,
-        v_px=MAX_SHIFT_PX - nearest.lag[0] - nearest.off_v,
-        sigma_px=noise / math.sqrt(max(height * nearest.bend, 1e-12)),
+        u_px=MAX_SHIFT_PX - chosen.lag[1] - chosen.off_u,
+        v_px=MAX_SHIFT_PX - chosen.lag[0] - chosen.off_v,
+        sigma_px=noise / math.sqrt(max(height * chosen.bend, 1e-12)),
         significance=height / noise,
         strength=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]),
         expected=float(root[MAX_SHIFT_PX, MAX_SHIFT_PX]) / noise,
-        gain=amplitude,
+        gain=gain,
         explained=min(height**2 / seen, 1.0) if seen > 10 * uncertain and not sample.is_clipped else 1.0,
-        doubled_px=_doubled_px(np.asarray(left / root, np.float32), amplitude, nearest),
+        doubled_px=_doubled_px(np.asarray(left / root, np.float32), gain, chosen),
     )
 
 
