@@ -18,6 +18,7 @@ from skimage.filters import gaussian, threshold_otsu
 from skimage.measure import label, regionprops
 
 from altd.records import Spot
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import locate, spot_in
 from altd.vision.settings import SpotSettings
 from benchmarks.peers_frames import SMOOTHING_PX, Sample
@@ -57,7 +58,7 @@ def _altd(sample: Sample) -> Place:
 
 
 def _altd_in_region(sample: Sample) -> Place:
-    return _place(spot_in(sample.frame, sample.region, sample.found, _SETTINGS))
+    return _place(spot_in(_analysis(sample), sample.region))
 
 
 def _altd_with_flat(sample: Sample) -> Place:
@@ -65,7 +66,12 @@ def _altd_with_flat(sample: Sample) -> Place:
 
 
 def _altd_in_region_with_flat(sample: Sample) -> Place:
-    return _place(spot_in(sample.frame, sample.region, sample.found, _SETTINGS, sample.flat.for_altd))
+    return _place(spot_in(_analysis(sample), sample.region, sample.flat.for_altd))
+
+
+def _analysis(sample: Sample) -> FrameAnalysis:
+    """The search is given, as the other libraries are given the region; the rest is made anew."""
+    return FrameAnalysis(sample.frame, _SETTINGS, sample.found)
 
 
 def _place(spot: object) -> Place:

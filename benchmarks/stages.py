@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import ModuleType
@@ -13,33 +13,42 @@ from unittest import mock
 import cv2
 import numpy as np
 
+import altd.vision.frame_analysis as analysis_room
 import altd.vision.localise as localise_room
 import altd.vision.search as search_room
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.measuring.averaging import ExposureWindow
+from altd.measuring.calibration import TargetCalibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.pairing import Pairer
 from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
 from altd.records import Exposure, Fault, Frame, MeanSpots, Spot, TargetPoint
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import locate, spot_in
+from altd.vision.search import Search
 from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
 
 PERIOD_NS = 50_000_000
 COPY, SEARCH, CHAIN = "memory pass: copy", "coarse search", "whole chain"
 
-_SEARCH_PARTS = {"coarse_picture": "coarse picture", "fit_background": "background"}
-_SPOT_PARTS = {
-    "patch_around": "patch",
-    "_judge": "judging",
-    "noise_of": "noise",
-    "is_printed": "print or not",
-    "_profile": "profile",
-    "misfit_of": "misfit",
-    "moment": "moment",
-}
-"""Functions as the modules that call them know them, and what the table calls them."""
+_Part = tuple[ModuleType, str, str]
+"""A function as the module that calls it knows it, and what the table calls it."""
+
+_SEARCH_PARTS: Sequence[_Part] = (
+    (search_room, "coarse_picture", "coarse picture"),
+    (search_room, "fit_background", "background"),
+)
+_SPOT_PARTS: Sequence[_Part] = (
+    (analysis_room, "patch_around", "patch"),
+    (localise_room, "_judge", "judging"),
+    (analysis_room, "noise_of", "noise"),
+    (localise_room, "is_printed", "print or not"),
+    (localise_room, "_profile", "profile"),
+    (localise_room, "misfit_of", "misfit"),
+    (localise_room, "moment", "moment"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +68,12 @@ class StageFigures:
 
 @dataclass(slots=True)
 class _Stage:
-    """``parts``, functions of ``room`` with their names in the table, are timed in the stage's own calls."""
+    """The functions of ``parts`` are timed in the stage's own calls."""
 
     name: str
     calls_a_pair: int
     works: Sequence[Callable[[], object]]
-    room: ModuleType | None = None
-    parts: Mapping[str, str] = field(default_factory=dict)
+    parts: Sequence[_Part] = ()
     rest: str = ""
     """What the table calls the time that no part took."""
     part_of: str = ""
@@ -75,10 +83,10 @@ class _Stage:
     def take(self) -> None:
         clock = time.perf_counter_ns
         with ExitStack() as patches:
-            for function, name in self.parts.items():
+            for room, function, name in self.parts:
                 samples_us = self.inside_us.setdefault(name, [])
-                timed = _timed(getattr(self.room, function), samples_us)
-                patches.enter_context(mock.patch.object(self.room, function, timed))
+                timed = _timed(getattr(room, function), samples_us)
+                patches.enter_context(mock.patch.object(room, function, timed))
             for work in self.works:
                 before = clock()
                 work()
@@ -160,7 +168,7 @@ def _memory_stages(material: Material) -> list[_Stage]:
 
 def _vision_stages(material: Material) -> list[_Stage]:
     every = [_call(search_room.search, f.pixels) for pair in material.pairs for f in pair]
-    stages = [_Stage(SEARCH, 2, every, search_room, _SEARCH_PARTS, "regions")]
+    stages = [_Stage(SEARCH, 2, every, _SEARCH_PARTS, "regions")]
     for what, calibration in (("", material.calibration), (", no flat", material.without_flats)):
         for index, name in enumerate(CAMERAS):
             target = calibration.target(name)
@@ -168,19 +176,14 @@ def _vision_stages(material: Material) -> list[_Stage]:
             works = []
             for pair in material.pairs:
                 found = search_room.search(pair[index].pixels)
-                works.append(
-                    _call(
-                        spot_in,
-                        pair[index],
-                        found.regions[0],
-                        found,
-                        target.localiser,
-                        target.flat,
-                        target.spot,
-                    )
-                )
-            stages.append(_Stage(f"fine {name}{what}", 1, works, localise_room, _SPOT_PARTS))
+                works.append(_call(_fine, pair[index], found, target))
+            stages.append(_Stage(f"fine {name}{what}", 1, works, _SPOT_PARTS))
     return stages
+
+
+def _fine(frame: Frame, found: Search, target: TargetCalibration) -> None:
+    analysis = FrameAnalysis(frame, target.localiser, found)
+    spot_in(analysis, found.regions[0], target.flat, target.spot)
 
 
 def _timed(work: Callable[..., object], samples_us: list[float]) -> Callable[..., object]:

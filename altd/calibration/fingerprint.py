@@ -12,8 +12,9 @@ from altd.recording.table import Row
 from altd.records import FloatArray, Spot
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixelCount
-from altd.vision.localise import locate
+from altd.vision.localise import locate_in
 from altd.vision.settings import SpotSettings
 from altd.vision.texture import Sample, Texture, sample_of
 
@@ -42,7 +43,7 @@ def fingerprint_of(
             continue
         if row.position_mm is not None:
             first.setdefault(row.position_mm, row)
-        if flat is None and plain and (sample := sample_of(frame, settings)) is not None:
+        if flat is None and plain and (sample := sample_of(FrameAnalysis(frame, settings))) is not None:
             ground.add(sample, frame.pixels.shape)
     if flat is None:
         texture = ground.texture()
@@ -50,9 +51,9 @@ def fingerprint_of(
     made = Fingerprint(hot.result(), Texture.of_flat(flat), "flat")
     verdicts = []
     for row in first.values():
-        frame = recording.frame(row)
-        if isinstance(locate(frame, settings, flat), Spot):
-            verdicts.append(made.examine(frame, settings, has_spot=True))
+        analysis = FrameAnalysis(recording.frame(row), settings)
+        if isinstance(locate_in(analysis, flat), Spot):
+            verdicts.append(made.examine(analysis, has_spot=True))
     good = sum(verdict.is_verified for verdict in verdicts)
     if good >= _MIN_VERIFIED_SHARE * len(verdicts):
         doubled_px = [verdict.doubled_px for verdict in verdicts if verdict.doubled_px is not None]

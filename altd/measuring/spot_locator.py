@@ -11,8 +11,9 @@ from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.leds import lit_leds, told_from_leds
-from altd.vision.localise import locate
+from altd.vision.localise import locate_in
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 
@@ -62,24 +63,25 @@ class SpotLocator:
         stood_still = self._stands_still
         repeated = self._freshness.repeated(frame)
         self._stands_still = bool(repeated)
-        spot = NoSpot(Reason.FRAME_REPEATED, repeated) if repeated else self._spot(frame)
+        analysis = FrameAnalysis(frame, self._target.localiser)
+        spot = NoSpot(Reason.FRAME_REPEATED, repeated) if repeated else self._spot(analysis)
         self._breaks += frame.changing or (bool(repeated) and stood_still)
         if not repeated:
             self._watch(frame, spot)
-            spot = self._checked(frame, spot)
+            spot = self._checked(analysis, spot)
         return Located(self._camera, frame.sequence, frame.t_ns, spot, self._breaks)
 
-    def _spot(self, frame: Frame) -> Spot | NoSpot:
+    def _spot(self, analysis: FrameAnalysis) -> Spot | NoSpot:
         target = self._target
-        spot = _CHANGING if frame.changing else locate(frame, target.localiser, target.flat, target.spot)
+        spot = _CHANGING if analysis.frame.changing else locate_in(analysis, target.flat, target.spot)
         if isinstance(spot, NoSpot) and len(target.leds_px):
-            spot = told_from_leds(spot, lit_leds(frame, target.leds_px), len(target.leds_px))
+            spot = told_from_leds(spot, lit_leds(analysis.found, target.leds_px), len(target.leds_px))
         return spot
 
-    def _checked(self, frame: Frame, spot: Spot | NoSpot) -> Spot | NoSpot:
+    def _checked(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> Spot | NoSpot:
         """The spot as far as the camera and its view are those that were calibrated."""
         check = self.view_check
-        if (objection := check.objection(frame, spot, self._identity())) is not None:
+        if (objection := check.objection(analysis, spot, self._identity())) is not None:
             self._breaks += 1  # the exposures before it are not to be believed either
             return objection
         if check.displaced_px and isinstance(spot, Spot):

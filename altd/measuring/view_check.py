@@ -9,6 +9,7 @@ from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.vision.fingerprint import ViewVerdict
+from altd.vision.frame_analysis import FrameAnalysis
 
 _INTERVAL_NS = 190_000_000
 """Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
@@ -56,7 +57,9 @@ class ViewCheck:
         self._last: Spot | None = None
         self._before_last: Spot | None = None
 
-    def objection(self, frame: Frame, spot: Spot | NoSpot, camera: CameraIdentity | None) -> NoSpot | None:
+    def objection(
+        self, analysis: FrameAnalysis, spot: Spot | NoSpot, camera: CameraIdentity | None
+    ) -> NoSpot | None:
         """Why a frame's spot is not to be measured; None when nothing speaks against the camera.
 
         ``camera`` is the one that delivered the frame.
@@ -66,12 +69,13 @@ class ViewCheck:
                 self._forget()
                 self._doubt = difference
                 return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured")
+        frame = analysis.frame
         last_ns, self._last_ns = self._last_ns, frame.t_ns
         if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _GAP_NS:
             self._look_anew()
         self._frames_since += 1
         if self._target.fingerprint is not None and self._is_due(frame, spot):
-            self._examine(frame, spot)
+            self._examine(analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
 
@@ -123,12 +127,12 @@ class ViewCheck:
         before = self._before_last or last
         return math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
 
-    def _examine(self, frame: Frame, spot: Spot | NoSpot) -> None:
+    def _examine(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
         fingerprint = self._target.fingerprint
         assert fingerprint is not None  # noqa: S101  it was asked for
-        verdict = fingerprint.examine(frame, self._target.localiser, isinstance(spot, Spot))
+        verdict = fingerprint.examine(analysis, isinstance(spot, Spot))
         self._examined += 1
-        self._examined_ns, self._frames_since = frame.t_ns, 0
+        self._examined_ns, self._frames_since = analysis.frame.t_ns, 0
         self._place = spot if isinstance(spot, Spot) else None
         self._doubt = verdict.doubt
         self._sensor_is_same = verdict.is_same_sensor
@@ -142,7 +146,7 @@ class ViewCheck:
             self._verified_ns = None
             return
         if verdict.is_verified:
-            self._verified_ns = frame.t_ns
+            self._verified_ns = analysis.frame.t_ns
         if self._wrong is not None and self._is_cleared(verdict, self._wrong):
             self._wrong, self._wrong_verdicts = None, 0
 

@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from altd.records import Frame
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
-from altd.vision.settings import SpotSettings
 from altd.vision.texture import Match, Sample, Texture, match, sample_of
 
 TextureSource = Literal["flat", "scan"]
@@ -85,22 +84,22 @@ class Fingerprint:
     source: TextureSource | None
     usual_doubled_px: float | None = None
 
-    def examine(self, frame: Frame, settings: SpotSettings, has_spot: bool) -> ViewVerdict:
+    def examine(self, analysis: FrameAnalysis, has_spot: bool) -> ViewVerdict:
         """The verdict of one frame; ``has_spot``: a good spot was found in it."""
-        sensor = self.hot.compare(frame.pixels)
+        sensor = self.hot.compare(analysis.frame.pixels)
         if sensor.is_other:
             wrong = (
                 f"{sensor.present} of {sensor.expected} hot pixels are in their places, {sensor.foreign} in "
                 f"others{_beside(sensor.offset_px)}"
             )
             return ViewVerdict(wrong, is_other_sensor=True)
-        view = self._examine_spot(frame, settings) if has_spot else ViewVerdict(doubt=_NO_SPOT)
+        view = self._examine_spot(analysis) if has_spot else ViewVerdict(doubt=_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
 
-    def _examine_spot(self, frame: Frame, settings: SpotSettings) -> ViewVerdict:
+    def _examine_spot(self, analysis: FrameAnalysis) -> ViewVerdict:
         if self.texture is None:
             return ViewVerdict(doubt="the calibration knows nothing of the target's surface")
-        sample = sample_of(frame, settings)
+        sample = sample_of(analysis)
         if sample is None:
             return ViewVerdict(doubt=_NO_SPOT)
         patterned = self.texture.contrast > _PATTERNED_FROM

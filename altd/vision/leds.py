@@ -11,8 +11,9 @@ import numpy as np
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import FloatArray, Frame, NoSpot, PixelArray, Spot
 from altd.vision.disc import fit_disc
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import spot_in
-from altd.vision.search import Region, search
+from altd.vision.search import Region, Search
 from altd.vision.settings import SpotSettings
 
 LED_SETTINGS = SpotSettings(
@@ -36,19 +37,18 @@ class Leds:
     dropped: tuple[str, ...]
 
 
-def lit_leds(frame: Frame, leds_px: FloatArray) -> int:
+def lit_leds(found: Search, leds_px: FloatArray) -> int:
     """How many of the LEDs at ``leds_px``, (n, 2), shine in one frame, each as a light of its own.
 
     What floods them all is one light.
     """
-    regions = search(frame.pixels).regions
     return sum(
         any(
             region.left - _BESIDE_PX <= u_px < region.right + _BESIDE_PX
             and region.top - _BESIDE_PX <= v_px < region.bottom + _BESIDE_PX
             for u_px, v_px in leds_px
         )
-        for region in regions
+        for region in found.regions
     )
 
 
@@ -58,13 +58,13 @@ def locate_leds(lit: Frame, dark: Frame, settings: SpotSettings = LED_SETTINGS) 
     What shines alike in both frames cancels. An LED at the border of the picture is fitted on what is there.
     """
     difference = replace(lit, pixels=cast("PixelArray", cv2.subtract(lit.pixels, dark.pixels)))
-    found = search(difference.pixels)
+    analysis = FrameAnalysis(difference, settings)
     spots, dropped, at_border = [], [], []
-    for region in found.regions:
+    for region in analysis.found.regions:
         if _reaches_border(region, difference):
             at_border.append(region)
             continue
-        spot = spot_in(difference, region, found, settings)
+        spot = spot_in(analysis, region)
         if isinstance(spot, Spot):
             spots.append(spot)
         else:

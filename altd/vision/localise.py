@@ -11,16 +11,16 @@ import numpy.typing as npt
 
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
-from altd.vision.background import pixel_noise
 from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
 from altd.vision.moment import moment
-from altd.vision.patch import Outline, Patch, patch_around
+from altd.vision.patch import Outline, Patch
 from altd.vision.profile import Profile, fit_profile
 from altd.vision.reference import SpotReference
-from altd.vision.search import Region, Search, search
+from altd.vision.search import Region
 from altd.vision.settings import SpotSettings
 
 SATURATED_FROM = 0.995
@@ -57,38 +57,43 @@ def locate(
     the target's spots usually are: what is not explained adds to ``excess_px``, and from a certain size on
     the spot is ``distorted``.
     """
-    settings = settings or SpotSettings()
-    found = search(frame.pixels)
+    return locate_in(FrameAnalysis(frame, settings or SpotSettings()), flat, reference)
+
+
+def locate_in(
+    analysis: FrameAnalysis, flat: Flat | None = None, reference: SpotReference | None = None
+) -> Spot | NoSpot:
+    """``locate`` for a frame of which others want to know the same background and regions."""
+    frame, found = analysis.frame, analysis.found
     if found.background.level >= SATURATED_FROM * frame.full_scale:
         return NoSpot(Reason.SATURATED, "the whole frame is saturated")
     if not found.regions:
         return NoSpot(Reason.SPOT_MISSING, "nothing stands out of the background")
     first, *others = found.regions
     rival = max((other.light for other in others), default=0.0)
-    if rival >= settings.like_size * first.light:
+    if rival >= analysis.settings.like_size * first.light:
         return NoSpot(
             Reason.AMBIGUOUS, f"a second spot has {rival / first.light:.0%} of the first one's light"
         )
-    return spot_in(frame, first, found, settings, flat, reference)
+    return spot_in(analysis, first, flat, reference)
 
 
 def spot_in(
-    frame: Frame,
+    analysis: FrameAnalysis,
     region: Region,
-    found: Search,
-    settings: SpotSettings,
     flat: Flat | None = None,
     reference: SpotReference | None = None,
 ) -> Spot | NoSpot:
     """The spot in one bright region of a frame, whatever else shines, or why it is none."""
-    patch = patch_around(frame, region, found, settings)
+    frame, settings = analysis.frame, analysis.settings
+    patch = analysis.patch(region)
     if isinstance(patch, NoSpot):
         return patch
     judged = _judge(frame, patch, settings)
     if isinstance(judged, NoSpot):
         return judged
     diameter_px, peak = judged
-    noise = noise_of(frame, found, settings)
+    noise = analysis.noise
     by_moment = settings.method == "moment" or (
         settings.method == "auto" and flat is None and is_printed(patch, noise)
     )
@@ -108,18 +113,14 @@ def spot_in(
     spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
     if profile is None:
         return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
-    return _held_against(reference, frame, patch, profile, spot, settings)
+    return _held_against(reference, analysis, patch, profile, spot)
 
 
 def _held_against(
-    reference: SpotReference | None,
-    frame: Frame,
-    patch: Patch,
-    profile: Profile,
-    spot: Spot,
-    settings: SpotSettings,
+    reference: SpotReference | None, analysis: FrameAnalysis, patch: Patch, profile: Profile, spot: Spot
 ) -> Spot | NoSpot:
     """The spot with its shape and what is not explained of it, or why it cannot be believed."""
+    settings = analysis.settings
     shape = SpotShape(*profile.form, profile.order)
     if reference is None and not patch.cut:
         return replace(spot, shape=shape)
@@ -138,7 +139,7 @@ def _held_against(
             )
     excess_px = math.hypot(excess_px, _coarser_pattern_px(misfit, reference, patch.cut))
     if patch.cut:
-        rows, columns = frame.pixels.shape
+        rows, columns = analysis.frame.pixels.shape
         inside = 0 <= spot.u_px <= columns - 1 and 0 <= spot.v_px <= rows - 1
         if not inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
             return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
@@ -170,42 +171,28 @@ def _profile_diameter_px(profile: Profile) -> float:
 
 def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> Profile | None:
     """The profile of the spot that ``locate`` has found in a frame; None where none fits."""
-    found = search(frame.pixels)
-    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
-    judged = _judge(frame, patch, settings) if isinstance(patch, Patch) else None
-    if not isinstance(patch, Patch) or not isinstance(judged, tuple) or patch.cut:
+    analysis = FrameAnalysis(frame, settings)
+    patch = analysis.brightest_patch
+    judged = None if patch is None else _judge(frame, patch, settings)
+    if patch is None or not isinstance(judged, tuple) or patch.cut:
         return None
-    return _profile(frame, patch, judged[0], noise_of(frame, found, settings), flat)
+    return _profile(frame, patch, judged[0], analysis.noise, flat)
 
 
 def shows_print(frame: Frame, settings: SpotSettings) -> bool:
     """Whether the spot of a frame lies on print; a frame without a spot shows none."""
-    cut_out = _cut_out(frame, settings)
-    return cut_out is not None and is_printed(*cut_out)
+    analysis = FrameAnalysis(frame, settings)
+    patch = analysis.brightest_patch
+    return patch is not None and is_printed(patch, analysis.noise)
 
 
 def locate_ellipse(
     frame: Frame, settings: SpotSettings | None = None, flat: Flat | None = None
 ) -> Centre | None:
     """Where the second localiser sees the spot that ``locate`` has found in a frame; None if it sees none."""
-    settings = settings or SpotSettings()
-    cut_out = _cut_out(frame, settings)
-    return None if cut_out is None else ellipse(*cut_out, settings, flat)
-
-
-def _cut_out(frame: Frame, settings: SpotSettings) -> tuple[Patch, Noise] | None:
-    """The brightest region's surroundings and the frame's noise."""
-    found = search(frame.pixels)
-    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
-    if patch is None or isinstance(patch, NoSpot):
-        return None
-    return patch, noise_of(frame, found, settings)
-
-
-def noise_of(frame: Frame, found: Search, settings: SpotSettings) -> Noise:
-    """The noise of a frame's pixels."""
-    read_counts = pixel_noise(frame.pixels, found.background)
-    return Noise(read_counts, settings.full_well_electrons / frame.full_scale)
+    analysis = FrameAnalysis(frame, settings or SpotSettings())
+    patch = analysis.brightest_patch
+    return None if patch is None else ellipse(patch, analysis.noise, analysis.settings, flat)
 
 
 def is_printed(patch: Patch, noise: Noise) -> bool:

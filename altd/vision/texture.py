@@ -17,13 +17,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.records import Frame, NoSpot, PixelArray
+from altd.records import PixelArray
 from altd.vision.background import Image
 from altd.vision.flat import Flat
-from altd.vision.localise import SATURATED_FROM, noise_of
-from altd.vision.patch import patch_around
-from altd.vision.search import search
-from altd.vision.settings import SpotSettings
+from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.localise import SATURATED_FROM
 
 MAX_SHIFT_PX = 12
 """Lags that are searched, either way in u and v."""
@@ -86,15 +84,14 @@ class Sample:
         return energy, math.sqrt(2 * _CORRELATED_PIXELS * float(noise @ noise))
 
 
-def sample_of(frame: Frame, settings: SpotSettings) -> Sample | None:
+def sample_of(analysis: FrameAnalysis) -> Sample | None:
     """The sample under the brightest spot of a frame; None where there is no spot."""
-    found = search(frame.pixels)
-    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
-    if patch is None or isinstance(patch, NoSpot):
+    patch = analysis.brightest_patch
+    if patch is None:
         return None
-    noise = noise_of(frame, found, settings)
+    noise = analysis.noise
     smooth, correction = _smoothed(patch.excess)
-    clipped = _near_clipped(patch.pixels, frame.full_scale)
+    clipped = _near_clipped(patch.pixels, analysis.frame.full_scale)
     counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
     light = np.where(counts, smooth, np.float32(1))
     relative = np.where(counts, np.clip(patch.excess / light - 1, -1, _MAX_RELATIVE), 0)

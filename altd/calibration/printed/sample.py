@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.calibration.printed.plane import Plane
-from altd.records import FloatArray, Frame, NoSpot
+from altd.records import FloatArray, Frame
 from altd.vision.flat import Flat
-from altd.vision.localise import SATURATED_FROM, noise_of
-from altd.vision.patch import Mask, patch_around
+from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.localise import SATURATED_FROM
+from altd.vision.patch import Mask
 from altd.vision.profile import fit_profile
-from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
 _SHARE_OF_PEAK = 0.15
@@ -52,11 +52,11 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
 
     Without a flat the light is taken relative to the smoothed spot, with one to the fitted profile.
     """
-    found = search(frame.pixels)
-    patch = patch_around(frame, found.regions[0], found, settings) if found.regions else None
-    if patch is None or isinstance(patch, NoSpot):
+    analysis = FrameAnalysis(frame, settings)
+    patch = analysis.brightest_patch
+    if patch is None:
         return None
-    noise = noise_of(frame, found, settings)
+    noise = analysis.noise
     height, width = patch.excess.shape
     window = slice(patch.top, patch.top + height), slice(patch.left, patch.left + width)
     clipped = frame.pixels[window] >= SATURATED_FROM * frame.full_scale

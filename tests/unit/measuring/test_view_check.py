@@ -13,8 +13,9 @@ from altd.measuring.calibration import TargetCalibration
 from altd.measuring.cross_check import CrossCheck
 from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.records import CameraIdentity, NoSpot, Spot
 from altd.vision.fingerprint import Fingerprint, ViewVerdict
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import SpotSettings
 
@@ -52,7 +53,7 @@ class Bench:
         for _ in range(count):
             self.number, self.t_ns = self.number + 1, self.t_ns + after_ns
             seen = replace(PICTURE, sequence=self.number, t_ns=self.t_ns)
-            allowed.append(self.check.objection(seen, spot, camera) is None)
+            allowed.append(self.check.objection(FrameAnalysis(seen, SpotSettings()), spot, camera) is None)
         return allowed
 
     def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
@@ -86,8 +87,8 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
         )
     )
 
-    def examine(_: Fingerprint, seen: Frame, settings: SpotSettings, has_spot: bool) -> ViewVerdict:
-        made.examined.append(seen.sequence)
+    def examine(_: Fingerprint, seen: FrameAnalysis, has_spot: bool) -> ViewVerdict:
+        made.examined.append(seen.frame.sequence)
         return made.verdict
 
     monkeypatch.setattr(Fingerprint, "examine", examine)

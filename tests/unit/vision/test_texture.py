@@ -6,6 +6,7 @@ import pytest
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.records import Frame
+from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.settings import SpotSettings
 from altd.vision.texture import Match, Sample, Texture, match, sample_of
 
@@ -30,7 +31,7 @@ def shown(
 
 
 def sampled(seen: Frame) -> Sample:
-    sample = sample_of(seen, SpotSettings())
+    sample = sample_of(FrameAnalysis(seen, SpotSettings()))
     assert sample is not None
     return sample
 
@@ -101,7 +102,8 @@ def test_the_shape_of_a_spot_is_no_texture() -> None:
 
 
 def test_a_frame_without_a_spot_has_no_sample() -> None:
-    assert sample_of(frame(np.zeros((HEIGHT, WIDTH)), np.random.default_rng(8)), SpotSettings()) is None
+    empty = frame(np.zeros((HEIGHT, WIDTH)), np.random.default_rng(8))
+    assert sample_of(FrameAnalysis(empty, SpotSettings())) is None
 
 
 def test_a_doubled_picture_is_told_by_how_far_it_may_draw_the_spot_aside() -> None:

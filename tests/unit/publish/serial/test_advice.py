@@ -19,6 +19,7 @@ from altd.records import Beam, CameraIdentity, Fault, NoSpot
 from altd.status.health import MEASURING, Health, State
 from altd.vision.leds import lit_leds, told_from_leds
 from altd.vision.localise import locate
+from altd.vision.search import search
 
 LEDS = np.array([(100.0, 60.0), (376.0, 60.0), (650.0, 60.0), (100.0, 420.0), (376.0, 420.0), (650.0, 420.0)])
 
@@ -56,7 +57,7 @@ def test_leds_that_shine_at_their_places_are_told_from_other_lasers() -> None:
         picture = frame(light(*blobs), np.random.default_rng(1))
         spot = locate(picture)
         assert isinstance(spot, NoSpot)
-        lit = lit_leds(picture, LEDS)
+        lit = lit_leds(search(picture.pixels), LEDS)
         assert lit == sum(blob.diameter_px == 40.0 for blob in blobs)
         told = told_from_leds(spot, lit, len(LEDS))
         assert (told.reason, told.detail) == (spot.reason, f"{LEDS_LIT}, {lit} of 6 shine at their places")
@@ -72,7 +73,7 @@ def test_light_that_is_no_led_is_not_taken_for_them() -> None:
     ):
         picture = frame(light(*blobs), np.random.default_rng(1))
         refused = NoSpot(Reason.AMBIGUOUS, "as found")
-        assert told_from_leds(refused, lit_leds(picture, LEDS), len(LEDS)) is refused
+        assert told_from_leds(refused, lit_leds(search(picture.pixels), LEDS), len(LEDS)) is refused
 
 
 def test_a_beam_that_is_too_oblique_is_not_brought_to_the_middle() -> None:
