@@ -246,6 +246,11 @@ class Quantities:
     of_unit: tuple[Quantity, ...]
     of_target: tuple[Quantity, ...] = ()
 
+    @property
+    def main(self) -> tuple[Quantity, ...]:
+        """Those of the unit that every valid measurement has, each in one unit."""
+        return tuple(each for each in self.of_unit if not (each.is_also or each.is_optional))
+
 
 @dataclass(frozen=True, slots=True)
 class Value:

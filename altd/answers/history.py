@@ -53,13 +53,21 @@ class Bin:
         self.valid += later.valid
 
 
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A quantity of a drawing: the label of its axis, and the key of its sigma."""
+
+    label: str
+    sigma_key: str
+
+
 class History:
     """Takes the objects of measurements, one after the other, and keeps at most ``MAX_BINS`` bins of them.
 
-    ``quantities`` gives, for each quantity that is kept, the name of its sigma.
+    ``quantities`` are those that are kept, by their keys.
     """
 
-    def __init__(self, quantities: Mapping[str, str]) -> None:
+    def __init__(self, quantities: Mapping[str, Drawn]) -> None:
         self.quantities = quantities
         self.bins: list[Bin] = []
         self._per_bin = 1
@@ -69,8 +77,8 @@ class History:
         new = Bin(t_s, t_s, codes=dict.fromkeys(document["status"]))
         if document["valid"]:
             new.valid = 1
-            for name, of_sigma in self.quantities.items():
-                value, sigma = document[name], document["sigma"][of_sigma]
+            for name, drawn in self.quantities.items():
+                value, sigma = document[name], document["sigma"][drawn.sigma_key]
                 new.total[name], new.low[name], new.high[name] = value, value - sigma, value + sigma
         if self.bins and self.bins[-1].count < self._per_bin:
             self.bins[-1].take(new)

@@ -17,15 +17,6 @@ _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
 _FEW = 120
 """So many bins can be told apart: each is marked."""
 
-LABELS = {
-    "x_mm": "x, mm",
-    "y_mm": "y, mm",
-    "dx_mm": "x − known x, mm",
-    "dy_mm": "y − known y, mm",
-    "yaw_deg": "yaw, °",
-    "pitch_deg": "pitch, °",
-}
-
 
 def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
     """The drawing. Gaps are where nothing is valid; in the lane below stands which reasons hold, and when.
@@ -55,7 +46,7 @@ def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
 
 
 def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
-    axes.set_ylabel(LABELS[quantity])
+    axes.set_ylabel(history.quantities[quantity].label)
     axes.grid(visible=True)
     for run in history.runs():
         t_s = [of.middle_s for of in run]

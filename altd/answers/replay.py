@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from altd import __version__
-from altd.answers.history import History
+from altd.answers.history import Drawn, History
 from altd.app.replay import Replay, open_replay
 from altd.errors import BadInputError
 from altd.files.documents import line_of
@@ -53,7 +53,9 @@ def answer(question: Question, warn: Callable[[str], object], progress: Callable
     replay = open_replay(question.recording, question.calibration, question.window, question.every)
     for line in gap_lines(replay.recording):
         warn(line)
-    columns = measurement_columns(replay.calibration.target_names, replay.positions is not None)
+    columns = measurement_columns(
+        replay.quantities, replay.calibration.target_names, replay.positions is not None
+    )
     history = History(_drawn(replay))
     with _table(question, replay, columns) as add:
         for measurement in replay.measurements(progress):
@@ -137,10 +139,15 @@ def _about(question: Question, replay: Replay) -> dict[str, Any]:
     }
 
 
-def _drawn(replay: Replay) -> dict[str, str]:
-    """The quantities of the drawing and the names of their sigmas: of a scan how far it is off."""
-    prefix = "" if replay.positions is None else "d"
-    return {f"{prefix}x_mm": "x_mm", f"{prefix}y_mm": "y_mm", "yaw_deg": "yaw_deg", "pitch_deg": "pitch_deg"}
+def _drawn(replay: Replay) -> dict[str, Drawn]:
+    """What is drawn, by its key in a measurement's object: of a scan how far x and y are off."""
+    drawn = {}
+    for quantity in replay.quantities.main:
+        key, label = quantity.key, quantity.label
+        if replay.positions is not None and key in ("x_mm", "y_mm"):
+            key, label = f"d{key}", f"{label} − known {label}"
+        drawn[key] = Drawn(f"{label}, {quantity.unit}", quantity.key)
+    return drawn
 
 
 def _draw(place: Path, history: History, replay: Replay) -> None:

@@ -16,7 +16,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import Recording, open_recording
-from altd.records import Measurement, Origin, origin_faults
+from altd.records import Measurement, Origin, Quantities, origin_faults
 from altd.status.measurement_json import as_object, as_scan_object
 
 _SILENT_AFTER_EXPOSURES = 8
@@ -37,6 +37,11 @@ class Replay:
     calibration: Calibration
     measuring: Measuring
     positions: ScanPositions | None
+
+    @property
+    def quantities(self) -> Quantities:
+        """What the measurements hold."""
+        return self._instrument.quantities
 
     @property
     def is_simulated(self) -> bool:
@@ -67,6 +72,10 @@ class Replay:
             return as_object(measurement)
         return as_scan_object(measurement, self.positions.known_mm(measurement.sequence))
 
+    @property
+    def _instrument(self) -> BeamInstrument:
+        return BeamInstrument(self.calibration, self.measuring)
+
     def _measured(self, progress: Progress) -> Iterator[Measurement]:
         header, targets = self.recording.header, self.calibration.target_names
         origins = {name: header.cameras[name].origin for name in targets}
@@ -75,7 +84,7 @@ class Replay:
             [View(name, name) for name in targets],
             self.calibration,
             self.measuring,
-            BeamInstrument(self.calibration, self.measuring),
+            self._instrument,
             lambda: origin_faults(origins),
             utc=lambda t_ns: _utc(header.start, t_ns),
             place=positions.place if positions is not None else lambda sequence: None,

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from altd.records import Quantities, Quantity
+
 Value = int | float | bool | str | None
 """What a cell holds; None: not known."""
 Row = Mapping[str, Value]
@@ -50,18 +52,7 @@ def _unit(name: str) -> str:
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
 
 
-_BEAM = {
-    "x_mm": "displacement of the beam at the front target, to the right as seen along the beam",
-    "y_mm": "the same, upwards",
-    "yaw_deg": "direction of the beam, atan of its slope in x",
-    "pitch_deg": "atan of its slope in y",
-    "yaw_mm_per_m": "1000 times the slope in x",
-    "pitch_mm_per_m": "1000 times the slope in y",
-    "roll_deg": "a beam cannot show it: empty unless an inclinometer is fitted",
-}
-
-
-def measurement_columns(targets: Sequence[str], of_scan: bool) -> tuple[Column, ...]:
+def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan: bool) -> tuple[Column, ...]:
     """The columns of a table of measurements, of which ``flat_row`` makes the rows."""
     columns = [
         Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
@@ -70,15 +61,17 @@ def measurement_columns(targets: Sequence[str], of_scan: bool) -> tuple[Column, 
         Column("frames", Type.WHOLE, "", "exposures that were averaged"),
         Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
         text("status", "reasons and warnings, codes with a space between them; empty: nothing to say"),
-        *(number(name, meaning) for name, meaning in _BEAM.items()),
+        *(_of_quantity("", quantity, quantity.meaning) for quantity in quantities.of_unit),
         *(
-            number(f"sigma_{name}", f"standard deviation of {name}")
-            for name in ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+            _of_quantity("sigma_", quantity, f"standard deviation of {quantity.key}")
+            for quantity in quantities.of_unit
+            if quantity.has_sigma
         ),
     ]
     for target in targets:
         columns += [
-            number(f"{target}_{axis}_mm", f"where the beam meets the target {target}") for axis in "xy"
+            _of_quantity(f"{target}_", quantity, f"{quantity.meaning} {target}")
+            for quantity in quantities.of_target
         ]
     if of_scan:
         columns += [
@@ -90,6 +83,10 @@ def measurement_columns(targets: Sequence[str], of_scan: bool) -> tuple[Column, 
                 number(f"{target}_d{axis}_mm", f"{target}_{axis}_mm − known_{axis}_mm") for axis in "xy"
             ]
     return tuple(columns)
+
+
+def _of_quantity(prefix: str, quantity: Quantity, meaning: str) -> Column:
+    return Column(f"{prefix}{quantity.key}", Type.NUMBER, quantity.unit, meaning)
 
 
 def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, Column, measurement_columns
 
 _TARGETS = ("front", "rear")
@@ -74,7 +75,7 @@ def page() -> str:
 
 def _lines() -> Iterator[str]:
     yield _HEAD
-    measured, of_scan = (measurement_columns(_TARGETS, is_scan) for is_scan in (False, True))
+    measured, of_scan = (measurement_columns(QUANTITIES, _TARGETS, is_scan) for is_scan in (False, True))
     yield "## `altd replay`"
     yield ""
     yield from _table(measured)

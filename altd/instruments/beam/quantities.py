@@ -8,19 +8,33 @@ from altd.records import Quantities, Quantity, Value
 QUANTITIES = Quantities(
     instrument="beam",
     of_unit=(
-        Quantity("x_mm", "x", "mm", "displacement, to the right as seen along the beam", 4),
-        Quantity("y_mm", "y", "mm", "displacement, upwards", 4),
+        Quantity(
+            "x_mm",
+            "x",
+            "mm",
+            "displacement of the beam at the front target, to the right as seen along the beam",
+            4,
+        ),
+        Quantity("y_mm", "y", "mm", "the same, upwards", 4),
         Quantity("yaw_deg", "yaw", "°", "direction of the beam, atan of its slope in x", 5),
-        Quantity("pitch_deg", "pitch", "°", "direction of the beam, atan of its slope in y", 5),
+        Quantity("pitch_deg", "pitch", "°", "atan of its slope in y", 5),
         Quantity("yaw_mm_per_m", "yaw", "mm/m", "1000 times the slope in x", 4, False, is_also="yaw_deg"),
         Quantity(
             "pitch_mm_per_m", "pitch", "mm/m", "1000 times the slope in y", 4, False, is_also="pitch_deg"
         ),
-        Quantity("roll_deg", "roll", "°", "from an inclinometer, when one is fitted", 5, False, True),
+        Quantity(
+            "roll_deg",
+            "roll",
+            "°",
+            "a beam cannot show it: empty unless an inclinometer is fitted",
+            5,
+            False,
+            True,
+        ),
     ),
     of_target=(
-        Quantity("x_mm", "x", "mm", "where the beam meets the target, to the right", 4, False),
-        Quantity("y_mm", "y", "mm", "where the beam meets the target, upwards", 4, False),
+        Quantity("x_mm", "x", "mm", "where the beam meets the target", 4, False),
+        Quantity("y_mm", "y", "mm", "where the beam meets the target", 4, False),
     ),
 )
 

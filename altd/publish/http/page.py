@@ -13,7 +13,7 @@ _PAGE = Path(__file__).with_name("index.html")
 
 def page_of(quantities: Quantities) -> str:
     """The page as a browser gets it; it shows a decimal less than JSON has."""
-    shown = [each for each in quantities.of_unit if not (each.is_also or each.is_optional)]
+    shown = quantities.main
     decimals = {quantity.key: quantity.decimals - 1 for quantity in shown}
     page = _PAGE.read_text(encoding="utf-8")
     page = page.replace("<!-- rows -->", "\n".join(map(_row, shown)))

@@ -27,7 +27,7 @@ def measurement_text(measurement: Measurement | None) -> str:
 
 def watch_head(quantities: Quantities) -> str:
     """The headings over the lines of ``watch_line``."""
-    heads = (f"{f'{quantity.label} {_unit(quantity)}':>11}" for quantity in _watched(quantities))
+    heads = (f"{f'{quantity.label} {_unit(quantity)}':>11}" for quantity in quantities.main)
     return f"{'time (UTC)':<14}{''.join(heads)}"
 
 
@@ -41,7 +41,7 @@ def watch_line(measurement: Measurement | None) -> str:
         return f"{time:<14}NOT VALID: {codes}"[:WIDTH]
     numbers = (
         f"{measurement.values[quantity.key].value:11.{quantity.decimals - 1}f}"
-        for quantity in _watched(measurement.quantities)
+        for quantity in measurement.quantities.main
     )
     return f"{time:<14}{''.join(numbers)} {codes}"[:WIDTH].rstrip()
 
@@ -64,11 +64,6 @@ def status_text(measurement: Measurement | None, health: Health, *, whole: bool 
             if whole and (remarks := _remarks(component)):
                 lines.append(_hanging("", remarks, 4))
     return "\n".join(lines)
-
-
-def _watched(quantities: Quantities) -> list[Quantity]:
-    """Those that every valid measurement has, each in one unit."""
-    return [each for each in quantities.of_unit if not (each.is_also or each.is_optional)]
 
 
 def _value_lines(measurement: Measurement) -> list[str]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from altd.answers.history import MAX_BINS, History
+from altd.answers.history import MAX_BINS, Drawn, History
 
 
 def line(t_s: float, x_mm: float | None, *status: str, sigma_mm: float = 0.5) -> tuple[float, dict[str, Any]]:
@@ -18,7 +18,7 @@ def line(t_s: float, x_mm: float | None, *status: str, sigma_mm: float = 0.5) ->
 
 
 def history(*lines: tuple[float, dict[str, Any]]) -> History:
-    of = History({"x_mm": "x_mm"})
+    of = History({"x_mm": Drawn("x, mm", "x_mm")})
     for each in lines:
         of.add(*each)
     return of

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from support.places import DOCS
 
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, measurement_columns
 from tools.pages.tables import page
 
@@ -11,7 +12,7 @@ def test_the_page_is_generated_from_the_code() -> None:
 
 
 def test_no_name_stands_twice_and_units_are_those_of_the_names() -> None:
-    for columns in (measurement_columns(("front", "rear"), True), POINT_COLUMNS, SPOT_COLUMNS):
+    for columns in (measurement_columns(QUANTITIES, ("front", "rear"), True), POINT_COLUMNS, SPOT_COLUMNS):
         names = [column.name for column in columns]
         assert len(set(names)) == len(names)
         for column in columns:
