@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.flat import flats_of
-from altd.calibration.scan import calibrate_scan
+from altd.calibration.calibrating import calibrate
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -111,17 +110,14 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
     def quiet(_done: int, _planned: int) -> None:
         return None
 
-    flats = {}
     if case.flat:
         record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
     stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
     record_scan(folder / "scan", unit, stage, 2, quiet, case.pitch_mm)
-    scan = open_recording(folder / "scan")
-    if case.flat:
-        flats = flats_of(open_recording(folder / "flat"), scan.header, quiet)
+    flat = open_recording(folder / "flat") if case.flat else None
     unit.leds_on = False
     unit.even_mw_per_mm2 = 0.0
-    return calibrate_scan(scan, flats).calibration
+    return calibrate([open_recording(folder / "scan")], flat, quiet).calibration
 
 
 def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:

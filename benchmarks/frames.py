@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import save_calibration
-from altd.calibration.flat import flats_of
-from altd.calibration.scan import calibrate_scan
 from altd.config import Config, HttpSettings, ModbusTcpSettings, Target, TelegramPortSettings, Unit
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
@@ -71,10 +70,9 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
         record_scan(scan, still, stage, exposures_a_node, lambda done, planned: None)
         flat = Path(folder, "flat")
         record_flat(flat, still, FLAT_EXPOSURES, lambda done, planned: None)
-        recording_of_scan = open_recording(scan)
-        flats = flats_of(open_recording(flat), recording_of_scan.header)
-        calibration = calibrate_scan(recording_of_scan, flats).calibration
-        without_flats = calibrate_scan(recording_of_scan).calibration
+        scans = [open_recording(scan)]
+        calibration = calibrate(scans, open_recording(flat)).calibration
+        without_flats = calibrate(scans).calibration
     return Material(tuple(rendered), calibration, without_flats)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureSetter
-from altd.calibration.file import check_camera, check_image_size, load_calibration
+from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
 from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
@@ -117,10 +117,7 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
         known = calibration.target(target.name)
         if known is None:
             raise BadInputError(path, f"does not know target {target.name!r}")
-        if abs(known.z_mm - target.z_mm) > 1e-3:
-            raise BadInputError(
-                path, f"target {target.name!r} was calibrated at z {known.z_mm:g} mm, not {target.z_mm:g}"
-            )
+        check_place(calibration, path, target.name, target.z_mm)
         camera, settings = cameras.get(target.camera), config.cameras.get(target.camera)
         if isinstance(camera, PlaybackCamera):
             check_image_size(calibration, path, target.name, camera.width, camera.height)

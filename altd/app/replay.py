@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from altd.app.scan_positions import ScanPositions
-from altd.calibration.file import check_camera, check_image_size, load_calibration
+from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
 from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
@@ -29,12 +29,14 @@ Progress = Callable[[int, int], None]
 class Replay:
     """A recording and the calibration that it is measured with; they belong together.
 
-    ``measuring`` holds ``window`` and ``every`` as they are, ``positions`` where the stage put the beam, in a
-    scan. Without a window a scan gives one measurement a node, of all its exposures.
+    ``views`` are the calibration's targets, each with the recording's camera that looks at it. ``measuring``
+    holds ``window`` and ``every`` as they are, ``positions`` where the stage put the beam, in a scan. Without
+    a window a scan gives one measurement a node, of all its exposures.
     """
 
     recording: Recording
     calibration: Calibration
+    views: tuple[View, ...]
     measuring: Measuring
     positions: ScanPositions | None
 
@@ -47,7 +49,7 @@ class Replay:
     def is_simulated(self) -> bool:
         """Whether any frame that the measurements rest on was simulated."""
         cameras = self.recording.header.cameras
-        of_frames = (cameras[name].origin for name in self.calibration.target_names)
+        of_frames = (cameras[view.camera].origin for view in self.views)
         return self.calibration.simulated or Origin.SIMULATED in of_frames
 
     @property
@@ -77,11 +79,11 @@ class Replay:
         return BeamInstrument(self.calibration, self.measuring)
 
     def _measured(self, progress: Progress) -> Iterator[Measurement]:
-        header, targets = self.recording.header, self.calibration.target_names
-        origins = {name: header.cameras[name].origin for name in targets}
-        positions = self.positions
+        header, positions = self.recording.header, self.positions
+        cameras = {view.camera for view in self.views}  # a recording may have more of them
+        origins = {view.target: header.cameras[view.camera].origin for view in self.views}
         chain = MeasuringChain(
-            [View(name, name) for name in targets],
+            self.views,
             self.calibration,
             self.measuring,
             self._instrument,
@@ -91,7 +93,7 @@ class Replay:
         )
         total = len(self.recording.rows)
         for done, row in enumerate(self.recording.rows, start=1):
-            if positions is None or positions.see(row):
+            if row.camera in cameras and (positions is None or positions.see(row)):
                 yield from chain.push(self.recording.frame(row))
             progress(done, total)
         yield from chain.flush()
@@ -107,18 +109,30 @@ def open_replay(
     recording = open_recording(recording_path)
     header = recording.header
     calibration = load_calibration(calibration_path, header.unit.serial)
-    for camera, size in header.cameras.items():
-        check_image_size(calibration, calibration_path, camera, size.width, size.height)
-        check_camera(calibration, calibration_path, camera, size.identity)
-    missing = [name for name in calibration.target_names if name not in header.cameras]
+    if len(calibration.targets) < BeamInstrument.min_targets:
+        only = calibration.target_names[0]
+        raise BadInputError(
+            calibration_path,
+            f"is of target {only!r} alone; a beam needs at least {BeamInstrument.min_targets} targets",
+        )
+    for target in header.shown_targets:
+        size = header.cameras[target.camera]
+        check_image_size(calibration, calibration_path, target.name, size.width, size.height)
+        check_camera(calibration, calibration_path, target.name, size.identity)
+        if header.targets is not None:
+            check_place(calibration, calibration_path, target.name, target.z_mm)
+    cameras = {target.name: target.camera for target in header.shown_targets}
+    missing = [name for name in calibration.target_names if name not in cameras]
     if missing:
-        raise BadInputError(recording_path, f"has no camera {missing[0]!r}")
+        raise BadInputError(recording_path, f"has no camera that looks at target {missing[0]!r}")
+    views = tuple(View(name, cameras[name]) for name in calibration.target_names)
     settings: dict[str, float] = {"silent_after_s": max(0.4, _SILENT_AFTER_EXPOSURES / header.fps)}
     positions = None
     if header.kind == "scan":
-        positions = ScanPositions(recording, window if every is None else window or Measuring().window)
+        averaged = window if every is None else window or Measuring().window
+        positions = ScanPositions(recording, {view.camera for view in views}, averaged)
     measuring = Measuring(window=window or Measuring().window, every=every or 1).model_copy(update=settings)
-    return Replay(recording, calibration, measuring, positions)
+    return Replay(recording, calibration, views, measuring, positions)
 
 
 def _utc(start: datetime | None, t_ns: int) -> datetime | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from altd.calibration.scan_nodes import node_key
@@ -55,15 +55,16 @@ class _Stays:
 class ScanPositions:
     """The positions of a scan's exposures while it is measured.
 
-    Nodes are told apart as ``altd calibrate`` does. ``window`` is how many exposures are averaged; None: all
-    of a stay at a node, which gives one measurement each. Raises BadInputError where two rows of one exposure
-    contradict each other, where rows are far out of order, and when no row has a position.
+    Nodes are told apart as ``altd calibrate`` does. ``cameras`` are those that are measured. ``window`` is
+    how many exposures are averaged; None: all of a stay at a node, which gives one measurement each. Raises
+    BadInputError where two rows of one exposure contradict each other, where rows are far out of order, and
+    when no row has a position.
     """
 
-    def __init__(self, recording: Recording, window: int | None) -> None:
+    def __init__(self, recording: Recording, cameras: Collection[str], window: int | None) -> None:
         self._window = window
         self._stays = _Stays()
-        lengths = _lengths(recording)
+        lengths = _lengths(recording, cameras)
         self._lengths = None if window is not None else lengths
 
     @property
@@ -108,13 +109,15 @@ class ScanPositions:
             yield last
 
 
-def _lengths(recording: Recording) -> list[int]:
+def _lengths(recording: Recording, cameras: Collection[str]) -> list[int]:
     """How many exposures each stay of the stage has."""
     stays, lengths = _Stays(), list[int]()
     place = recording.path / FRAMES_FILE
     latest: Row | None = None
     since_latest = 0
     for row in recording.rows:
+        if row.camera not in cameras:
+            continue
         if latest is None or row.sequence > latest.sequence:
             latest, since_latest = row, 0
         since_latest += 1

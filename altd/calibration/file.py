@@ -35,6 +35,8 @@ FORMAT = "altd-calibration/1"
 _LARGEST_BYTES = 1 << 26
 """Two flats of 20 megapixels that no compression makes smaller."""
 
+_SAME_Z_MM = 1e-3
+
 Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
 """A place in or about a picture of at most 20 000 px."""
@@ -155,7 +157,7 @@ class _File(_Table):
     unit: _Unit
     created: datetime
     recording: _Source
-    targets: Annotated[list[_Target], Field(min_length=2)]
+    targets: Annotated[list[_Target], Field(min_length=1)]
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
@@ -204,6 +206,13 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
             path,
             f"target {target!r} was calibrated at {known.width} × {known.height}, not {width} × {height}",
         )
+
+
+def check_place(calibration: Calibration, path: Path, target: str, z_mm: float) -> None:
+    """Refuse a target that stands elsewhere on the beam than where it was calibrated."""
+    known = calibration.target(target)
+    if known is not None and abs(known.z_mm - z_mm) > _SAME_Z_MM:
+        raise BadInputError(path, f"target {target!r} was calibrated at z {known.z_mm:g} mm, not {z_mm:g}")
 
 
 def check_camera(calibration: Calibration, path: Path, target: str, camera: CameraIdentity) -> None:

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.recording.reader import Recording
-from altd.recording.table import Row
+from altd.calibration.target_frames import FrameRow
 from altd.records import FloatArray, Spot
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
@@ -26,23 +25,23 @@ _MIN_VERIFIED_SHARE = 0.9
 
 
 def fingerprint_of(
-    recording: Recording, rows: Iterable[Row], settings: SpotSettings, flat: Flat | None, plain: bool
+    frames: Iterable[FrameRow], settings: SpotSettings, flat: Flat | None, plain: bool
 ) -> tuple[Fingerprint, str]:
-    """The fingerprint of one camera from its ``rows`` of a scan, and a remark, empty when all is well.
+    """The fingerprint of one camera from its ``frames`` of a scan, and a remark, empty when all is well.
 
     Through the target's ``flat`` where there is one and the scan's own spots agree with it; else from the
     spots of a ``plain`` target. A print without a model lends itself to neither.
     """
     hot = HotPixelCount()
     ground = _Ground()
-    first: dict[tuple[float, float], Row] = {}
-    for row in rows:
-        frame = recording.frame(row)
+    first: dict[tuple[float, float], FrameRow] = {}
+    for seen_in in frames:
+        row, frame = seen_in.row, seen_in.frame()
         hot.add(frame.pixels)
         if row.leds_on:
             continue
         if row.position_mm is not None:
-            first.setdefault(row.position_mm, row)
+            first.setdefault(row.position_mm, seen_in)
         if flat is None and plain and (sample := sample_of(FrameAnalysis(frame, settings))) is not None:
             ground.add(sample, frame.pixels.shape)
     if flat is None:
@@ -50,8 +49,8 @@ def fingerprint_of(
         return Fingerprint(hot.result(), texture, None if texture is None else "scan"), ""
     made = Fingerprint(hot.result(), Texture.of_flat(flat), "flat")
     verdicts = []
-    for row in first.values():
-        analysis = FrameAnalysis(recording.frame(row), settings)
+    for seen_in in first.values():
+        analysis = FrameAnalysis(seen_in.frame(), settings)
         if isinstance(locate_in(analysis, flat), Spot):
             verdicts.append(made.examine(analysis, has_spot=True))
     good = sum(verdict.is_verified for verdict in verdicts)
@@ -65,11 +64,11 @@ def fingerprint_of(
     return Fingerprint(hot.result(), None, None), remark
 
 
-def hot_pixels_of(recording: Recording, rows: Iterable[Row]) -> Fingerprint:
+def hot_pixels_of(frames: Iterable[FrameRow]) -> Fingerprint:
     """The fingerprint of a camera that has seen no laser spot: its hot pixels."""
     hot = HotPixelCount()
-    for row in rows:
-        hot.add(recording.frame(row).pixels)
+    for seen_in in frames:
+        hot.add(seen_in.frame().pixels)
     return Fingerprint(hot.result(), None, None)
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.result import Progress
+from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
-from altd.recording.header import RecordingHeader
 from altd.recording.reader import Recording
 from altd.records import FloatArray, Frame, NoSpot
 from altd.vision.flat import Flat, Image
@@ -51,41 +51,45 @@ class _Mean:
 
 
 def flats_of(
-    recording: Recording, scan: RecordingHeader, progress: Progress = lambda done, total: None
+    recording: Recording, targets: Sequence[TargetFrames], progress: Progress = lambda done, total: None
 ) -> dict[str, Flat]:
-    """The flats of a scan's cameras from a recording of kind ``flat``; a camera without frames gets none.
+    """The flats of the targets of scans from a recording of kind ``flat``, by the targets' names.
 
-    Rows whose ``leds`` are ``on`` show the targets in even light, those ``off`` in the dark, which is taken
-    off. Where all rows are alike, their light decides: when it was switched off during the recording the dim
-    ones are the dark, else all are lit. Hot and clipped pixels get 0: they do not count. Raises BadInputError
-    when the recording is no flat, is of another unit or size than the scan, or is too dark, too bright or
-    too uneven.
+    A target that the flat does not show, or without frames, gets none. Rows whose ``leds`` are ``on`` show
+    the targets in even light, those ``off`` in the dark, which is taken off. Where all rows are alike, their
+    light decides: when it was switched off during the recording the dim ones are the dark, else all are lit.
+    Hot and clipped pixels get 0: they do not count. Raises BadInputError when the recording is no flat, is
+    of another unit, camera or size than the scan, or is too dark, too bright or too uneven.
     """
     path = recording.path
     if recording.header.kind != "flat":
         raise BadInputError(path, f"is of kind {recording.header.kind!r}, not 'flat'")
-    serials = recording.header.unit.serial, scan.unit.serial
-    if serials[0] != serials[1]:
-        raise BadInputError(path, f"is a flat of unit {serials[0]!r}, the scan is of unit {serials[1]!r}")
+    shown = {target.name: target.camera for target in recording.header.shown_targets}
     flats = {}
-    for camera, of_scan in scan.cameras.items():
-        if not recording.rows.count.get(camera):
+    for target in targets:
+        name, camera = target.name, shown.get(target.name)
+        serials = recording.header.unit.serial, target.unit_serial
+        if serials[0] != serials[1]:
+            raise BadInputError(path, f"is a flat of unit {serials[0]!r}, the scan is of unit {serials[1]!r}")
+        if camera is None or not recording.rows.count.get(camera):
             continue
         header = recording.header.cameras[camera]
-        if (header.width, header.height) != (of_scan.width, of_scan.height):
+        if (header.width, header.height) != target.image_size:
+            width, height = target.image_size
             raise BadInputError(
                 path,
-                f"{camera}: frames of {header.width} × {header.height}, "
-                f"those of the scan are {of_scan.width} × {of_scan.height}",
+                f"{name}: frames of {header.width} × {header.height}, "
+                f"those of the scan are {width} × {height}",
             )
-        if other := header.identity.difference_from(of_scan.identity):
-            raise BadInputError(path, f"{camera}: the flat is of another camera than the scan: {other}")
+        if other := header.identity.difference_from(target.camera):
+            raise BadInputError(path, f"{name}: the flat is of another camera than the scan: {other}")
         try:
-            flats[camera] = _flat(recording, camera, progress)
+            flats[name] = _flat(recording, camera, progress)
         except ValueError as error:
-            raise BadInputError(path, f"{camera}: {error}") from error
+            raise BadInputError(path, f"{name}: {error}") from error
     if not flats:
-        raise BadInputError(path, f"has no frame of the cameras {' and '.join(map(repr, scan.cameras))}")
+        names = " and ".join(repr(target.name) for target in targets)
+        raise BadInputError(path, f"has no frame of the targets {names}")
     return flats
 
 

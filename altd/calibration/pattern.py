@@ -18,6 +18,9 @@ from altd.records import FloatArray
 Key = tuple[int, int]
 """A node of the scan."""
 
+ExposureKey = tuple[Key, int, int]
+"""An exposure: its node, the number of its recording, its sequence there."""
+
 _LEAST_SHARE = 0.3
 """What is small against the rest is not known well enough to leave less of it."""
 
@@ -31,21 +34,21 @@ class NodeScatter:
     """One target's nodes.
 
     ``noise_px`` is their standard deviation about the map, which has ``parameters`` for both coordinates.
-    ``residuals_mm`` (2,) are measured minus mapped, ``exposures_mm`` (2,) an exposure's distance from its
-    node's mean, by node and sequence, and ``mm_per_px`` the scale of both.
+    ``residuals_mm`` (2,) are measured minus mapped, ``exposures_mm`` (2,) an exposure's distance from the
+    mean of its recording's exposures at the node, and ``mm_per_px`` the scale of both.
     """
 
     noise_px: float
     parameters: int
     mm_per_px: float
     residuals_mm: Mapping[Key, FloatArray]
-    exposures_mm: Mapping[tuple[Key, int], FloatArray]
+    exposures_mm: Mapping[ExposureKey, FloatArray]
 
     @property
     def exposures_per_node(self) -> float:
         """Their harmonic mean: a node's mean scatters by 1/n."""
         counts: dict[Key, int] = {}
-        for node, _ in self.exposures_mm:
+        for node, _, _ in self.exposures_mm:
             counts[node] = counts.get(node, 0) + 1
         return 1 / float(np.mean([1 / count for count in counts.values()])) if counts else 1.0
 
@@ -81,7 +84,7 @@ def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
 def _trembling_mm2(a: NodeScatter, b: NodeScatter) -> float:
     """Variance per axis of single exposures that two targets share; of a target with itself, all of it."""
     shared = [key for key in a.exposures_mm if key in b.exposures_mm]
-    freedom = 2 * (len(shared) - len({node for node, _ in shared}))
+    freedom = 2 * (len(shared) - len({(node, recording) for node, recording, _ in shared}))
     if freedom <= 0:
         return 0.0
     total = sum(float(a.exposures_mm[key] @ b.exposures_mm[key]) for key in shared)

@@ -1,4 +1,4 @@
-"""A recording of an LED plate becomes a calibration (thesis 3.3.2, 3.3.4): discs, grid, maps.
+"""Recordings of an LED plate become calibrated targets (thesis 3.3.2, 3.3.4): discs, grid, maps.
 
 The LEDs stand where the plate says; no stage, no beam. What they cannot show of a laser spot is said in
 docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
@@ -6,9 +6,8 @@ docs/calibration.md, and ``LASER_SPOT_SIGMA_MM`` stands for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from itertools import count
 
 import numpy as np
@@ -16,12 +15,8 @@ import numpy as np
 from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.result import (
-    CalibrationResult,
-    Progress,
-    cross_check_doubts,
-    residual_distances_mm,
-)
+from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
+from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.light_centre import (
     disc_moment_mm2,
@@ -29,10 +24,8 @@ from altd.mapping.light_centre import (
     light_centre_shift_px,
     spot_moment_mm2,
 )
-from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
-from altd.recording.reader import Recording
-from altd.recording.table import Row
 from altd.records import FloatArray, Frame
 from altd.vision.background import Image
 from altd.vision.plate import Disc, disc_centres_px, find_discs
@@ -48,6 +41,8 @@ _LARGEST_MISSING_SHARE = 0.2
 _SIZE_LIMITS = 0.5, 2.0
 _WIDTH_LIMITS = 0.75, 1.35
 _ROUNDS = 3
+_LOCALISER = SpotSettings(method="moment")
+"""Its shift on a bent map is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,76 +55,47 @@ class _Leds:
     lights: tuple[str, ...]
 
 
-def calibrate_plate(
-    recording: Recording,
-    localiser: SpotSettings | None = None,
-    degree: tuple[int, int] | None = None,
-    progress: Progress = lambda done, total: None,
-) -> CalibrationResult:
-    """Fit the maps of every target of a recording of kind ``plate``.
+def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> TargetsResult:
+    """Fit the maps of targets from the plates at their places.
 
-    Raises BadInputError when it is none, when too few LEDs shine, or when it cannot be told which is which.
+    Raises BadInputError when too few LEDs shine, or when it cannot be told which is which.
     """
-    header = recording.header
-    if header.kind != "plate":
-        raise BadInputError(recording.path, f"is of kind {header.kind!r}, not 'plate'")
-    if header.plate is None:
-        raise BadInputError(
-            recording.path / "recording.json", "plate: Field required in a recording of a plate"
-        )
-    distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
-    if set(header.cameras) != set(distances):
-        raise BadInputError(recording.path, "a plate's recording must have the cameras 'front' and 'rear'")
-    localiser = localiser or SpotSettings(method="moment")  # whose shift on a bent map is known
-    targets, evidence, refused = [], [], []
-    done, total = count(1), len(recording.rows) + sum(row.leds_on for row in recording.rows)
+    if not targets:
+        return TargetsResult()
+    calibrated, evidence, refused = [], [], []
+    done, total = count(1), sum(1 + of.row.leds_on for frames in targets for of in frames)
 
-    def frame(row: Row) -> Frame:
+    def frame(of: FrameRow) -> Frame:
         progress(next(done), total)
-        return recording.frame(row)
+        return of.frame()
 
-    for name, z_mm in sorted(distances.items(), key=lambda item: item[1]):
-        target, of_target, lights = _target(recording, name, z_mm, frame, localiser, degree)
-        targets.append(target)
+    for frames in targets:
+        target, of_target, lights = _target(frames, frame)
+        calibrated.append(target)
         evidence.append(of_target)
-        refused += [f"{name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
-        refused += [f"{name}: {light}" for light in lights]
-    calibration = Calibration(
-        unit_serial=header.unit.serial,
-        created=datetime.now(UTC),
-        recording_note=header.note,
-        recording_sha256=recording.sha256(),
-        targets=tuple(targets),
-    )
+        refused += [f"{frames.name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
+        refused += [f"{frames.name}: {light}" for light in lights]
     remark = f"a plate shows no laser spot: its pattern and fall-off are taken as {LASER_SPOT_SIGMA_MM} mm"
-    return CalibrationResult(
-        calibration, tuple(refused), tuple(evidence), cross_check_doubts(calibration.targets), (remark,)
-    )
+    return TargetsResult(tuple(calibrated), tuple(refused), tuple(evidence), remarks=(remark,))
 
 
 def _target(
-    recording: Recording,
-    name: str,
-    z_mm: float,
-    frame: Callable[[Row], Frame],
-    localiser: SpotSettings,
-    degree: tuple[int, int] | None,
+    seen: TargetFrames, frame: Callable[[FrameRow], Frame]
 ) -> tuple[TargetCalibration, TargetEvidence, tuple[str, ...]]:
     """One target's map, what it rests on, and the lights that are no LED."""
-    plate, camera = recording.header.plate, recording.header.cameras[name]
-    assert plate is not None  # noqa: S101  the caller looked
+    plate, name = seen.plate, seen.name
+    width, height = seen.image_size
 
     def frames(leds_on: bool) -> Iterator[Frame]:
-        return (frame(row) for row in recording.rows.of(name) if row.leds_on == leds_on)
+        return (frame(of) for of in seen if of.row.leds_on == leds_on)
 
     dark, lit = _mean(frames(False)), _mean(frames(True))
     for word, mean in (("off", dark), ("on", lit)):
         if mean is None:
-            raise BadInputError(recording.path, f"{name}: no frame has the plate's LEDs {word}")
+            raise BadInputError(seen.place, f"{name}: no frame has the plate's LEDs {word}")
     assert dark is not None and lit is not None  # noqa: S101, PT018  just looked
-    mirrored = name == "front" if camera.mirrored is None else camera.mirrored
     try:
-        leds = _find(lit - dark, plate, mirrored)
+        leds = _find(lit - dark, plate, seen.is_mirrored)
         most = int(_LARGEST_MISSING_SHARE * plate.columns * plate.rows)
         if len(leds.missing) > most:
             first = next(iter(leds.missing.items()))
@@ -141,17 +107,10 @@ def _target(
         centres_px = np.array([(disc.u_px, disc.v_px) for disc in leds.discs])
         areas_px = np.array([disc.area_px for disc in leds.discs])
         fitted, kept, complaints = _fit(
-            plate,
-            nodes_mm,
-            centres_px,
-            areas_px,
-            (camera.width, camera.height),
-            localiser,
-            degree,
-            most - len(leds.missing),
+            plate, nodes_mm, centres_px, areas_px, (width, height), most - len(leds.missing)
         )
     except ValueError as error:
-        raise BadInputError(recording.path, f"{name}: {error}") from error
+        raise BadInputError(seen.place, f"{name}: {error}") from error
     fit = fitted.fit
     scatter_px, exposures = _scatter_px(frames(True), dark, tuple(leds.discs[row] for row in kept))
     distance_mm = residual_distances_mm(fit, nodes_mm[kept])
@@ -159,10 +118,10 @@ def _target(
     pattern_px = LASER_SPOT_SIGMA_MM * float(np.median(scale))
     target = TargetCalibration(
         name=name,
-        z_mm=z_mm,
-        width=camera.width,
-        height=camera.height,
-        localiser=localiser,
+        z_mm=seen.z_mm,
+        width=width,
+        height=height,
+        localiser=_LOCALISER,
         flat=None,
         map=replace(fit.map, noise_px=float(np.hypot(fit.map.noise_px, pattern_px))),
         cross_check=fitted.cross_check,
@@ -172,9 +131,9 @@ def _target(
         residual_max_mm=float(distance_mm.max()),
         repeatability_px=_pooled(scatter_px),
         leds_px=np.empty((0, 2)),
-        camera=camera.identity,
-        origin=camera.origin,
-        fingerprint=hot_pixels_of(recording, recording.rows.of(name)),
+        camera=seen.camera,
+        origin=seen.origin,
+        fingerprint=hot_pixels_of(seen),
     )
     missing = [(_at(plate, cell), why) for cell, why in leds.missing.items()]
     evidence = TargetEvidence(
@@ -231,8 +190,6 @@ def _fit(
     centres_px: FloatArray,
     areas_px: FloatArray,
     image_size: tuple[int, int],
-    localiser: SpotSettings,
-    degree: tuple[int, int] | None,
     most_dropped: int,
 ) -> tuple[TargetFit, list[int], dict[int, str]]:
     """The map of where a laser spot's centre of light lands; the LEDs used, what is wrong with the others.
@@ -240,13 +197,13 @@ def _fit(
     A disc's centre of area is not the picture of its middle, and a wider laser spot's centre of light still
     less. Both shifts follow from the map, so it is fitted again with what it says.
     """
-    spot_moment = spot_moment_mm2(plate.beam_mm, localiser.threshold, localiser.power)
+    spot_moment = spot_moment_mm2(plate.beam_mm, _LOCALISER.threshold, _LOCALISER.power)
     kept = list(range(len(nodes_mm)))
     complaints: dict[int, str] = {}
     shift_px = np.zeros_like(centres_px)
     for _ in range(_ROUNDS):
         nodes_px = centres_px + shift_px
-        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, degree, most_dropped - len(complaints))
+        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, None, most_dropped - len(complaints))
         fit = fitted.fit
         for row in (kept[at] for at in fitted.dropped):
             off_px = float(np.linalg.norm(nodes_px[row] - fit.map.to_px(nodes_mm[row : row + 1])[0]))
@@ -261,7 +218,7 @@ def _fit(
         disc_mm = _disc_mm(plate, usual_mm2)
         moment = spot_moment - disc_moment_mm2(disc_mm)
         shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
-    fitted = fit_nodes(nodes_mm[kept], (centres_px + shift_px)[kept], image_size, degree, 0)
+    fitted = fit_nodes(nodes_mm[kept], (centres_px + shift_px)[kept], image_size, None, 0)
     return fitted, kept, complaints
 
 

@@ -32,6 +32,17 @@ class CalibrationResult:
     remarks: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class TargetsResult:
+    """What the scans, or the plates, among the recordings gave: a part of a ``CalibrationResult``."""
+
+    targets: tuple[TargetCalibration, ...] = ()
+    refused: tuple[str, ...] = ()
+    evidence: tuple[TargetEvidence, ...] = ()
+    doubts: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
 def residual_distances_mm(fit: Fit, nodes_mm: FloatArray) -> FloatArray:
     """Eq. 3.1 for the nodes (n, 2) themselves: how far from its known place the map puts each one, (n,)."""
     nodes_px = fit.map.to_px(nodes_mm) + fit.residuals_px

@@ -1,10 +1,9 @@
-"""A scan recording becomes a calibration: localise every node, fit every target's map (thesis 3.5.7)."""
+"""Scans become calibrated targets: localise every node, fit every target's map (thesis 3.5.7)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -15,20 +14,15 @@ from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.flat import flat_likeness
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
-from altd.calibration.result import (
-    CalibrationResult,
-    Progress,
-    cross_check_doubts,
-    residual_distances_mm,
-)
+from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
 from altd.calibration.scan_grid import relative_sigmas, scan_grid
-from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, first_rows, look, printed_nodes
+from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, first_of_nodes, look, printed_nodes
 from altd.calibration.spot_reference import spot_reference
+from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.mapping.marks import Marks
-from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.recording.reader import Recording
+from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
 from altd.vision.reference import UNKNOWN_SPOT
@@ -54,59 +48,39 @@ class _Made:
     """Whether no print excuses the two localisers."""
 
 
-def calibrate_scan(
-    recording: Recording,
-    flats: Mapping[str, Flat] | None = None,
-    progress: Progress = lambda done, total: None,
-) -> CalibrationResult:
-    """Fit the maps of every target of a recording of kind ``scan``.
+def calibrate_scans(
+    targets: Sequence[TargetFrames], flats: Mapping[str, Flat], progress: Progress
+) -> TargetsResult:
+    """Fit the maps of targets from their scans.
 
     Spots are localised through the target's flat; where ``flats`` has none, the scan is searched for a
-    regular print, of which a model is made. Raises BadInputError when it is no scan, when too few nodes
-    have a spot, or when the nodes are no grid.
+    regular print, of which a model is made. Raises BadInputError when too few nodes have a spot, or when the
+    nodes are no grid.
     """
-    header = recording.header
-    if header.kind != "scan":
-        raise BadInputError(recording.path, f"is of kind {header.kind!r}; a calibration needs a 'scan'")
-    distances = {"front": 0.0, "rear": header.unit.target_distance_mm}
-    if set(header.cameras) != set(distances):
-        raise BadInputError(recording.path, "a scan must have the cameras 'front' and 'rear'")
-    jobs = [
-        Job(recording, name, z_mm, _PROFILE, (flats or {}).get(name))
-        for name, z_mm in sorted(distances.items(), key=lambda item: item[1])
-    ]
+    jobs = [Job(frames, _PROFILE, flats.get(frames.name)) for frames in targets]
     made = [_calibrate_target(job, progress) for job in jobs]
     patterns_px = pattern_noise_px([target.scatter for target in made])
     verdicts = [_verdict(job, of, px) for job, of, px in zip(jobs, made, patterns_px, strict=True)]
     marked = [_with_camera(job, of) for job, of in zip(jobs, made, strict=True)]
-    calibration = Calibration(
-        unit_serial=header.unit.serial,
-        created=datetime.now(UTC),
-        recording_note=header.note,
-        recording_sha256=recording.sha256(),
-        targets=tuple(
+    evidence = tuple(of.evidence for of in made)
+    return TargetsResult(
+        tuple(
             _with_pattern(job, target, pattern_px)
             for job, (target, _), pattern_px in zip(jobs, marked, patterns_px, strict=True)
         ),
-    )
-    return CalibrationResult(
-        calibration,
-        tuple(
-            f"{of.evidence.name} node x {x:g} y {y:g} mm: {why}"
-            for of in made
-            for (x, y), why in of.evidence.left_out
-        )
-        + tuple(f"{of.evidence.name} {led}" for of in made for led in of.evidence.leds_dropped),
-        tuple(of.evidence for of in made),
         (
-            *cross_check_doubts(calibration.targets),
+            *(f"{of.name} node x {x:g} y {y:g} mm: {why}" for of in evidence for (x, y), why in of.left_out),
+            *(f"{of.name} {led}" for of in evidence for led in of.leds_dropped),
+        ),
+        evidence,
+        (
             *(doubt for of in made for doubt in of.doubts),
             *(doubt for _, doubt in marked if doubt),
             *(of.doubt for of in verdicts if of.doubt is not None),
         ),
         (
             *(of.remark for of in made),
-            *(line for of in made for line in _unequal_nodes(of.evidence)),
+            *(line for of in evidence for line in _unequal_nodes(of)),
             *(of.remark for of in verdicts),
         ),
     )
@@ -115,10 +89,10 @@ def calibrate_scan(
 def _with_pattern(job: Job, target: TargetCalibration, pattern_px: float) -> TargetCalibration:
     """The target with what print and speckle do to a spot, and what its spots are like."""
     fitted = replace(target.map, noise_px=pattern_px)
-    rows = first_rows(job)
+    first = first_of_nodes(job)
     reference = spot_reference(
-        lambda node: job.recording.frame(rows[node]),
-        len(rows),
+        lambda node: first[node].frame(),
+        len(first),
         target.localiser,
         target.flat,
         fitted,
@@ -139,9 +113,9 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
         job = replace(job, localiser=_MOMENT)
     seen = look(job, progress)
     made = _fit_target(job, seen, None)
-    rows = [node.located[0] for node in seen.usable]
+    located = [node.good[0].located[0] for node in seen.usable]
     found = find_print(
-        lambda node: job.recording.frame(rows[node]),
+        lambda node: located[node].frame(),
         _spots_px(seen.usable),
         made.target.map,
         job.localiser,
@@ -158,10 +132,9 @@ def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str]:
     """The target with its camera's identity, origin and fingerprint, and what is doubtful about that."""
     target = made.target
     fingerprint, doubt = fingerprint_of(
-        job.recording, job.rows, target.localiser, target.flat, made.must_agree and target.flat is None
+        job.frames, target.localiser, target.flat, made.must_agree and target.flat is None
     )
-    camera = job.recording.header.cameras[job.name]
-    known = replace(target, camera=camera.identity, origin=camera.origin, fingerprint=fingerprint)
+    known = replace(target, camera=job.frames.camera, origin=job.frames.origin, fingerprint=fingerprint)
     return known, doubt and f"{job.name}: {doubt}"
 
 
@@ -184,7 +157,7 @@ def _doubts_of_flat(likeness: float, name: str) -> tuple[str, ...]:
 
 def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
     """A target through the model of its print; the print also guides the map unless it is bent itself."""
-    flat = replace(found.flat, origin=job.recording.header.cameras[job.name].origin)
+    flat = replace(found.flat, origin=job.frames.origin)
     job = replace(job, localiser=_PROFILE, flat=flat)
     seen = look(job, progress)
     alone, guided = (_fit_target(job, seen, marks) for marks in (None, found.marks))
@@ -196,31 +169,31 @@ def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
 
 def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
     """The maps through the nodes that can be used; raises BadInputError where they are too few."""
-    place, nodes, refused = job.recording.path, seen.usable, seen.refused
+    place, nodes, refused = job.frames.place, seen.usable, seen.refused
     if not seen.nodes:
         raise BadInputError(place, f"{job.name}: 0 of 0 nodes have no spot: no row has a position")
     try:
         grid = scan_grid(seen)
         if not grid.block.is_sufficient:
-            why = refused[0].complaints[0] if refused else "they are no grid"
+            why = refused[0].complaint if refused else "they are no grid"
             raise BadInputError(
                 place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
             )
         fitted = fit_nodes(
             _positions_mm(nodes),
             _spots_px(nodes),
-            job.image_size,
+            job.frames.image_size,
             None,
             grid.block.most_missing - grid.block.missing,
             marks,
-            relative_sigmas(nodes, job.image_size),
+            relative_sigmas(nodes, job.frames.image_size),
         )
     except ValueError as error:
         raise BadInputError(place, f"{job.name}: {error}") from error
     for node in (nodes[row] for row in fitted.dropped):
         mapped_px = fitted.fit.map.to_px(_positions_mm([node]))
         off_px = float(np.linalg.norm(_spots_px([node]) - mapped_px))
-        node.refuse(f"its spot lies {off_px:.1f} px from where the other nodes put it")
+        node.refusal = f"its spot lies {off_px:.1f} px from where the other nodes put it"
     margin_mm = fitted.fit.map.margin_mm
     return _Made(
         _target(job, seen, fitted),
@@ -244,15 +217,15 @@ def _positions_mm(nodes: Sequence[Node]) -> FloatArray:
 
 
 def _spots_px(nodes: Sequence[Node]) -> FloatArray:
-    return np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+    return np.array([node.spot_px for node in nodes])
 
 
 def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
     distance_mm = residual_distances_mm(fitted.fit, _positions_mm(seen.usable))
-    width, height = job.image_size
+    width, height = job.frames.image_size
     return TargetCalibration(
         name=job.name,
-        z_mm=job.z_mm,
+        z_mm=job.frames.z_mm,
         width=width,
         height=height,
         localiser=job.localiser,
@@ -263,7 +236,7 @@ def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px([node.spots_px for node in seen.usable]),
+        repeatability_px=_repeatability_px(seen.usable),
         leds_px=seen.leds_px,
     )
 
@@ -276,9 +249,9 @@ def _evidence(job: Job, seen: Seen, fitted: TargetFit) -> TargetEvidence:
         residuals_px=fitted.fit.residuals_px,
         missed_px=fitted.fit.missed_px,
         relative_sigma=fitted.fit.relative_sigma,
-        scatter_px=np.array([_scatter_px(node.spots_px) for node in seen.usable]),
-        exposures=tuple(len(node.spots_px) for node in seen.usable),
-        left_out=tuple((node.position_mm, node.complaints[0]) for node in seen.refused),
+        scatter_px=np.array([_scatter_px(node) for node in seen.usable]),
+        exposures=tuple(node.exposures for node in seen.usable),
+        left_out=tuple((node.position_mm, node.complaint) for node in seen.refused),
         leds_dropped=seen.leds_dropped,
         candidates=fitted.candidates,
     )
@@ -291,9 +264,9 @@ def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     residuals_mm = np.einsum("nij,nj->ni", jacobian, fitted.fit.residuals_px)
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):
-        deviations_px = np.array(node.spots_px) - np.mean(node.spots_px, axis=0)
-        for row, deviation_px in zip(node.located, deviations_px, strict=True):
-            exposures_mm[node.key, row.sequence] = to_mm @ deviation_px
+        for visit in node.good:
+            for seen_in, deviation_px in zip(visit.located, visit.deviations_px, strict=True):
+                exposures_mm[node.key, seen_in.number, seen_in.row.sequence] = to_mm @ deviation_px
     return NodeScatter(
         noise_px=fitted.fit.map.noise_px,
         parameters=fitted.fit.parameters,
@@ -303,19 +276,21 @@ def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     )
 
 
-def _repeatability_px(exposures: list[list[tuple[float, float]]]) -> FloatArray:
-    """Pooled standard deviation of single exposures at the same node, u and v; 0 when each has but one."""
-    deviations = [np.array(spots) - np.mean(spots, axis=0) for spots in exposures]
-    freedom = sum(len(spots) - 1 for spots in exposures)
+def _repeatability_px(nodes: Sequence[Node]) -> FloatArray:
+    """Pooled standard deviation of single exposures at the same node, u and v; 0 when each has but one.
+
+    About the mean of the recording that they are in: a stage does not come back to quite the same place.
+    """
+    deviations = [visit.deviations_px for node in nodes for visit in node.good]
+    freedom = sum(len(of_visit) - 1 for of_visit in deviations)
     if freedom == 0:
         return np.zeros(2)
     pooled: FloatArray = np.sqrt(sum(np.square(d).sum(axis=0) for d in deviations) / freedom)
     return pooled
 
 
-def _scatter_px(spots: list[tuple[float, float]]) -> FloatArray:
-    """Standard deviation (2,) of the exposures at one node; NaN when there is but one."""
-    if len(spots) < 2:
+def _scatter_px(node: Node) -> FloatArray:
+    """Standard deviation (2,) of the exposures at one node; NaN where each recording has but one."""
+    if all(len(visit.spots_px) < 2 for visit in node.good):
         return np.full(2, np.nan)
-    scatter: FloatArray = np.std(spots, axis=0, ddof=1)
-    return scatter
+    return _repeatability_px([node])

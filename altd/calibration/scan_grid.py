@@ -51,8 +51,8 @@ def scan_grid(seen: Seen) -> ScanGrid:
     axes = Axis.through(positions_mm[:, 0]), Axis.through(positions_mm[:, 1])
     numbers = [axis.numbers(along).tolist() for axis, along in zip(axes, positions_mm.T, strict=True)]
     cells = list(zip(*numbers, strict=True))
-    missing = [cell for cell, node in zip(cells, nodes, strict=True) if not node.usable]
-    usable = np.array([node.usable for node in nodes])
+    missing = [cell for cell, node in zip(cells, nodes, strict=True) if not node.is_usable]
+    usable = np.array([node.is_usable for node in nodes])
     return ScanGrid(axes, Block.within(cells, missing), positions_mm[usable])
 
 
@@ -63,13 +63,13 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
     that the border of the picture cuts by more, which its own sigmas say. Raises ValueError when the nodes
     are too few for a map.
     """
-    sigmas_px = np.array([np.sqrt(np.mean(np.square(node.sigmas_px))) for node in nodes])
+    sigmas_px = np.array([node.sigma_px for node in nodes])
     relative = np.ones(len(nodes))
     uneven = sigmas_px > _UNEVEN_RATIO * np.median(sigmas_px)
     if not uneven.any():
         return relative
     places_mm = np.array([node.position_mm for node in nodes])
-    places_px = np.array([np.mean(node.spots_px, axis=0) for node in nodes])
+    places_px = np.array([node.spot_px for node in nodes])
     hull_mm = convex_hull_mm(places_mm)
     for _ in range(_ROUNDS):
         first = (

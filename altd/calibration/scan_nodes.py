@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.calibration.result import Progress
+from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.reasons import Reason
-from altd.recording.reader import Recording
-from altd.recording.table import Row
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
@@ -23,38 +22,82 @@ _SAME_NODE_MM = 0.5
 
 
 @dataclass(slots=True)
-class Node:
-    """The exposures at one node: stage positions mm, spots and their sigmas px, and why others have none."""
+class Visit:
+    """One recording's exposures at a node.
+
+    Stage positions mm, spots and their sigmas px with the frames they are in, and why others have no spot.
+    """
 
     positions_mm: list[tuple[float, float]] = field(default_factory=list)
     spots_px: list[tuple[float, float]] = field(default_factory=list)
     sigmas_px: list[float] = field(default_factory=list)
+    located: list[FrameRow] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-    located: list[Row] = field(default_factory=list)
-    """The rows that the spots come from."""
 
     @property
-    def usable(self) -> bool:
+    def is_usable(self) -> bool:
         """Whether most of its exposures have a spot."""
         return len(self.spots_px) > len(self.complaints)
 
     @property
+    def deviations_px(self) -> FloatArray:
+        """How far each spot (n, 2) lies from their mean."""
+        deviations: FloatArray = np.array(self.spots_px) - np.mean(self.spots_px, axis=0)
+        return deviations
+
+
+@dataclass(slots=True)
+class Node:
+    """The exposures at one node, by the number of the recording."""
+
+    visits: dict[int, Visit] = field(default_factory=dict)
+    refusal: str = ""
+    """Why it is out of use although it has spots; empty: it is not."""
+
+    @property
+    def good(self) -> list[Visit]:
+        """The visits that can be used."""
+        return [] if self.refusal else [visit for visit in self.visits.values() if visit.is_usable]
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it has any."""
+        return bool(self.good)
+
+    @property
     def key(self) -> tuple[int, int]:
         """Which node it is."""
-        return node_key(self.positions_mm[0])
+        return node_key(next(iter(self.visits.values())).positions_mm[0])
 
     @property
     def position_mm(self) -> tuple[float, float]:
-        """The mean of the stage's positions."""
-        x_mm, y_mm = np.mean(self.positions_mm, axis=0).tolist()
+        """The mean of the stage's positions, of the visits that can be used where there are such."""
+        visits = self.good or self.visits.values()
+        positions_mm = [position_mm for visit in visits for position_mm in visit.positions_mm]
+        x_mm, y_mm = np.mean(positions_mm, axis=0).tolist()
         return x_mm, y_mm
 
-    def refuse(self, why: str) -> None:
-        """Take its exposures out of use."""
-        self.spots_px.clear()
-        self.sigmas_px.clear()
-        self.located.clear()
-        self.complaints.append(why)
+    @property
+    def exposures(self) -> int:
+        """How many spots can be used."""
+        return sum(len(visit.spots_px) for visit in self.good)
+
+    @property
+    def spot_px(self) -> FloatArray:
+        """The mean (2,) of its spots."""
+        mean: FloatArray = np.mean([spot for visit in self.good for spot in visit.spots_px], axis=0)
+        return mean
+
+    @property
+    def sigma_px(self) -> float:
+        """To what a spot of it is known, by its own noise and light: the root mean square."""
+        sigmas_px = [sigma for visit in self.good for sigma in visit.sigmas_px]
+        return float(np.sqrt(np.mean(np.square(sigmas_px))))
+
+    @property
+    def complaint(self) -> str:
+        """Why it cannot be used."""
+        return self.refusal or next(why for visit in self.visits.values() for why in visit.complaints)
 
 
 @dataclass(slots=True)
@@ -69,12 +112,12 @@ class Seen:
     @property
     def usable(self) -> list[Node]:
         """The nodes that can be used."""
-        return [node for node in self.nodes.values() if node.usable]
+        return [node for node in self.nodes.values() if node.is_usable]
 
     @property
     def refused(self) -> list[Node]:
         """The nodes that cannot be used."""
-        return [node for node in self.nodes.values() if not node.usable]
+        return [node for node in self.nodes.values() if not node.is_usable]
 
     @property
     def leds_px(self) -> FloatArray:
@@ -88,62 +131,50 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One target of a scan and how its spots are localised."""
+    """One target's scans and how its spots are localised."""
 
-    recording: Recording
-    name: str
-    z_mm: float
+    frames: TargetFrames
     localiser: SpotSettings
     flat: Flat | None
 
     @property
-    def image_size(self) -> tuple[int, int]:
-        """Width and height of the target's pictures, px."""
-        camera = self.recording.header.cameras[self.name]
-        return camera.width, camera.height
-
-    @property
-    def rows(self) -> Iterator[Row]:
-        """The target's frames."""
-        return self.recording.rows.of(self.name)
-
-    @property
-    def frames(self) -> int:
-        """How many they are."""
-        return self.recording.rows.count.get(self.name, 0)
+    def name(self) -> str:
+        """The target's."""
+        return self.frames.name
 
 
 def look(job: Job, progress: Progress) -> Seen:
-    """Localise the spots of all nodes and the LEDs of all reference pairs in one camera's frames."""
+    """Localise the spots of all nodes and the LEDs of all reference pairs in one target's frames."""
     seen = Seen()
-    dark: Frame | None = None
-    for done, row in enumerate(job.rows, start=1):
-        frame = job.recording.frame(row)
+    dark: tuple[int, Frame] | None = None
+    total = len(job.frames)
+    for done, seen_in in enumerate(job.frames, start=1):
+        row, frame = seen_in.row, seen_in.frame()
         if row.position_mm is not None:
             if not row.leds_on:
-                _take_node(seen, frame, row, row.position_mm, job)
+                _take_node(seen, frame, seen_in, row.position_mm, job)
         elif not row.leds_on:
-            dark = frame
-        elif dark is not None:  # LED reference exposures come in pairs: off, then on
-            leds = locate_leds(frame, dark)
+            dark = seen_in.number, frame
+        elif dark is not None and dark[0] == seen_in.number:  # LED reference pairs: off, then on
+            leds = locate_leds(frame, dark[1])
             seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
             seen.leds_dropped = leds.dropped
-        progress(done, job.frames)
+        progress(done, total)
     return seen
 
 
-def first_rows(job: Job) -> list[Row]:
+def first_of_nodes(job: Job) -> list[FrameRow]:
     """The first exposure of each node."""
-    first: dict[tuple[int, int], Row] = {}
-    for row in job.rows:
-        if row.position_mm is not None and not row.leds_on:
-            first.setdefault(node_key(row.position_mm), row)
+    first: dict[tuple[int, int], FrameRow] = {}
+    for seen_in in job.frames:
+        if seen_in.row.position_mm is not None and not seen_in.row.leds_on:
+            first.setdefault(node_key(seen_in.row.position_mm), seen_in)
     return list(first.values())
 
 
 def first_frames(job: Job) -> Iterator[Frame]:
-    """The first exposure of each node, seen."""
-    return (job.recording.frame(row) for row in first_rows(job))
+    """The first exposure of each node, decoded."""
+    return (seen_in.frame() for seen_in in first_of_nodes(job))
 
 
 def printed_nodes(job: Job) -> tuple[int, int]:
@@ -166,14 +197,17 @@ def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot 
     return spot
 
 
-def _take_node(seen: Seen, frame: Frame, row: Row, position_mm: tuple[float, float], job: Job) -> None:
+def _take_node(
+    seen: Seen, frame: Frame, seen_in: FrameRow, position_mm: tuple[float, float], job: Job
+) -> None:
     node = seen.nodes.setdefault(node_key(position_mm), Node())
-    node.positions_mm.append(position_mm)
+    visit = node.visits.setdefault(seen_in.number, Visit())
+    visit.positions_mm.append(position_mm)
     spot = node_spot(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
         detail = f" ({spot.detail})" if spot.detail else ""
-        node.complaints.append(f"{spot.reason} in {row.file}{detail}")
+        visit.complaints.append(f"{spot.reason} in {job.frames.file_of(seen_in)}{detail}")
     else:
-        node.spots_px.append((spot.u_px, spot.v_px))
-        node.sigmas_px.append(math.hypot(spot.sigma_px, spot.excess_px))
-        node.located.append(row)
+        visit.spots_px.append((spot.u_px, spot.v_px))
+        visit.sigmas_px.append(math.hypot(spot.sigma_px, spot.excess_px))
+        visit.located.append(seen_in)

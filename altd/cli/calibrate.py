@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,12 +16,12 @@ if TYPE_CHECKING:
     from altd.calibration.result import CalibrationResult
     from altd.recording.reader import Recording
 
-SUMMARY = "fit the maps from a scan or an LED plate; prints the residuals"
+SUMMARY = "fit the maps from scans or LED plates; prints the residuals"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
-    parser.add_argument("recording", type=Path, metavar="RECORDING")
+    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="a scan or a plate")
     add_output(parser, "FILE")
     parser.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
     parser.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, write file and report together, and print what was reached."""
+    from altd.calibration.calibrating import calibrate
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, write_together
     from altd.files.writing import check_replaceable
@@ -37,11 +39,13 @@ def run(options: argparse.Namespace) -> int:
     check_replaceable(options.output)
     if options.report is not None:
         check_report(options.report)
-    recording = open_recording(options.recording)
-    for line in gap_lines(recording):
-        complain(f"altd calibrate: {line}")
-    result = _calibrated(recording, options.flat)
-    report = {} if options.report is None else _report(options, recording, result)
+    recordings = [open_recording(path) for path in options.recordings]
+    for recording in recordings:
+        for line in gap_lines(recording):
+            complain(f"altd calibrate: {line}")
+    flat = None if options.flat is None else open_recording(options.flat)
+    result = calibrate(recordings, flat, progress_on("frames"))
+    report = {} if options.report is None else _report(options, recordings, result)
     save_calibration(result.calibration, options.output)
     if options.report is not None:
         write_together(options.report, report)
@@ -49,21 +53,6 @@ def run(options: argparse.Namespace) -> int:
     if report:
         print(f"report: {', '.join(str(options.report / name) for name in report)}")
     return 0
-
-
-def _calibrated(recording: Recording, flat: Path | None) -> CalibrationResult:
-    from altd.calibration.flat import flats_of
-    from altd.calibration.plate import calibrate_plate
-    from altd.calibration.scan import calibrate_scan
-    from altd.recording.reader import open_recording
-
-    progress = progress_on("frames")
-    if recording.header.kind == "plate":
-        if flat is not None:
-            raise BadInputError(flat, "is for a scan; a plate shows no laser spot")
-        return calibrate_plate(recording, progress=progress)
-    flats = flats_of(open_recording(flat), recording.header, progress) if flat else {}
-    return calibrate_scan(recording, flats, progress=progress)
 
 
 def _print_result(result: CalibrationResult) -> None:
@@ -91,7 +80,9 @@ def _print_result(result: CalibrationResult) -> None:
         print(line)
 
 
-def _report(options: argparse.Namespace, recording: Recording, result: CalibrationResult) -> dict[str, bytes]:
+def _report(
+    options: argparse.Namespace, recordings: Sequence[Recording], result: CalibrationResult
+) -> dict[str, bytes]:
     """The report's files by name; matplotlib is there, somebody looked."""
     from altd.calibration.report.content import report_on
     from altd.calibration.report.html import html_page
@@ -99,19 +90,19 @@ def _report(options: argparse.Namespace, recording: Recording, result: Calibrati
     from altd.calibration.report.sheets import pdf_sheets
     from altd.calibration.report.source import Source
     from altd.calibration.report.write import PAGE, SHEETS
+    from altd.calibration.target_frames import target_frames
 
-    given = [options.recording, *(["--flat", options.flat] if options.flat else [])]
+    given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]
     given += ["-o", options.output, "--report", options.report]
     command = shlex.join(["altd", "calibrate", *map(str, given)])
     show = progress_on("files of the report")
     show(0, 2)
     try:
-        negatives = scan_negatives(recording)
-        document = report_on(
-            Source(result.calibration, result.evidence, negatives, command, recording.header)
-        )
+        negatives = scan_negatives(target_frames(recordings))
+        headers = tuple(recording.header for recording in recordings)
+        document = report_on(Source(result.calibration, result.evidence, negatives, command, headers))
     except ValueError as error:
-        raise BadInputError(options.recording, str(error)) from error
+        raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
     files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
     show(2, 2)
     return files

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import itertools
+from collections.abc import Collection, Iterable, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from altd import __version__
+from altd.config import Target
+from altd.config.table import NAME_PATTERN
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.reading import read_file
@@ -26,6 +29,9 @@ Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
 LARGEST_HEADER_BYTES = 1 << 20
 
 MADE_BY = f"altd {__version__}"
+
+FRONT, REAR = "front", "rear"
+"""The targets of a recording that does not say which it shows, and the cameras that look at them."""
 
 Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
 Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
@@ -95,7 +101,21 @@ class UnitHeader(_Header):
     """The unit that was recorded."""
 
     serial: str
-    target_distance_mm: Annotated[float, Field(gt=0, le=100_000)]
+    target_distance_mm: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    """From the front target to the rear one; required where the header has no ``targets``."""
+
+
+class TargetHeader(_Header):
+    """A target that the recording shows, where it stands on the beam, and the camera that looks at it."""
+
+    name: Annotated[str, Field(pattern=NAME_PATTERN, max_length=32)]
+    z_mm: Annotated[float, Field(ge=-100_000, le=100_000)]
+    camera: str
+
+
+def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
+    """The targets of a config as the header of a recording of its cameras names them."""
+    return tuple(TargetHeader(name=of.name, z_mm=of.z_mm, camera=of.camera) for of in targets)
 
 
 class PlateHeader(_Header):
@@ -128,6 +148,51 @@ class RecordingHeader(_Header):
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
     """In a recording of kind ``plate``."""
+    targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
+    """Which targets it shows, in beam order; None: those that ``shown_targets`` tells."""
+
+    @model_validator(mode="after")
+    def _check_targets(self) -> Self:
+        if self.targets is None:
+            if self.unit.target_distance_mm is None:
+                raise ValueError("unit.target_distance_mm: Field required where there are no targets")
+            return self
+        for key in ("name", "camera"):
+            values = [getattr(target, key) for target in self.targets]
+            for number, value in enumerate(values):
+                if value in values[:number]:
+                    first = values.index(value)
+                    raise ValueError(f"targets.{number}.{key}: {value!r} is the {key} of targets.{first} too")
+        for number, target in enumerate(self.targets):
+            if target.camera not in self.cameras:
+                raise ValueError(f"targets.{number}.camera: {target.camera!r} is none of the cameras")
+        for number, (nearer, target) in enumerate(itertools.pairwise(self.targets), start=1):
+            if target.z_mm <= nearer.z_mm:
+                raise ValueError(
+                    f"targets.{number}.z_mm: {target.z_mm:g} is not behind targets.{number - 1}, "
+                    f"{nearer.z_mm:g}: targets stand in beam order"
+                )
+        return self
+
+    @property
+    def shown_targets(self) -> tuple[TargetHeader, ...]:
+        """The targets that it shows, in beam order.
+
+        Where it does not say: ``front`` at 0 and ``rear`` behind it, of those the cameras that are there.
+        """
+        if self.targets is not None:
+            return self.targets
+        places_mm = {FRONT: 0.0, REAR: self.unit.target_distance_mm or 0.0}
+        return tuple(
+            TargetHeader(name=name, z_mm=z_mm, camera=name)
+            for name, z_mm in places_mm.items()
+            if name in self.cameras
+        )
+
+    def is_mirrored(self, target: TargetHeader) -> bool:
+        """Whether the target's camera sees it mirrored: as it says, else ``front`` alone."""
+        said = self.cameras[target.camera].mirrored
+        return target.name == FRONT if said is None else said
 
 
 def read_header(path: Path) -> RecordingHeader:

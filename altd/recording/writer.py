@@ -74,10 +74,14 @@ class RecordingWriter:
 
     def _resume(self, header: RecordingHeader, resume_at: int) -> None:
         there = read_header(self._path / HEADER_FILE)
-        if (_comparable(there), there.unit) != (_comparable(header), header.unit):
+        if (_comparable(there), there.unit, there.shown_targets) != (
+            _comparable(header),
+            header.unit,
+            header.shown_targets,
+        ):
             raise BadInputError(
                 self._path / HEADER_FILE,
-                "is of another unit, of other cameras, or of cameras of another size",
+                "is of another unit, of other targets, of other cameras, or of cameras of another size",
             )
         try:
             self._file = (self._path / FRAMES_FILE).open("ab", buffering=0)

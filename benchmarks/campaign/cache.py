@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.flat import flats_of
-from altd.calibration.scan import calibrate_scan
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
@@ -44,9 +43,8 @@ def calibrated(name: str) -> Calibration:
     if not file.exists():
         _say(f"calibrating {name}")
         file.parent.mkdir(parents=True, exist_ok=True)
-        recording = open_recording(scan)
-        flats = {} if flat is None else flats_of(open_recording(flat), recording.header)
-        save_calibration(calibrate_scan(recording, flats).calibration, file)
+        result = calibrate([open_recording(scan)], None if flat is None else open_recording(flat))
+        save_calibration(result.calibration, file)
     return load_calibration(file)
 
 

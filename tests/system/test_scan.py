@@ -23,7 +23,7 @@ from support.unit_toml import write_config
 from altd.acquisition import frame_sets as exposures
 from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
 from altd.app.scan import scanner_of
-from altd.calibration.scan import calibrate_scan
+from altd.calibration.calibrating import calibrate
 from altd.config import Config, Scan
 from altd.devices.grbl import driver
 from altd.errors import BadInputError
@@ -106,7 +106,7 @@ def mapped_mm(scan: Path, unit: Unit) -> np.ndarray:
     """Where the calibration of a scan puts places inside of the grid, as the simulator's lenses show them."""
     x_mm, y_mm = (a.ravel() for a in np.meshgrid(np.linspace(-44, 44, 25), np.linspace(-44, 44, 25)))
     mapped = []
-    for target in calibrate_scan(open_recording(scan)).calibration.targets:
+    for target in calibrate([open_recording(scan)]).calibration.targets:
         px = np.column_stack(unit.eyes[target.name].view.lens.project(x_mm, y_mm))
         mapped.append(InverseMap.of(target.map).to_mm(px)[0] - np.column_stack([x_mm, y_mm]))
     return np.vstack(mapped)
@@ -246,7 +246,7 @@ async def test_a_bad_node_is_refused_named_and_survived(unit: Unit, table: GrblT
     recording = open_recording(tmp_path / "scan")
     assert len(nodes(recording)) == 15
     assert (37.5, 12.5) not in nodes(recording)
-    assert len(calibrate_scan(recording).calibration.targets) == 2
+    assert len(calibrate([recording]).calibration.targets) == 2
     refused = json.loads((tmp_path / "scan" / "scan.json").read_text())["refused"]
     assert list(refused.values()) == ["rear spot_missing (nothing stands out of the background)"]
 

@@ -18,8 +18,8 @@ from support.measurements import beam_of
 from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.scan import calibrate_scan
 from altd.config import Config, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -85,7 +85,7 @@ def calibration(seed: int, tmp_path_factory: pytest.TempPathFactory) -> Calibrat
     record_scan(
         folder / "scan", Unit(UnitConfig(seed=seed)), Stage(np.random.default_rng(seed)), 1, lambda *_: None
     )
-    save_calibration(calibrate_scan(open_recording(folder / "scan")).calibration, folder / "cal.json")
+    save_calibration(calibrate([open_recording(folder / "scan")]).calibration, folder / "cal.json")
     return load_calibration(folder / "cal.json")
 
 
@@ -236,7 +236,7 @@ def test_a_coarse_print_is_no_doubled_picture(tmp_path: Path) -> None:
     unit = Unit(UnitConfig(seed=5, dots=DotPattern(1.0, 2.0, hexagonal=False)))
     unit.set_camera("front", exposure_ms=1.4)  # its dots are larger and brighter
     record_scan(tmp_path / "scan", unit, Stage(np.random.default_rng(5)), 1, lambda *_: None)
-    known = calibrate_scan(open_recording(tmp_path / "scan")).calibration
+    known = calibrate([open_recording(tmp_path / "scan")]).calibration
     unit.leds_on = False
     for number, pose in enumerate(POSES):
         unit.place(pose)
@@ -316,7 +316,7 @@ def test_the_daemon_holds_its_cameras_against_the_config(
 @pytest.fixture(scope="module")
 def unit_a(shared_data: Path) -> tuple[Calibration, list[Pictures]]:
     """Frames that this project did not make: the calibration, and the first exposure of each of 12 beams."""
-    calibration = calibrate_scan(open_recording(shared_data / "unit-a" / "scan")).calibration
+    calibration = calibrate([open_recording(shared_data / "unit-a" / "scan")]).calibration
     poses = open_recording(shared_data / "unit-a" / "poses")
     frames = {(row.sequence, row.camera): poses.frame(row).pixels for row in poses.rows}
     return calibration, [(frames[4 * pose, "front"], frames[4 * pose, "rear"]) for pose in range(12)]

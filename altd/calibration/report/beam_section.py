@@ -6,51 +6,53 @@ import numpy as np
 
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row
-from altd.calibration.report.prediction import QUANTITIES, Prediction
-from altd.calibration.report.source import Source
+from altd.calibration.report.prediction import CAUSES, NAME_AND_UNIT, OF_SPOT, Prediction
+from altd.calibration.report.source import Source, in_words
 from altd.calibration.report.target_plots import Plane
+
+_PER_UNIT = 1000
+"""Pictures are in thousandths of a degree or of a millimetre."""
 
 
 def beam_section(prediction: Prediction, source: Source) -> list[Block]:
-    """Sigma of x, y, yaw and pitch over the area, its causes and what averaging brings."""
-    hulls = [target.map.hull_mm for target in source.calibration.targets]
-    plane = Plane(hulls, around_mm=3.0)
-    pictures = []
-    for words, quantity, partner, unit, factor in (
-        ("yaw", "yaw_deg", "pitch_deg", "10⁻³ °", 1000),
-        ("pitch", "pitch_deg", "yaw_deg", "10⁻³ °", 1000),
-        ("x", "x_mm", "y_mm", "µm", 1000),
-        ("y", "y_mm", "x_mm", "µm", 1000),
-    ):
-        both = np.stack([prediction.sigma[QUANTITIES.index(name)] for name in (quantity, partner)])
-        limits = factor * float(np.nanmin(both)), factor * float(np.nanmax(both))
-        value = factor * prediction.sigma[QUANTITIES.index(quantity)]
-        draw = target_plots.contours(
-            plane, f"sigma of {words}", prediction.x_mm, prediction.y_mm, value, limits, unit
+    """Sigma of what is measured over the area, its causes and what averaging brings."""
+    targets, exposures = source.calibration.targets, prediction.exposures
+    plane = Plane([target.map.hull_mm for target in targets], around_mm=3.0)
+    if prediction.quantities == OF_SPOT:
+        caption = (
+            "Predicted sigma (1 standard deviation) of one measurement of a spot on the target, "
+            f"{exposures} exposures averaged. Seen along the beam; x and y share one scale."
         )
-        pictures.append(Picture(f"predicted sigma of {words} over the area", plane.height_in(bar=True), draw))
-    caption = (
-        "Predicted sigma (1 standard deviation) of one measurement over the area, from both targets "
-        f"together: a beam normal to the targets at (x, y), {prediction.exposures} exposures averaged. Seen "
-        "along the beam; yaw and pitch share one scale, x and y another."
-    )
-    names = ("x", "y", "yaw", "pitch")
-    causes = ("pattern", "map", "scatter")
-    budget = map_plots.budget("what makes sigma", names, prediction.shares, causes)
+        rows = [Row(_pair(prediction, plane, "x_mm", "y_mm"), caption)]
+    else:
+        caption = (
+            "Predicted sigma (1 standard deviation) of one measurement over the area, from "
+            f"{in_words(targets)} together: a beam normal to the targets at (x, y), {exposures} exposures "
+            "averaged. Seen along the beam; yaw and pitch share one scale, x and y another."
+        )
+        rows = [
+            Row(_pair(prediction, plane, "x_mm", "y_mm"), ""),
+            Row(_pair(prediction, plane, "yaw_deg", "pitch_deg"), caption),
+        ]
+    names = tuple(NAME_AND_UNIT[quantity][0] for quantity in prediction.quantities)
+    budget = map_plots.budget("what makes sigma", names, prediction.shares, CAUSES)
     window = np.geomspace(1, 100, 60)
-    angles = [(name, 1000 * prediction.rms_after(f"{name}_deg", window)) for name in ("yaw", "pitch")]
+    last_two = prediction.quantities[-2:]
+    sigmas = [
+        (NAME_AND_UNIT[quantity][0], _PER_UNIT * prediction.rms_after(quantity, window))
+        for quantity in last_two
+    ]
     averaging = map_plots.averaging(
-        "what averaging brings", window, angles, prediction.exposures, "sigma in 10⁻³ °, rms"
+        "what averaging brings", window, sigmas, exposures, f"sigma in {_unit(last_two[0])}, rms"
     )
     made_of = (
         "Pattern: print and speckle shift each spot by a fixed amount that differs from place to place. "
         "Map: what the nodes' noise leaves uncertain of it. Scatter: single exposures about their mean, "
-        f"{prediction.exposures} averaged; it alone falls when more are averaged."
+        f"{exposures} averaged; it alone falls when more are averaged."
     )
     return [
         Heading("What a measurement will be worth"),
-        Row((pictures[2], pictures[3]), ""),
-        Row((pictures[0], pictures[1]), caption),
+        *rows,
         Row(
             (
                 Picture("what makes sigma", map_plots.BUDGET_IN, budget),
@@ -59,3 +61,21 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
             made_of,
         ),
     ]
+
+
+def _pair(prediction: Prediction, plane: Plane, *quantities: str) -> tuple[Picture, ...]:
+    """Sigma of quantities over the area, on one scale."""
+    sigmas = [_PER_UNIT * prediction.sigma[prediction.quantities.index(name)] for name in quantities]
+    limits = float(np.nanmin(sigmas)), float(np.nanmax(sigmas))
+    pictures = []
+    for quantity, sigma in zip(quantities, sigmas, strict=True):
+        name, _ = NAME_AND_UNIT[quantity]
+        draw = target_plots.contours(
+            plane, f"sigma of {name}", prediction.x_mm, prediction.y_mm, sigma, limits, _unit(quantity)
+        )
+        pictures.append(Picture(f"predicted sigma of {name} over the area", plane.height_in(bar=True), draw))
+    return tuple(pictures)
+
+
+def _unit(quantity: str) -> str:
+    return "µm" if quantity in OF_SPOT else "10⁻³ °"

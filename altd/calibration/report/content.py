@@ -13,7 +13,7 @@ from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
-from altd.calibration.report.prediction import Prediction, predict
+from altd.calibration.report.prediction import NAME_AND_UNIT, OF_SPOT, Prediction, predict
 from altd.calibration.report.source import Source
 from altd.calibration.report.verdict import Level, Verdict, judge
 from altd.measuring.calibration import Calibration, TargetCalibration
@@ -60,11 +60,14 @@ def _origin(calibration: Calibration) -> list[Block]:
 
 
 def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
+    angles_first = sorted(prediction.quantities, key=lambda quantity: quantity in OF_SPOT)
+    *others, last = (
+        f"{prediction.rms(quantity):.4f}{unit} in {name}"
+        for quantity, (name, unit) in ((quantity, NAME_AND_UNIT[quantity]) for quantity in angles_first)
+    )
     promise = (
         f"A measurement of {prediction.exposures} exposures is predicted to be right within "
-        f"{prediction.rms('yaw_deg'):.4f}° in yaw, {prediction.rms('pitch_deg'):.4f}° in pitch, "
-        f"{prediction.rms('x_mm'):.4f} mm in x and {prediction.rms('y_mm'):.4f} mm in y "
-        "(1 sigma, rms over the calibrated area)."
+        f"{', '.join(others)} and {last} (1 sigma, rms over the calibrated area)."
     )
     return [
         Banner(
@@ -131,15 +134,32 @@ def _described(camera: CameraHeader) -> str:
     return f"{known or 'serial, exposure and gain not known'}; frames: {camera.origin}"
 
 
+def _recordings(source: Source) -> list[tuple[str, str]]:
+    """Where the calibration comes from: one recording, or several by their numbers."""
+    calibration, several = source.calibration, len(source.headers) > 1
+    facts = [
+        ("Recordings" if several else "Recording", calibration.recording_note),
+        ("SHA-256 over theirs" if several else "SHA-256 of the recording", calibration.recording_sha256),
+    ]
+    for number, header in enumerate(source.headers, start=1):
+        which = f"{number}: " if several else ""
+        if several:
+            facts.append((f"Recording {number}", f"{header.kind}, {header.note or 'without a note'}"))
+        facts.append((f"{which}Recorded by", header.made_by or "not known"))
+        looks_at = {target.camera: target.name for target in header.shown_targets}
+        for name, camera in header.cameras.items():
+            target = looks_at.get(name, name)
+            role = "" if target == name else f", target {target}"
+            facts.append((f"{which}Camera {name}{role}", _described(camera)))
+    return facts
+
+
 def _inputs(source: Source) -> list[Block]:
     calibration = source.calibration
     exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
     facts = [
         ("Unit", calibration.unit_serial),
-        ("Recording", calibration.recording_note),
-        ("SHA-256 of the recording", calibration.recording_sha256),
-        ("Recorded by", source.header.made_by or "not known"),
-        *((f"Camera {name}", _described(camera)) for name, camera in source.header.cameras.items()),
+        *_recordings(source),
         ("Calibrated", utc_text(calibration.created)),
         ("Command", source.command),
         ("Exposures used", exposures),

@@ -75,8 +75,7 @@ figcaption { color: #444b54; font-size: .9rem; margin-top: .4rem; max-width: 46r
   body { padding: 0; max-width: none; }
   h2 { break-after: avoid; margin-top: 1.4rem; }
   figure, tr, .verdict { break-inside: avoid; }
-  .pictures { flex-wrap: nowrap; }
-  .pictures img { flex: 0 1 49%; max-width: 49%; }
+  .pictures img { flex: 0 0 calc(50% - .6rem); max-width: calc(50% - .6rem); }
   .wide { overflow: visible; }
 }
 """

@@ -19,7 +19,7 @@ from altd.calibration.report.prediction import (
     own_noise_px,
     spectrum_covariance_px2,
 )
-from altd.calibration.report.source import Source
+from altd.calibration.report.source import Source, in_words
 from altd.calibration.report.target_plots import Plane, nice_length
 from altd.mapping.hull import contains
 from altd.measuring.calibration import TargetCalibration
@@ -179,9 +179,10 @@ def cross_checks(source: Source) -> list[Block]:
             f"{other.largest_px:.2f} px apart, bound {other.bound_px:.2f} px; a node that it was not shown "
             f"it misses by {other.left_out_px:.3f} px."
         )
+    one_scale = f", {in_words(targets)} on one scale" if len(targets) > 1 else ""
     caption = (
         "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
-        f"{scale:g} times enlarged, both targets on one scale, seen along the beam. {' '.join(said)} A "
+        f"{scale:g} times enlarged{one_scale}, seen along the beam. {' '.join(said)} A "
         "measurement at which the two lie further apart than the bound is implausible and has no numbers."
     )
     return [Heading("Does a second map agree?"), Row(tuple(pictures), caption)]

@@ -1,39 +1,41 @@
-"""The scan in one picture a camera: every node's spot and the frame LEDs, as the camera saw them."""
+"""The scan in one picture a target: every node's spot and the frame LEDs, as the camera saw them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import cv2
 import numpy as np
 
-from altd.recording.reader import Recording
+from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.records import PixelArray
 
 _WIDEST_PX = 480
 """More would make the page large and nothing clearer."""
 
 
-def scan_negatives(recording: Recording) -> Mapping[str, PixelArray]:
-    """The brightest of what each camera saw at each pixel, as a negative, (rows, columns) uint8 per camera.
+def scan_negatives(targets: Sequence[TargetFrames]) -> Mapping[str, PixelArray]:
+    """The brightest of what a target's camera saw at each pixel, as a negative, (rows, columns) uint8.
 
-    Of each node one exposure counts, of the LED reference those with LEDs on; large pictures are made small.
-    Raises BadInputError for a frame that cannot be decoded.
+    By the targets' names. Of each node one exposure counts, of the LED reference those with LEDs on; large
+    pictures are made small. Raises BadInputError for a frame that cannot be decoded.
     """
-    brightest: dict[str, PixelArray] = {}
-    taken: set[tuple[str, tuple[float, float]]] = set()
-    for row in recording.rows:
-        if row.position_mm is not None:
-            place = (row.camera, row.position_mm)
-            if place in taken:
-                continue
-            taken.add(place)
-        elif not row.leds_on:
+    brightest = {frames.name: _brightest(frames) for frames in targets}
+    return {name: _negative(pixels) for name, pixels in brightest.items() if pixels is not None}
+
+
+def _brightest(frames: Iterable[FrameRow]) -> PixelArray | None:
+    brightest: PixelArray | None = None
+    taken: set[tuple[float, float]] = set()
+    for seen_in in frames:
+        position_mm = seen_in.row.position_mm
+        if position_mm in taken or (position_mm is None and not seen_in.row.leds_on):
             continue
-        pixels = recording.frame(row).pixels
-        known = brightest.get(row.camera)
-        brightest[row.camera] = pixels if known is None else np.maximum(known, pixels)
-    return {camera: _negative(pixels) for camera, pixels in brightest.items()}
+        if position_mm is not None:
+            taken.add(position_mm)
+        pixels = seen_in.frame().pixels
+        brightest = pixels if brightest is None else np.maximum(brightest, pixels)
+    return brightest
 
 
 def _negative(pixels: PixelArray) -> PixelArray:

@@ -14,7 +14,18 @@ from altd.mapping.tensor_map import TensorMap, tensor_basis
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray, MeanSpots, TargetPoint
 
-QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+OF_SPOT = ("x_mm", "y_mm")
+OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+"""What is measured with one target, and with two or more."""
+
+NAME_AND_UNIT = {
+    "x_mm": ("x", " mm"),
+    "y_mm": ("y", " mm"),
+    "yaw_deg": ("yaw", "°"),
+    "pitch_deg": ("pitch", "°"),
+}
+"""Of each quantity, for people; the unit as it stands behind a number."""
+
 CAUSES = ("pattern", "map", "scatter")
 """What makes sigma: print and speckle of a place, what is uncertain of the map, single exposures."""
 
@@ -31,11 +42,13 @@ _COLUMNS, _ROWS = 41, 33
 class Prediction:
     """Predicted sigma of a beam normal to the targets, over the area that all targets have in common.
 
-    ``x_mm`` (columns,) and ``y_mm`` (rows,) are the places, ``sigma`` (4, rows, columns) is of ``QUANTITIES``
-    in their units, NaN outside. ``shares`` (4, 3) is what part of each quantity's variance, averaged over the
-    area, comes from each of ``CAUSES``; a row adds up to 1. ``exposures`` are averaged.
+    ``quantities`` is ``OF_BEAM``, of a single target ``OF_SPOT``. ``x_mm`` (columns,) and ``y_mm`` (rows,)
+    are the places, ``sigma`` (quantities, rows, columns) is in the quantities' units, NaN outside. ``shares``
+    (quantities, 3) is what part of each one's variance, averaged over the area, comes from each of
+    ``CAUSES``; a row adds up to 1. ``exposures`` are averaged.
     """
 
+    quantities: tuple[str, ...]
     x_mm: FloatArray
     y_mm: FloatArray
     sigma: FloatArray
@@ -44,11 +57,11 @@ class Prediction:
 
     def rms(self, quantity: str) -> float:
         """Root of the mean variance over the area."""
-        return float(np.sqrt(np.nanmean(np.square(self.sigma[QUANTITIES.index(quantity)]))))
+        return float(np.sqrt(np.nanmean(np.square(self.sigma[self.quantities.index(quantity)]))))
 
     def rms_after(self, quantity: str, exposures: FloatArray) -> FloatArray:
         """The rms if so many exposures (n,) were averaged: only the scatter falls with their number."""
-        row = QUANTITIES.index(quantity)
+        row = self.quantities.index(quantity)
         scatter = self.shares[row, CAUSES.index("scatter")]
         factor = np.sqrt(1 - scatter + scatter * self.exposures / exposures)
         rms: FloatArray = self.rms(quantity) * factor
@@ -56,7 +69,7 @@ class Prediction:
 
     def worst(self, quantity: str) -> float:
         """The largest sigma in the area."""
-        return float(np.nanmax(self.sigma[QUANTITIES.index(quantity)]))
+        return float(np.nanmax(self.sigma[self.quantities.index(quantity)]))
 
 
 def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
@@ -67,9 +80,10 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
     no area in common.
     """
     x_mm, y_mm = common_area(calibration.targets)
-    sigma = np.full((4, len(y_mm), len(x_mm)), np.nan)
-    variances = np.zeros((4, len(CAUSES)))
     z_mm = [target.z_mm for target in calibration.targets]
+    quantities = OF_SPOT if len(z_mm) == 1 else OF_BEAM
+    sigma = np.full((len(quantities), len(y_mm), len(x_mm)), np.nan)
+    variances = np.zeros((len(quantities), len(CAUSES)))
     for row, y in enumerate(y_mm):
         line_mm = np.column_stack([x_mm, np.full(len(x_mm), y)])
         columns = np.flatnonzero(
@@ -79,12 +93,18 @@ def predict(calibration: Calibration, exposures: int = EXPOSURES) -> Prediction:
         for column, *points in zip(columns, *along, strict=True):
             parts = _covariances_mm2(calibration.targets, points, exposures)
             total = joint_covariance_mm2(_spots(calibration, exposures), points)
-            beam = fit_beam(z_mm, points, total)
-            sigma[:, row, column] = (
-                beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg
-            )  # fmt: skip
+            sigma[:, row, column] = _sigma(z_mm, points, total)
             variances += _by_cause(z_mm, total, parts)
-    return Prediction(x_mm, y_mm, sigma, variances / variances.sum(axis=1, keepdims=True), exposures)
+    shares = variances / variances.sum(axis=1, keepdims=True)
+    return Prediction(quantities, x_mm, y_mm, sigma, shares, exposures)
+
+
+def _sigma(z_mm: Sequence[float], points: Sequence[TargetPoint], covariance_mm2: FloatArray) -> FloatArray:
+    """Of ``OF_BEAM`` (4,), of a single target's ``OF_SPOT`` (2,)."""
+    if len(points) == 1:
+        return np.asarray(np.sqrt(np.diag(covariance_mm2)))
+    beam = fit_beam(z_mm, points, covariance_mm2)
+    return np.array([beam.sigma_x_mm, beam.sigma_y_mm, beam.sigma_yaw_deg, beam.sigma_pitch_deg])
 
 
 def own_noise_px(candidate: Candidate, nodes: int) -> float:
@@ -180,10 +200,12 @@ def _covariances_mm2(
 
 
 def _by_cause(z_mm: Sequence[float], total_mm2: FloatArray, parts_mm2: FloatArray) -> FloatArray:
-    """What each cause adds to the variances of ``QUANTITIES``, (4, 3); the angles' as slopes."""
-    design = np.zeros((2 * len(z_mm), 4))
+    """What each cause adds to the variances of the quantities, (quantities, 3); the angles' as slopes."""
+    design = np.zeros((2 * len(z_mm), len(OF_BEAM)))
     design[0::2, 0] = design[1::2, 1] = 1.0
     design[0::2, 2] = design[1::2, 3] = z_mm
+    if len(z_mm) == 1:
+        design = design[:, : len(OF_SPOT)]
     weighted = np.linalg.solve(total_mm2, design)
     gain = np.linalg.solve(design.T @ weighted, weighted.T)
     added: FloatArray = np.einsum("qi,cij,qj->qc", gain, parts_mm2, gain)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from altd.calibration.evidence import TargetEvidence
@@ -15,17 +15,22 @@ from altd.records import PixelArray
 class Source:
     """What is reported on: the calibration, its evidence, how it was made.
 
-    ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one. ``header``
-    is the recording's.
+    ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one.
+    ``headers`` are those of the recordings, in the order in which they were given.
     """
 
     calibration: Calibration
     evidence: tuple[TargetEvidence, ...]
     negatives: Mapping[str, PixelArray]
     command: str
-    header: RecordingHeader
+    headers: tuple[RecordingHeader, ...]
 
     def targets(self) -> list[tuple[TargetCalibration, TargetEvidence]]:
         """Each target with its evidence."""
         known = {seen.name: seen for seen in self.evidence}
         return [(target, known[target.name]) for target in self.calibration.targets]
+
+
+def in_words(targets: Sequence[TargetCalibration]) -> str:
+    """All the targets, in a sentence."""
+    return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")

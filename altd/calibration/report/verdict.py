@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.report.prediction import CAUSES, Prediction
+from altd.calibration.report.prediction import CAUSES, NAME_AND_UNIT, Prediction
 from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
@@ -91,24 +91,27 @@ def judge(
     """Judge a calibration by what its scan shows."""
     limit, advice = _limit(prediction, calibration.targets)
     checks = [
-        *_of_the_beam(prediction, calibration.targets),
-        *_of_the_maps(calibration.targets),
-        _of_the_cross_check(calibration.targets),
-        *_of_the_nodes(evidence),
-        _of_the_leds(calibration.targets),
+        *_predictions(prediction, calibration.targets),
+        *_of_maps(calibration.targets),
+        _of_cross_checks(calibration.targets),
+        *_of_nodes(evidence),
+        _of_leds(calibration.targets),
     ]
     return Verdict(tuple(checks), limit, advice)
 
 
-def _of_the_beam(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:
+def _predictions(prediction: Prediction, targets: Sequence[TargetCalibration]) -> list[Check]:
     remedy = _sentence(_advice(prediction, targets))
     checks = []
-    for name, quantity, unit, good, usable in (
-        ("yaw", "yaw_deg", "°", _GOOD_DEG, _USABLE_DEG),
-        ("pitch", "pitch_deg", "°", _GOOD_DEG, _USABLE_DEG),
-        ("x", "x_mm", " mm", _GOOD_MM, _USABLE_MM),
-        ("y", "y_mm", " mm", _GOOD_MM, _USABLE_MM),
+    for quantity, good, usable in (
+        ("yaw_deg", _GOOD_DEG, _USABLE_DEG),
+        ("pitch_deg", _GOOD_DEG, _USABLE_DEG),
+        ("x_mm", _GOOD_MM, _USABLE_MM),
+        ("y_mm", _GOOD_MM, _USABLE_MM),
     ):
+        if quantity not in prediction.quantities:
+            continue
+        name, unit = NAME_AND_UNIT[quantity]
         rms, worst = prediction.rms(quantity), prediction.worst(quantity)
         checks.append(
             Check(
@@ -122,7 +125,7 @@ def _of_the_beam(prediction: Prediction, targets: Sequence[TargetCalibration]) -
     return checks
 
 
-def _of_the_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
+def _of_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
     mean_mm = [target.residual_mean_mm for target in targets]
     scatter_px = [float(target.repeatability_px.max()) for target in targets]
     return [
@@ -145,7 +148,7 @@ def _of_the_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
     ]
 
 
-def _of_the_cross_check(targets: Sequence[TargetCalibration]) -> Check:
+def _of_cross_checks(targets: Sequence[TargetCalibration]) -> Check:
     checks = [target.cross_check for target in targets]
     apart = any(check.largest_px > check.bound_px for check in checks)
     return Check(
@@ -159,7 +162,7 @@ def _of_the_cross_check(targets: Sequence[TargetCalibration]) -> Check:
     )
 
 
-def _of_the_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
+def _of_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
     shares = [len(seen.left_out) / (len(seen.left_out) + len(seen.nodes_mm)) for seen in evidence]
     missed = [np.linalg.norm(seen.missed_px, axis=1) / seen.relative_sigma for seen in evidence]
     strays = [float(off.max() / np.sqrt(np.mean(np.square(off)) / 2)) for off in missed]
@@ -184,7 +187,7 @@ def _of_the_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
     ]
 
 
-def _of_the_leds(targets: Sequence[TargetCalibration]) -> Check:
+def _of_leds(targets: Sequence[TargetCalibration]) -> Check:
     found = [len(target.leds_px) for target in targets]
     return Check(
         "Frame LEDs found",

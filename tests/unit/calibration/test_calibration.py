@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from support.recordings import Shot, place_px, write, write_beams, write_scan
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import _checksum, check_image_size, load_calibration, save_calibration
-from altd.calibration.scan import calibrate_scan
+from altd.calibration.scan import calibrate_scans
+from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
@@ -26,7 +28,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def calibration(scan: Path) -> Calibration:
-    result = calibrate_scan(open_recording(scan))
+    result = calibrate([open_recording(scan)])
     assert result.refused == ()
     return result.calibration
 
@@ -115,7 +117,7 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
     for number, place in enumerate(places):
         reached = (place[0] + 2.0, place[1]) if number == 16 else place
         shots += [(None if number == 9 else reached, reached, place)] * (1 if number == 20 else 2)
-    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    result = calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
     assert [evidence.name for evidence in result.evidence] == ["front", "rear"]
     front, rear = result.evidence
     assert [(place, why.split(" (")[0].split(" lies")[0]) for place, why in front.left_out] == [
@@ -138,7 +140,7 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
 
 def test_maps_that_lie_too_far_apart_are_doubted(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("altd.measuring.cross_check._BOUND_SIGMAS", 0.1)
-    front, rear = calibrate_scan(open_recording(scan)).doubts
+    front, rear = calibrate([open_recording(scan)]).doubts
     assert re.match(r"front: the \S+ and the \S+ map lie up to 0\.0\d px apart; ", front)
     assert rear.endswith(" px a measurement will be implausible")
 
@@ -178,7 +180,7 @@ def test_damaged_files_are_refused_with_the_place(file: Path, tmp_path: Path) ->
 
 def test_a_flat_of_another_target_is_doubted(scan: Path) -> None:
     strange = Flat.of(np.random.default_rng(1).uniform(0.7, 1, (480, 752)), "recording")
-    result = calibrate_scan(open_recording(scan), {"front": strange})
+    result = calibrate_scans(target_frames([open_recording(scan)]), {"front": strange}, lambda *_: None)
     assert result.remarks[:2] == ("front: localised through its recorded flat", "rear: plain, no print")
     of_flat, of_view = result.doubts
     assert re.match(r"front: the flat is not what the spots show \(likeness -?0\.0\d of 1\): ", of_flat)
@@ -237,7 +239,7 @@ def test_saving_where_nothing_can_be_written_leaves_nothing_behind(
 def test_a_dark_node_is_reported_and_survived(scan: Path, tmp_path: Path) -> None:
     places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
     shots = [(None if n == 7 else place, place, place) for n, place in enumerate(places)]
-    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    result = calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
     assert result.refused == (
         "front node x -37.5 y -25 mm: spot_missing in front0007.png (nothing stands out of the background)",
     )
@@ -252,7 +254,7 @@ def test_too_many_dark_nodes_are_refused(scan: Path, tmp_path: Path) -> None:
     places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
     shots = [(place, None if n % 3 else place, place) for n, place in enumerate(places)]
     with pytest.raises(BadInputError, match="rear: 20 of 30 nodes have no spot: spot_missing"):
-        calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+        calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
 
 
 @pytest.mark.parametrize("bumped", [0, 8, 29])
@@ -264,7 +266,7 @@ def test_a_node_at_which_the_stage_was_bumped_is_reported_and_survived(
     assert meant is not None
     reached = meant[0] * 0.96, meant[1] * 0.96  # towards the middle, so that it stays in the picture
     shots = [(reached, reached, p) if n == bumped else (p, p, p) for n, p in enumerate(places)]
-    result = calibrate_scan(open_recording(write(tmp_path / "rec", "scan", shots)))
+    result = calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
     node = f"node x {meant[0]:g} y {meant[1]:g} mm: its spot lies "
     assert [line.split(node)[0] for line in result.refused] == ["front ", "rear "]
     off_px = float(result.refused[0].split(node)[1].split()[0])
@@ -283,7 +285,7 @@ def test_an_ordinary_scan_loses_no_node(calibration: Calibration) -> None:
 def test_a_measurement_recording_is_no_scan(tmp_path: Path) -> None:
     recording = open_recording(write_beams(tmp_path / "rec", [(0, 0, 0, 0)]))
     with pytest.raises(BadInputError, match="is of kind 'measurement'; a calibration needs a 'scan'"):
-        calibrate_scan(recording)
+        calibrate([recording])
 
 
 def test_an_undecodable_frame_ends_the_calibration_with_its_row(scan: Path, tmp_path: Path) -> None:
@@ -294,5 +296,5 @@ def test_an_undecodable_frame_ends_the_calibration_with_its_row(scan: Path, tmp_
     damaged = copy / "rear0003.png"
     damaged.write_bytes(damaged.read_bytes()[:300])
     with pytest.raises(BadInputError, match=r"row 9: rear0003\.png cannot be decoded"):
-        calibrate_scan(open_recording(copy))
+        calibrate([open_recording(copy)])
     assert cv2.imread(str(copy / "rear0002.png"), cv2.IMREAD_UNCHANGED) is not None

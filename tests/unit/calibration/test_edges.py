@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.recordings import Shot, place_px, write
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.result import CalibrationResult
-from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 
@@ -30,7 +30,7 @@ def calibrated(
     shots: list[Shot] = [
         (None if (x, y) in dark else (x, y), (x, y), (x, y)) for y in rows_mm for x in COLUMNS_MM
     ]
-    return calibrate_scan(open_recording(write(path, "scan", shots)))
+    return calibrate([open_recording(write(path, "scan", shots))])
 
 
 def test_nodes_that_the_border_cuts_are_used_and_named_with_their_weight(tmp_path: Path) -> None:

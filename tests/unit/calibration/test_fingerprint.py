@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.recordings import write_scan
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import _checksum, load_calibration, save_calibration
-from altd.calibration.scan import calibrate_scan
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
@@ -29,7 +29,7 @@ def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     front = {**header["cameras"]["front"], "serial": "F-7", "model": "mini", "driver": "aravis"}
     header["cameras"] = {**header["cameras"], "front": front}
     (scan / "recording.json").write_text(json.dumps(header))
-    return calibrate_scan(open_recording(scan)).calibration
+    return calibrate([open_recording(scan)]).calibration
 
 
 def reloaded(calibration: Calibration, folder: Path) -> Calibration:

@@ -13,12 +13,12 @@ import pytest
 from support.cli import altd_here, refusal
 from support.recordings import header, write_scan
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.flat import flat_likeness, flats_of
-from altd.calibration.scan import calibrate_scan
+from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
-from altd.recording.header import RecordingHeader
-from altd.recording.reader import open_recording
+from altd.recording.reader import Recording, open_recording
 from altd.records import Spot
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
@@ -29,7 +29,6 @@ from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
 SEED = 3
-SCAN = RecordingHeader.model_validate(header("scan"))
 
 
 def quiet(_done: int, _planned: int) -> None:
@@ -52,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, unit: Unit) -> Path:
 
 @pytest.fixture(scope="module")
 def flats(folder: Path) -> dict[str, Flat]:
-    return flats_of(open_recording(folder / "flat"), open_recording(folder / "scan").header)
+    return flats_of(open_recording(folder / "flat"), target_frames([open_recording(folder / "scan")]))
 
 
 def likeness(flat: Flat, unit: Unit, camera: str) -> float:
@@ -73,12 +72,14 @@ def test_a_flat_is_what_the_pixels_show_of_even_light(
 
 def test_a_flat_of_another_camera_is_refused(folder: Path, tmp_path: Path) -> None:
     """The flat was recorded by the rear camera's successor."""
-    flat, scan = open_recording(folder / "flat"), open_recording(folder / "scan").header
-    cameras = {name: size.model_copy(update={"serial": f"{name}-1"}) for name, size in scan.cameras.items()}
+    flat, scan = open_recording(folder / "flat"), open_recording(folder / "scan")
+    sizes = scan.header.cameras
+    cameras = {name: size.model_copy(update={"serial": f"{name}-1"}) for name, size in sizes.items()}
     others = {**cameras, "rear": cameras["rear"].model_copy(update={"serial": "rear-2"})}
     flat = replace(flat, header=flat.header.model_copy(update={"cameras": others}))
+    scan = replace(scan, header=scan.header.model_copy(update={"cameras": cameras}))
     with pytest.raises(BadInputError, match=r"rear: the flat is of another camera .* 'rear-2'"):
-        flats_of(flat, scan.model_copy(update={"cameras": cameras}))
+        flats_of(flat, target_frames([scan]))
 
 
 def test_light_that_is_switched_off_during_the_recording_tells_the_dark_rows(
@@ -101,7 +102,7 @@ def test_light_that_is_switched_off_during_the_recording_tells_the_dark_rows(
         writer.writeheader()
         writer.writerows(rows)
     (copy / "recording.json").write_text((folder / "flat" / "recording.json").read_text())
-    switched = flats_of(open_recording(copy), open_recording(folder / "scan").header)
+    switched = flats_of(open_recording(copy), target_frames([open_recording(folder / "scan")]))
     for camera, flat in flats.items():
         assert np.corrcoef(switched[camera].response.ravel(), flat.response.ravel())[0, 1] > 0.99
         assert np.percentile(np.abs(switched[camera].response - flat.response), 99) < 0.1
@@ -128,10 +129,8 @@ def errors_of(calibration: Calibration, unit: Unit) -> tuple[float, float]:
     return float(np.sqrt(np.mean(np.square(off_mm)))), float(np.sqrt(np.mean(np.square(off_deg))))
 
 
-def test_with_a_flat_a_unit_measures_several_times_as_well(
-    folder: Path, flats: dict[str, Flat], unit: Unit
-) -> None:
-    result = calibrate_scan(open_recording(folder / "scan"), flats)
+def test_with_a_flat_a_unit_measures_several_times_as_well(folder: Path, unit: Unit) -> None:
+    result = calibrate([open_recording(folder / "scan")], open_recording(folder / "flat"))
     assert result.remarks[:2] == (
         "front: localised through its recorded flat",
         "rear: localised through its recorded flat",
@@ -158,7 +157,7 @@ def test_a_flat_of_other_pixels_is_told_from_the_right_one(
 def test_without_a_flat_the_print_is_found_and_the_plain_plate_is_seen_to_be_plain(
     folder: Path, unit: Unit
 ) -> None:
-    result = calibrate_scan(open_recording(folder / "scan"))
+    result = calibrate([open_recording(folder / "scan")])
     assert result.remarks[:2] == (
         "front: print of 1.000 mm pitch found and modelled",
         "rear: plain, no print",
@@ -191,6 +190,12 @@ def painted(
     return folder
 
 
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Of the unit whose flats are painted."""
+    return open_recording(write_scan(tmp_path_factory.mktemp("scan") / "scan", columns=1, rows=1))
+
+
 def spot_alone() -> np.ndarray:
     v, u = np.mgrid[:480, :752]
     return 4 + 200 * np.exp(-((u - 300) ** 2 + (v - 200) ** 2) / (2 * 60.0**2))
@@ -214,21 +219,21 @@ def half_white() -> np.ndarray:
         ({"lit": np.full((480, 752), 8)}, "front: too dark to be a flat: 8.0 counts of 255 on average"),
         ({"lit": half_white()}, "front: too bright to be a flat: 50% of the pixels are saturated"),
         ({"lit": spot_alone()}, "front: too uneven to be a flat: half the picture gets "),
-        ({"name": "left"}, "has no frame of the cameras 'front' and 'rear'"),
+        ({"name": "left"}, "has no frame of the targets 'front' and 'rear'"),
     ],
 )
 def test_what_is_no_flat_of_the_scan_is_refused(
-    tmp_path: Path, given: dict[str, object], complaint: str
+    tmp_path: Path, scan: Recording, given: dict[str, object], complaint: str
 ) -> None:
     recording = open_recording(painted(tmp_path / "flat", **{"lit": None, **given}))  # type: ignore[arg-type]
     with pytest.raises(BadInputError) as caught:
-        flats_of(recording, SCAN)
+        flats_of(recording, target_frames([scan]))
     assert str(caught.value).startswith(f"{tmp_path / 'flat'}: {complaint}")
     assert "\n" not in str(caught.value)
 
 
-def test_a_camera_without_frames_gets_no_flat(tmp_path: Path) -> None:
-    flats = flats_of(open_recording(painted(tmp_path / "flat", None)), SCAN)
+def test_a_camera_without_frames_gets_no_flat(tmp_path: Path, scan: Recording) -> None:
+    flats = flats_of(open_recording(painted(tmp_path / "flat", None)), target_frames([scan]))
     assert set(flats) == {"front"}
     assert flats["front"].response == pytest.approx(np.ones((480, 752)))
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.margin import outer_rows
-from altd.calibration.scan import calibrate_scan
 from altd.mapping.inverse import InverseMap
 from altd.recording.reader import open_recording
 from altd.records import FloatArray
@@ -98,7 +98,7 @@ def test_the_outer_rows_of_a_unit_that_this_project_did_not_make_are_where_they_
     shared_data: Path,
 ) -> None:
     """A whole pitch of 25 mm outside of the other nodes: twice what a map is ever asked for."""
-    made = calibrate_scan(open_recording(shared_data / "unit-a" / "scan"))
+    made = calibrate([open_recording(shared_data / "unit-a" / "scan")])
     normalised = []
     for seen in made.evidence:
         for row in outer_rows(seen.nodes_mm):

@@ -28,7 +28,7 @@ def scatters(
         for node in NODES:
             shots = [tremor[node, n] + rng.normal(0, noise_mm, 2) for n in range(exposures)]
             residuals[node] = stage[node] + rng.normal(0, pattern_mm, 2) + np.mean(shots, axis=0)
-            deviations |= {(node, n): shot - np.mean(shots, axis=0) for n, shot in enumerate(shots)}
+            deviations |= {(node, 0, n): shot - np.mean(shots, axis=0) for n, shot in enumerate(shots)}
         noise_px = float(np.sqrt(np.mean(np.square(list(residuals.values()))))) / mm_per_px
         targets.append(NodeScatter(noise_px, 0, mm_per_px, residuals, deviations))
     return targets

@@ -9,8 +9,9 @@ import pytest
 from support.cli import altd_here, refusal
 from support.plates import View, add_disc, grid_mm, plate_light, tilted, write_plate
 
+from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.plate import LASER_SPOT_SIGMA_MM, calibrate_plate
+from altd.calibration.plate import LASER_SPOT_SIGMA_MM
 from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
@@ -44,7 +45,7 @@ def two_dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(two_dark: Path) -> CalibrationResult:
-    return calibrate_plate(open_recording(two_dark))
+    return calibrate([open_recording(two_dark)])
 
 
 def test_two_dark_leds_are_reported_and_survived(result: CalibrationResult) -> None:
@@ -62,7 +63,7 @@ def test_two_dark_leds_are_reported_and_survived(result: CalibrationResult) -> N
 def test_a_dark_corner_takes_its_corner_of_the_area_with_it(tmp_path: Path) -> None:
     picture = plate_light(FRONT, [(0, 0), (1, 0), (0, 1)])
     rec = write_plate(tmp_path / "rec", picture, plate_light(REAR), pairs=1)
-    result = calibrate_plate(open_recording(rec))
+    result = calibrate([open_recording(rec)])
     assert [line.split(": ")[1] for line in result.refused] == ["dark"] * 3
     front = result.calibration.target("front")
     assert front is not None
@@ -77,7 +78,7 @@ def test_a_fisheye_lens_is_mapped_as_well_as_the_issue_asks(degrees: float, tmp_
         for towards, mirrored in ((1.0, True), (4.0, False))
     )
     rec = write_plate(tmp_path / "rec", plate_light(front, [(4, 1)]), plate_light(rear, [(1, 3)]))
-    result = calibrate_plate(open_recording(rec))
+    result = calibrate([open_recording(rec)])
     assert {"front LED x 25 y -25 mm: dark", "rear LED x -50 y 25 mm: dark"} <= set(result.refused)
     for missed_mm in misses_mm(result, front=front, rear=rear).values():
         assert np.nanmean(missed_mm) < 0.013
@@ -108,7 +109,7 @@ def test_the_map_is_of_the_centre_of_light_of_a_wide_spot(tmp_path: Path) -> Non
     about["plate"]["beam_mm"] = 12.0
     about["cameras"]["front"] = about["cameras"]["rear"] | {"mirrored": False}
     (rec / "recording.json").write_text(json.dumps(about))
-    target = calibrate_plate(open_recording(rec)).calibration.targets[1]
+    target = calibrate([open_recording(rec)]).calibration.targets[1]
     fine = np.stack(np.meshgrid(np.linspace(-9, 9, 181), np.linspace(-9, 9, 181)), axis=-1).reshape(-1, 2)
     weight = np.maximum(np.exp(-8 * (fine**2).sum(axis=1) / 12.0**2) - 0.07, 0) ** 0.4
     for place in ((-50.0, -35.0), (0.0, 0.0), (55.0, 40.0), (-55.0, 30.0)):
@@ -127,7 +128,7 @@ def test_an_led_that_is_off_its_place_and_a_false_light_are_reported(tmp_path: P
     add_disc(picture, FRONT, grid_mm()[2, 4] + (1.5, 1.0), 5.0, 150.0)  # bored in the wrong place
     add_disc(picture, FRONT, np.array([12.0, 12.0]), 5.0, 150.0)  # as sharp as an LED, between four
     rec = write_plate(tmp_path / "rec", picture, plate_light(REAR), pairs=1)
-    result = calibrate_plate(open_recording(rec))
+    result = calibrate([open_recording(rec)])
     u, v = FRONT.to_px(np.array([[12.0, 12.0]]))[0]
     assert len(result.refused) == 2
     assert result.refused[0].startswith("front LED x 25 y 0 mm: its disc lies 5.")
@@ -150,7 +151,7 @@ def test_a_simulated_unit_measures_its_beams_by_a_plate(tmp_path: Path) -> None:
     record_plate(
         tmp_path / "rec", with_plate(Unit(config), Plate()), Plate(), 2, lambda _done, _planned: None
     )
-    calibration = calibrate_plate(open_recording(tmp_path / "rec")).calibration
+    calibration = calibrate([open_recording(tmp_path / "rec")]).calibration
     unit, misses, ratios = Unit(config), [], []
     for sequence, pose in enumerate(random_poses(30, 280.0, np.random.default_rng(1))):
         unit.place(pose)
@@ -170,7 +171,7 @@ def test_a_simulated_unit_measures_its_beams_by_a_plate(tmp_path: Path) -> None:
 class TestRefused:
     def complaint(self, rec: Path) -> str:
         with pytest.raises(BadInputError) as caught:
-            calibrate_plate(open_recording(rec))
+            calibrate([open_recording(rec)])
         assert "\n" not in str(caught.value)
         return str(caught.value)
 

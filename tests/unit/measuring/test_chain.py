@@ -9,7 +9,7 @@ import pytest
 from support.measurements import beam_of, points_of
 from support.recordings import picture, write_scan
 
-from altd.calibration.scan import calibrate_scan
+from altd.calibration.calibrating import calibrate
 from altd.config import Installation, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
@@ -25,7 +25,7 @@ VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be n
 @pytest.fixture(scope="module")
 def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
     scan = open_recording(write_scan(tmp_path_factory.mktemp("scan") / "rec"))
-    return calibrate_scan(scan).calibration
+    return calibrate([scan]).calibration
 
 
 def chain(calibration: Calibration, *origins: Reason, **installation: float) -> MeasuringChain:

@@ -72,7 +72,7 @@ def document() -> Document:
     rear = replace(rear, scatter_px=single)
     negative = np.linspace(0, 255, 120 * 188).reshape(120, 188).astype(np.uint8)
     return report_on(
-        Source(calibration(), (front, rear), {"front": negative}, "altd calibrate <scan> -o c", HEADER)
+        Source(calibration(), (front, rear), {"front": negative}, "altd calibrate <scan> -o c", (HEADER,))
     )
 
 
@@ -184,7 +184,7 @@ def test_pictures_of_a_third_target_have_room_of_their_own(tmp_path: Path) -> No
     middle = replace(target("rear"), name="middle", z_mm=140.0, width=480, height=752)
     made = calibration(target("front"), middle, target("rear"))
     seen = tuple(evidence(name) for name in made.target_names)
-    whole = report_on(Source(made, seen, {}, "altd", HEADER))
+    whole = report_on(Source(made, seen, {}, "altd", (HEADER,)))
     residuals = next(b for b in whole.blocks if isinstance(b, Row) and len(b.pictures) == 3)
     path = tmp_path / "three.pdf"
     path.write_bytes(pdf_sheets(replace(whole, blocks=(residuals,)), made.created))
@@ -210,7 +210,7 @@ def test_a_report_comes_out_the_same_again(document: Document) -> None:
 
 def test_a_note_in_any_language_is_no_obstacle() -> None:
     made = replace(calibration(target("front"), target("rear")), recording_note="试验 " * 40)
-    whole = report_on(Source(made, (evidence("front"), evidence("rear")), {}, "altd", HEADER))
+    whole = report_on(Source(made, (evidence("front"), evidence("rear")), {}, "altd", (HEADER,)))
     few = replace(whole, blocks=whole.blocks[-2:])
     assert "试验" in html_page(few).decode()
     assert pdf_sheets(few, made.created).startswith(b"%PDF")

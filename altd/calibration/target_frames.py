@@ -1,0 +1,209 @@
+"""The frames of each target, from one recording or several: what a calibration is made of (DESIGN §4)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from altd.errors import BadInputError
+from altd.recording.header import HEADER_FILE, PlateHeader, TargetHeader
+from altd.recording.reader import Recording
+from altd.recording.table import Row
+from altd.records import CameraIdentity, Frame, Origin
+
+CalibrationKind = Literal["scan", "plate"]
+
+_SAME_Z_MM = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One frame of a target, not read yet: its row, and which of the recordings it is in, counted from 0."""
+
+    recording: Recording
+    number: int
+    row: Row
+
+    def frame(self) -> Frame:
+        """Decode it; raises BadInputError that names the file and the row."""
+        return self.recording.frame(self.row)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTarget:
+    """What one recording shows of a target; ``number`` counts the recordings from 0."""
+
+    recording: Recording
+    number: int
+    target: TargetHeader
+
+    @property
+    def header_file(self) -> Path:
+        """Where the recording says so, for a complaint."""
+        return self.recording.path / HEADER_FILE
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of its pictures, px."""
+        camera = self.recording.header.cameras[self.target.camera]
+        return camera.width, camera.height
+
+    @property
+    def identity(self) -> CameraIdentity:
+        """The camera that looks at it, as far as the recording knows."""
+        return self.recording.header.cameras[self.target.camera].identity
+
+    @property
+    def kind(self) -> CalibrationKind:
+        """What was recorded."""
+        return "plate" if self.recording.header.kind == "plate" else "scan"
+
+
+@dataclass(frozen=True, slots=True)
+class TargetFrames:
+    """All that recordings of one kind show of a target: scans, or one plate, by one camera."""
+
+    parts: tuple[RecordedTarget, ...]
+
+    @property
+    def name(self) -> str:
+        """The target's."""
+        return self.parts[0].target.name
+
+    @property
+    def z_mm(self) -> float:
+        """Where it stands on the beam."""
+        return self.parts[0].target.z_mm
+
+    @property
+    def kind(self) -> CalibrationKind:
+        """What it was recorded with."""
+        return self.parts[0].kind
+
+    @property
+    def unit_serial(self) -> str:
+        """The unit that it belongs to."""
+        return self.parts[0].recording.header.unit.serial
+
+    @property
+    def place(self) -> str:
+        """The recordings, for a complaint."""
+        return ", ".join(str(part.recording.path) for part in self.parts)
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of its pictures, px."""
+        return self.parts[0].image_size
+
+    @property
+    def camera(self) -> CameraIdentity:
+        """The camera that looks at it, as the first recording that knows anything of it tells."""
+        nobody = CameraIdentity()
+        return next((part.identity for part in self.parts if part.identity != nobody), nobody)
+
+    @property
+    def origin(self) -> Origin:
+        """Simulated as soon as a recording is."""
+        of_parts = {part.recording.header.cameras[part.target.camera].origin for part in self.parts}
+        return Origin.SIMULATED if Origin.SIMULATED in of_parts else Origin.CAMERA
+
+    @property
+    def plate(self) -> PlateHeader:
+        """The plate that stands at its place; raises BadInputError where the recording does not tell."""
+        part = self.parts[0]
+        if part.recording.header.plate is None:
+            raise BadInputError(part.header_file, "plate: Field required in a recording of a plate")
+        return part.recording.header.plate
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether its camera sees it mirrored."""
+        part = self.parts[0]
+        return part.recording.header.is_mirrored(part.target)
+
+    def file_of(self, frame: FrameRow) -> str:
+        """A frame's file for people: as its recording calls it, of several recordings with its folder."""
+        return frame.row.file if len(self.parts) == 1 else str(frame.recording.path / frame.row.file)
+
+    def __len__(self) -> int:
+        return sum(part.recording.rows.count.get(part.target.camera, 0) for part in self.parts)
+
+    def __iter__(self) -> Iterator[FrameRow]:
+        """Its frames in the order of time, one recording after another."""
+        for part in self.parts:
+            for row in part.recording.rows.of(part.target.camera):
+                yield FrameRow(part.recording, part.number, row)
+
+
+def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
+    """What each target that any of the recordings shows can be calibrated with, in beam order.
+
+    Raises BadInputError that names the recording which is no scan and no plate, which does not go with
+    another one, or which is given twice.
+    """
+    _check_unit(recordings)
+    targets: dict[str, TargetFrames] = {}
+    for number, recording in enumerate(recordings):
+        for target in recording.header.shown_targets:
+            part = RecordedTarget(recording, number, target)
+            known = targets.get(target.name)
+            if known is None:
+                targets[target.name] = TargetFrames((part,))
+            else:
+                _check_same_target(known, part)
+                targets[target.name] = replace(known, parts=(*known.parts, part))
+    in_order = tuple(sorted(targets.values(), key=lambda frames: frames.z_mm))
+    for nearer, farther in itertools.pairwise(in_order):
+        if farther.z_mm - nearer.z_mm <= _SAME_Z_MM:
+            raise BadInputError(
+                farther.parts[0].header_file,
+                f"target {farther.name!r} stands at z {farther.z_mm:g} mm, where target {nearer.name!r} of "
+                f"{nearer.parts[0].recording.path} stands",
+            )
+    return in_order
+
+
+def _check_unit(recordings: Sequence[Recording]) -> None:
+    """Each is a scan or a plate, shows a target, is of the first one's unit, and is given once."""
+    first = recordings[0]
+    for number, recording in enumerate(recordings):
+        path, header = recording.path, recording.header
+        if header.kind not in ("scan", "plate"):
+            raise BadInputError(
+                path, f"is of kind {header.kind!r}; a calibration needs a 'scan' or a 'plate'"
+            )
+        if not header.shown_targets:
+            raise BadInputError(
+                path / HEADER_FILE, "has neither `targets` nor a camera 'front' or 'rear': it shows no target"
+            )
+        if header.unit.serial != first.header.unit.serial:
+            raise BadInputError(
+                path / HEADER_FILE,
+                f"is of unit {header.unit.serial!r}, {first.path} of unit {first.header.unit.serial!r}",
+            )
+        if any(path.resolve() == other.path.resolve() for other in recordings[:number]):
+            raise BadInputError(path, "is given twice")
+
+
+def _check_same_target(known: TargetFrames, part: RecordedTarget) -> None:
+    """Raise BadInputError where another recording of a target contradicts those before it."""
+    first, target = known.parts[0], part.target
+
+    def refusal(why: str) -> BadInputError:
+        return BadInputError(part.header_file, f"target {target.name!r} {why}")
+
+    if part.kind != first.kind:
+        raise refusal(f"is shown by a {part.kind} here and by a {first.kind} in {first.recording.path}")
+    if part.kind == "plate":
+        raise refusal(f"is shown by the plate in {first.recording.path} already")
+    if abs(target.z_mm - known.z_mm) > _SAME_Z_MM:
+        raise refusal(f"stands at z {target.z_mm:g} mm, in {first.recording.path} at {known.z_mm:g} mm")
+    if part.image_size != known.image_size:
+        sizes = [f"{width} × {height}" for width, height in (part.image_size, known.image_size)]
+        raise refusal(f"has pictures of {sizes[0]}, in {first.recording.path} of {sizes[1]}")
+    for other in known.parts:
+        if difference := part.identity.difference_from(other.identity):
+            raise refusal(f"is seen by another camera than in {other.recording.path}: {difference}")
