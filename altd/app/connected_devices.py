@@ -51,7 +51,7 @@ def _video_cameras() -> Iterator[str]:
             yield from _remark(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
         if not found.formats:
             yield from _remark("sends no grey picture that altd can use")
-        settable = [f"{c.name} {c.smallest} to {c.largest}" for c in found.controls if c.writes]
+        settable = [f"{c.name} {c.minimum} to {c.maximum}" for c in found.controls if c.writes]
         if settable:
             yield from _remark(f"controls: {', '.join(settable)}")
 
@@ -74,12 +74,12 @@ def _gige_cameras() -> Iterator[str]:
 
 
 def _gpio_chips() -> Iterator[str]:
-    from altd.devices.gpio.find_chips import chip_paths, look_at
+    from altd.devices.gpio.find_chips import chip_paths, read_chip
     from altd.ports import LampsError
 
     for path in chip_paths():
         try:
-            chip = look_at(path)
+            chip = read_chip(path)
         except LampsError as error:
             yield f"  {error}"
             continue
