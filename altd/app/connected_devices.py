@@ -42,18 +42,18 @@ def _video_cameras() -> Iterator[str]:
     for found in find_cameras():
         yield f'  device = "{found.path}"'
         if isinstance(found, UnreadableCamera):
-            yield from _remark(f"cannot be looked at: {found.why}")
+            yield from _detail_lines(f"cannot be looked at: {found.why}")
             continue
-        yield from _remark(f"{found.card}, kernel driver {found.driver}")
+        yield from _detail_lines(f"{found.card}, kernel driver {found.driver}")
         if found.serial is not None:
             yield f'  serial = "{found.serial}"'
         for pixel_format, sizes in found.formats.items():
-            yield from _remark(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
+            yield from _detail_lines(f'pixel_format = "{pixel_format}": {", ".join(map(str, sizes))}')
         if not found.formats:
-            yield from _remark("sends no grey picture that altd can use")
-        settable = [f"{c.name} {c.smallest} to {c.largest}" for c in found.controls if c.writes]
+            yield from _detail_lines("sends no grey picture that altd can use")
+        settable = [f"{c.name} {c.minimum} to {c.maximum}" for c in found.controls if c.writes]
         if settable:
-            yield from _remark(f"controls: {', '.join(settable)}")
+            yield from _detail_lines(f"controls: {', '.join(settable)}")
 
 
 def _gige_cameras() -> Iterator[str]:
@@ -64,32 +64,32 @@ def _gige_cameras() -> Iterator[str]:
         return
     for found in find_cameras():
         yield f'  device = "{found.serial or found.address}"'
-        yield from _remark(f"{found.vendor} {found.model} at {found.address}; as an id {found.id!r}")
+        yield from _detail_lines(f"{found.vendor} {found.model} at {found.address}; as an id {found.id!r}")
         if found.in_use:
-            yield from _remark("a program controls it now: what it can do is not asked")
+            yield from _detail_lines("a program controls it now: what it can do is not asked")
         elif found.formats:
-            yield from _remark("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
+            yield from _detail_lines("pixel_format = " + " or ".join(f'"{name}"' for name in found.formats))
         else:
-            yield from _remark("sends no grey picture that altd can use, or did not answer")
+            yield from _detail_lines("sends no grey picture that altd can use, or did not answer")
 
 
 def _gpio_chips() -> Iterator[str]:
-    from altd.devices.gpio.find_chips import chip_paths, look_at
+    from altd.devices.gpio.find_chips import chip_paths, read_chip
     from altd.ports import LampsError
 
     for path in chip_paths():
         try:
-            chip = look_at(path)
+            chip = read_chip(path)
         except LampsError as error:
             yield f"  {error}"
             continue
         yield f'  chip = "{chip.label}"'
-        yield from _remark(f"{chip.path}, {len(chip.lines)} lines")
-        told = [
+        yield from _detail_lines(f"{chip.path}, {len(chip.lines)} lines")
+        names = [
             f'"{line.name or line.offset}"' + (f" (used by {line.used_by})" if line.used_by else "")
             for line in chip.lines
         ]
-        yield from _remark(f"lines: {', '.join(told)}")
+        yield from _detail_lines(f"lines: {', '.join(names)}")
 
 
 def _serial_ports() -> Iterator[str]:
@@ -98,10 +98,10 @@ def _serial_ports() -> Iterator[str]:
     for found in find_ports():
         yield f'  device = "{found.path}"'
         now = "" if found.path == found.device else f", now {found.device}"
-        yield from _remark(f"{found.about}{now}")
+        yield from _detail_lines(f"{found.about}{now}")
 
 
-def _remark(text: str) -> Iterator[str]:
+def _detail_lines(text: str) -> Iterator[str]:
     """Below an entry, in as many lines as it needs."""
     for number, line in enumerate(wrap(text, _WIDTH - len(_INDENT) - 2, break_on_hyphens=False)):
         yield f"{_INDENT}{line}" if number == 0 else f"{_INDENT}  {line}"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from altd.ports import Indicator, Indicators, Lamps, LampsError
 
-LIT_S = 1.0
+LIT_INTERVAL_S = 1.0
 """How long each lamp of the test is lit."""
 
 
@@ -23,14 +23,14 @@ class LampsByHand:
         lamps: Lamps | None,
         indicators: Indicators | None,
         fitted: Sequence[Indicator],
-        say: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self._lamps = lamps
         self._indicators = indicators
         self._fitted = fitted
-        self._say = say
+        self._report = report
 
-    def leave(self, lit: frozenset[Indicator]) -> None:
+    def leave_lit(self, lit: frozenset[Indicator]) -> None:
         """Only these lit, left so when the process ends, as far as the chip keeps it; the frame LEDs dark.
 
         What cannot be had does not keep the rest from it.
@@ -56,14 +56,14 @@ class LampsByHand:
         with self._opened():
             if self._indicators is not None:
                 for indicator in self._fitted:
-                    self._say(f"indicator {indicator}")
+                    self._report(f"indicator {indicator}")
                     self._indicators.show(frozenset({indicator}))
-                    time.sleep(LIT_S)
+                    time.sleep(LIT_INTERVAL_S)
                 self._indicators.show(frozenset())
             if self._lamps is not None:
-                self._say("frame LEDs")
+                self._report("frame LEDs")
                 self._lamps.switch(True)
-                time.sleep(LIT_S)
+                time.sleep(LIT_INTERVAL_S)
 
     def light_until(self, interrupted: Callable[[], object]) -> None:
         """All lit; dark again once ``interrupted`` returns, or a signal is raised."""
@@ -72,7 +72,7 @@ class LampsByHand:
                 self._indicators.show(frozenset(Indicator))
             if self._lamps is not None:
                 self._lamps.switch(True)
-            self._say("all are lit; Ctrl-C darkens them")
+            self._report("all are lit; Ctrl-C darkens them")
             interrupted()
 
     @contextmanager

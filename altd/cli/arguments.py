@@ -46,10 +46,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """End with status 2 and one line."""
-        complain(str(BadInputError(self.prog, self._in_words(message))))
+        complain(str(BadInputError(self.prog, self._worded(message))))
         raise SystemExit(2)
 
-    def _in_words(self, message: str) -> str:
+    def _worded(self, message: str) -> str:
         if found := _CHOICE.match(message):
             name, value = found[1], found[2]
             choices = [str(choice) for choice in self._choices(name)]
@@ -58,12 +58,12 @@ class Parser(argparse.ArgumentParser):
                 if name == "COMMAND"
                 else f"{name}: {value} is not possible"
             )
-            slips = self._slips() if name == "COMMAND" else ""
+            slips = self._unknown_options() if name == "COMMAND" else ""
             return (
                 f"{what}{slips}; possible: {', '.join(choices)}{did_you_mean(value.strip(_QUOTES), choices)}"
             )
         if found := _MISSING.match(message):
-            return f"missing: {found[1]}{self._slips()}; {self._one_line_usage()}"
+            return f"missing: {found[1]}{self._unknown_options()}; {self._one_line_usage()}"
         if found := _NO_NUMBER.match(message):
             return f"{found[1]}: {found[3]} is no {'whole number' if found[2] == 'int' else 'number'}"
         if found := _NO_VALUE.match(message):
@@ -87,7 +87,7 @@ class Parser(argparse.ArgumentParser):
     def _options(self) -> list[str]:
         return [action.option_strings[-1] for action in self._actions if action.option_strings]
 
-    def _slips(self) -> str:
+    def _unknown_options(self) -> str:
         """What was given and is none of ours, each with what it may have been meant to be."""
         known = [name for action in self._actions for name in action.option_strings]
         strange = (word.partition("=")[0] for word in self._given if word.startswith("--"))

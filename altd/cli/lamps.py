@@ -50,10 +50,10 @@ def run(options: argparse.Namespace) -> int:
     by_hand = LampsByHand(lamps, indicators, fitted, lambda line: print(line, flush=True))
     failed = os.environ.get("SERVICE_RESULT", "success") != "success"
     looks: dict[str, Callable[[], None]] = {
-        "off": lambda: by_hand.leave(frozenset()),
+        "off": lambda: by_hand.leave_lit(frozenset()),
         "on": lambda: by_hand.light_until(interrupted.wait),
         "test": by_hand.light_in_turn,
-        "stopped": lambda: by_hand.leave(frozenset({Indicator.ERROR} if failed else ())),
+        "stopped": lambda: by_hand.leave_lit(frozenset({Indicator.ERROR} if failed else ())),
     }
     interrupted, interrupts = threading.Event(), list[EndedBySignal]()
 

@@ -8,7 +8,7 @@ import time
 
 from altd.process.standard_streams import complain
 
-_BAR = 24
+_BAR_LETTERS = 24
 
 
 class ScanScreen:
@@ -28,8 +28,8 @@ class ScanScreen:
         """Draw the bar anew; nothing in a pipe."""
         if not self._terminal:
             return
-        full = _BAR * done // total
-        line = f"[{'#' * full}{'.' * (_BAR - full)}] {done}/{total} nodes{self._left(done, total)}  {doing}"
+        bar = ("#" * (_BAR_LETTERS * done // total)).ljust(_BAR_LETTERS, ".")
+        line = f"[{bar}] {done}/{total} nodes{self._left(done, total)}  {doing}"
         width = shutil.get_terminal_size().columns - 1
         sys.stderr.write(f"\r{line[:width]}\033[K")
         sys.stderr.flush()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ipaddress
 
-_FIRST_OF_HOSTS = ipaddress.IPv4Address("1.0.0.0")
-_RESERVED_FROM = ipaddress.IPv4Address("240.0.0.0")
+_FIRST_HOST = ipaddress.IPv4Address("1.0.0.0")
+_FIRST_RESERVED = ipaddress.IPv4Address("240.0.0.0")
 
 
-def is_nobodys(address: ipaddress.IPv4Address) -> bool:
+def is_unassignable(address: ipaddress.IPv4Address) -> bool:
     """Whether no computer can have the address (RFC 1122, 3.2.1.3); 0.0.0.0, which stands for all, aside."""
-    return address >= _RESERVED_FROM or 0 < int(address) < int(_FIRST_OF_HOSTS)
+    return address >= _FIRST_RESERVED or 0 < int(address) < int(_FIRST_HOST)
 
 
 def overlap(one: str, other: str) -> bool:

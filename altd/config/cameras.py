@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from altd.config.addresses import is_nobodys
+from altd.config.addresses import is_unassignable
 from altd.config.complaints import complaint, shown
 from altd.config.table import ControlValue, Device, Table
 
@@ -21,7 +21,7 @@ def _camera_name(name: str) -> str:
             address = ipaddress.IPv4Address(name)
         except ValueError as error:
             raise complaint(((), f"{shown(name)} is no IP address")) from error
-        if address.is_multicast or address.is_unspecified or is_nobodys(address):
+        if address.is_multicast or address.is_unspecified or is_unassignable(address):
             raise complaint(((), f"{shown(name)} is an address that no camera has"))
     return name
 

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 FAULTS = "faults"
 """The type of pydantic's error with which our own models complain: ``ctx["faults"]`` has keys and why."""
 
-_LONGEST_SHOWN = 60
+_MAX_SHOWN_LETTERS = 60
 
 
 def complaint(*faults: tuple[Sequence[str | int], str]) -> PydanticCustomError:
@@ -26,7 +26,7 @@ def shown(value: object) -> str:
     if isinstance(value, date | time):
         return str(value)
     text = value if isinstance(value, str) else repr(value)
-    cut = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}…"
+    cut = text if len(text) <= _MAX_SHOWN_LETTERS else f"{text[:_MAX_SHOWN_LETTERS]}…"
     if isinstance(value, bool):
         return cut.lower()
     return json.dumps(cut, ensure_ascii=False) if isinstance(value, str) else cut

@@ -53,35 +53,35 @@ def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
     """What is left of a document when the keys that are faulty are taken out."""
     document = copy.deepcopy(document)
     for keys in sorted(faulty, key=len, reverse=True):
-        _take_out(document, keys)
+        _remove(document, keys)
 
     def table(name: str) -> Any:
         field = Config.model_fields[name]
         default = None if field.is_required() else field.default
-        return _valid(field.annotation, document[name], default) if name in document else default
+        return _validated(field.annotation, document[name], default) if name in document else default
 
     def rows(name: str) -> tuple[Any, ...]:
         kind, listed = get_args(Config.model_fields[name].annotation)[0], document.get(name)
-        return tuple(_valid(kind, row) for row in listed) if isinstance(listed, list) else ()
+        return tuple(_validated(kind, row) for row in listed) if isinstance(listed, list) else ()
 
     cameras = document.get("cameras")
     named = cameras.items() if isinstance(cameras, dict) else ()
     return Draft(
         targets=rows("targets"),
-        cameras={name: _valid(AnyCameraSettings, camera) for name, camera in named},
+        cameras={name: _validated(AnyCameraSettings, camera) for name, camera in named},
         serial=rows("serial"),
         **{name: table(name) for name in ("measuring", "modbus_tcp", "http", "lamps", "indicators", "stage")},
     )
 
 
-def _valid(kind: Any, value: Any, otherwise: Any = None) -> Any:
+def _validated(kind: Any, value: Any, otherwise: Any = None) -> Any:
     try:
         return TypeAdapter(kind).validate_python(value)
     except ValidationError:
         return otherwise
 
 
-def _take_out(document: Any, keys: Keys) -> None:
+def _remove(document: Any, keys: Keys) -> None:
     """Take a key out; an element of a list leaves its place, so that those behind it keep their numbers."""
     *above, last = keys or (None,)
     for key in above:

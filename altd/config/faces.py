@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from altd.config.addresses import is_nobodys
+from altd.config.addresses import is_unassignable
 from altd.config.complaints import complaint, shown
 from altd.config.table import Device, Table, TcpPort
 
@@ -23,12 +23,12 @@ def _address(host: str) -> str:
         address = ipaddress.ip_address(host)
     except ValueError as error:
         raise complaint(((), f"{shown(host)} is no IP address; {possible}")) from error
-    if why := _never_ours(address):
+    if why := _refusal(address):
         raise complaint(((), f"{shown(host)} {why}; {possible}"))
     return host
 
 
-def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
+def _refusal(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
     """Why no computer can listen on an address; empty: one may."""
     if address.is_multicast:
         return "is an address of groups, which nobody can connect to"
@@ -38,7 +38,7 @@ def _never_ours(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
         if address.is_link_local and not address.scope_id:
             return "is an address of one wire only: name its interface, as in fe80::1%eth0"
         return ""
-    return "is an address that no computer has" if is_nobodys(address) else ""
+    return "is an address that no computer has" if is_unassignable(address) else ""
 
 
 Host = Annotated[str, AfterValidator(_address)]

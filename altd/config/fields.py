@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from altd.config.places import Keys
 from altd.config.table import NAME_PATTERN, Table
 
-_WORDS = {bool: "true or false", int: "whole number", float: "number", str: "text"}
+_TYPE_NAMES = {bool: "true or false", int: "whole number", float: "number", str: "text"}
 
 
 def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], str]) -> str:
@@ -25,7 +25,9 @@ def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], st
     shortest, longest = (_size(limits, kind) for kind in ("MinLen", "MaxLen"))
     if get_origin(annotation) is tuple:
         return f"list of {shortest} or more" if shortest else "list"
-    word = _WORDS.get(annotation, "path") if isinstance(annotation, type) else "number, text, true or false"
+    word = (
+        _TYPE_NAMES.get(annotation, "path") if isinstance(annotation, type) else "number, text, true or false"
+    )
     if any(getattr(limit, "pattern", None) == NAME_PATTERN for limit in limits.values()):
         word += " of small letters, digits and _, a letter first"
     if longest:

@@ -15,13 +15,13 @@ from altd.config.draft import draft_of, draft_without
 from altd.config.places import Place, Places
 from altd.config.rules import RULES, Rule
 from altd.config.whole import Config
-from altd.config.wording import Fault, faults_of, truths_as_numbers
+from altd.config.wording import Fault, booleans_as_numbers, faults_of
 from altd.errors import BadInputError
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import read_file
 
-_LARGEST_BYTES = 1 << 16
-_MOST_FAULTS = 100
+_MAX_BYTES = 1 << 16
+_MAX_FAULTS = 100
 
 
 def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
@@ -30,7 +30,7 @@ def load_config(path: Path, further: Sequence[Rule] = ()) -> Config:
     ``further`` are rules beside those of the settings alone. Raises BadInputError that names the file and,
     fault by fault, line, column and key.
     """
-    return config_of(read_file(path, _LARGEST_BYTES), path, further)
+    return config_of(read_file(path, _MAX_BYTES), path, further)
 
 
 def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Config:
@@ -42,7 +42,7 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
             raise _refusal(path, [Fault(error.keys, str(error))], content) from error
         place = "" if error.line is None or error.column is None else f"{Place(error.line, error.column)}: "
         raise BadInputError(path, f"{place}{error}") from error
-    found = list(truths_as_numbers(document))
+    found = list(booleans_as_numbers(document))
     document = _anchored(document, path.parent)
     config = None
     try:
@@ -65,9 +65,9 @@ def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputErr
     places = Places(text, tomllib.loads(text))
     placed = [(fault.place(places), ".".join(map(str, fault.keys)), fault.text) for fault in faults]
     placed.sort(key=lambda fault: (0, 0) if fault[0] is None else (fault[0].line, fault[0].column))
-    lines = [f"{f'{place}: ' if place else ''}{keys}: {said}" for place, keys, said in placed[:_MOST_FAULTS]]
-    if len(placed) > _MOST_FAULTS:
-        lines.append(f"and {len(placed) - _MOST_FAULTS} faults more")
+    lines = [f"{f'{place}: ' if place else ''}{keys}: {said}" for place, keys, said in placed[:_MAX_FAULTS]]
+    if len(placed) > _MAX_FAULTS:
+        lines.append(f"and {len(placed) - _MAX_FAULTS} faults more")
     return BadInputError(path, *lines)
 
 

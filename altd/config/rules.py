@@ -49,9 +49,9 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
     named = {target.camera for target in draft.targets if target is not None}
     for number, target in enumerate(draft.targets):
         if target is not None and target.camera not in draft.cameras:
-            slip = did_you_mean(target.camera, draft.cameras)
+            suggestion = did_you_mean(target.camera, draft.cameras)
             possible = ", ".join(map(shown, draft.cameras))
-            text = f"there is no table [cameras.{target.camera}]; possible: {possible}{slip}"
+            text = f"there is no table [cameras.{target.camera}]; possible: {possible}{suggestion}"
             yield Fault(("targets", number, "camera"), text)
     if len(named) == len(draft.targets) and named <= draft.cameras.keys():
         for name in draft.cameras.keys() - named:
@@ -178,8 +178,8 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         camera = draft.cameras.get(name)
         table: Keys = ("cameras", name)
         if name not in draft.cameras:
-            slip = did_you_mean(name, draft.cameras)
-            yield Fault(keys, f"there is no table [cameras.{name}]{slip}")
+            suggestion = did_you_mean(name, draft.cameras)
+            yield Fault(keys, f"there is no table [cameras.{name}]{suggestion}")
         elif camera is not None and not isinstance(camera, AravisCameraSettings):
             yield Fault(
                 keys, f'{shown(name)} has no output; possible: a camera with driver "aravis"', about=(table,)

@@ -79,10 +79,10 @@ WHY = {
 }
 """What is said of a value, by the type of pydantic's error."""
 
-_OTHERWISE = "cannot be used"
+_UNUSABLE = "cannot be used"
 
 
-def truths_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
+def booleans_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
     """Where true or false stands for a number: to Python, and so to pydantic, true is 1."""
     nodes: list[tuple[Keys, Any]] = [((), document)]
     while nodes:
@@ -103,13 +103,13 @@ def faults_of(error: ValidationError, document: dict[str, Any]) -> list[Fault]:
         counted = detail.get("ctx", {}).get("min_length", 0)
         if detail["type"] == "too_short" and len(detail["input"]) >= counted:
             continue  # pydantic counts only the elements that are good
-        for fault in _in_words(detail, document):
+        for fault in _worded(detail, document):
             text = "" if detail["type"] == FAULTS else "one"  # of a union each member complains
             found.setdefault((fault.keys, text or fault.text), fault)
     return list(found.values())
 
 
-def _in_words(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
+def _worded(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]:
     keys, what = _keys(detail, document)
     kind, value = detail["type"], detail["input"]
     context = detail.get("ctx", {})
@@ -117,19 +117,19 @@ def _in_words(detail: ErrorDetails, document: dict[str, Any]) -> Iterator[Fault]
         for more, text in context["faults"]:
             yield Fault((*keys, *more), text)
     elif kind == "extra_forbidden":
-        yield _unknown(keys, document)
+        yield _unknown_key(keys, document)
     elif kind == "missing":
         kind_of_it = "table" if len(keys) == 1 else "key"
-        yield Fault(keys, f"this {kind_of_it} is missing{_possible(keys, document)}", "table")
+        yield Fault(keys, f"this {kind_of_it} is missing{_possible_values(keys, document)}", "table")
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
-        yield _without_model(keys, value, document)
+        yield _tag_fault(keys, value, document)
     elif what == "key":
         takes = expected(*_key_type(keys), shown)
-        yield Fault(keys, f"a name {WHY.get(kind, _OTHERWISE)}; possible: {takes}", "key")
+        yield Fault(keys, f"a name {WHY.get(kind, _UNUSABLE)}; possible: {takes}", "key")
     else:
-        why = _OTHERWISE if what == "member" else WHY.get(kind, _OTHERWISE)
-        slip = _slip(kind, value, context)
-        yield Fault(keys, f"{shown(value)} {why}{_possible(keys, document)}{slip}")
+        why = _UNUSABLE if what == "member" else WHY.get(kind, _UNUSABLE)
+        suggestion = _suggestion(kind, value, context)
+        yield Fault(keys, f"{shown(value)} {why}{_possible_values(keys, document)}{suggestion}")
 
 
 def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "key", "member"]]:
@@ -153,40 +153,40 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
             return tuple(keys), "member"
         keys.append(part)
         table = table[part] if there else None
-        tag = tag_at(_type(tuple(keys), document))
+        tag = tag_at(_type_at(tuple(keys), document))
     return tuple(keys), "value"
 
 
-def _without_model(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
+def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
     """A table whose model cannot be told: its tag, such as ``driver``, is missing or has no such value."""
-    annotation = _type(keys, document)
+    annotation = _type_at(keys, document)
     tag = tag_at(annotation)
     values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]
     choice = " or ".join(map(shown, values))
     if isinstance(table, dict) and tag not in table:
         return Fault((*keys, tag), f"this key is missing; possible: {choice}", "table")
     value = table.get(tag) if isinstance(table, dict) else table
-    slip = did_you_mean(value, values)
-    return Fault((*keys, tag), f"{shown(value)} {WHY['union_tag_invalid']}; possible: {choice}{slip}")
+    suggestion = did_you_mean(value, values)
+    return Fault((*keys, tag), f"{shown(value)} {WHY['union_tag_invalid']}; possible: {choice}{suggestion}")
 
 
-def _unknown(keys: Keys, document: dict[str, Any]) -> Fault:
+def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
     """A key that no model has: what there is instead, and which it may have been meant to be."""
     above, name = keys[:-1], keys[-1]
     table: Any = document
     for key in above:
         table = table[key]
-    annotation = _type(above, document)
+    annotation = _type_at(above, document)
     models = tables_at(annotation, table)
     possible = sorted({key for model in models for key in model.model_fields})
     what = "table" if not above and isinstance(table[name], dict | list) else "key"
-    slip = did_you_mean(name, [key for key in possible if key not in table] or possible)
-    if not slip and (homes := _homes(name)):
-        slip = f"; it is a {what} of {' and of '.join(homes)}"
-    return Fault(keys, f"there is no such {what}; possible: {', '.join(possible)}{slip}", "key")
+    suggestion = did_you_mean(name, [key for key in possible if key not in table] or possible)
+    if not suggestion and (homes := _tables_with(name)):
+        suggestion = f"; it is a {what} of {' and of '.join(homes)}"
+    return Fault(keys, f"there is no such {what}; possible: {', '.join(possible)}{suggestion}", "key")
 
 
-def _homes(name: str | int) -> list[str]:
+def _tables_with(name: str | int) -> list[str]:
     """The tables that have such a key, and with which tag."""
     homes = []
     for table, field in Config.model_fields.items():
@@ -203,7 +203,7 @@ def _homes(name: str | int) -> list[str]:
     return homes
 
 
-def _slip(kind: str, value: object, context: dict[str, Any]) -> str:
+def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
     if kind != "literal_error" or not isinstance(value, str):
         return ""
     return did_you_mean(
@@ -211,13 +211,13 @@ def _slip(kind: str, value: object, context: dict[str, Any]) -> str:
     )
 
 
-def _possible(keys: Keys, document: dict[str, Any]) -> str:
+def _possible_values(keys: Keys, document: dict[str, Any]) -> str:
     """What the key takes, as the end of a sentence."""
     found = field_at(keys, document, Config)
     return "" if found is None else f"; possible: {expected(*found, shown)}"
 
 
-def _type(keys: Keys, document: dict[str, Any]) -> Any:
+def _type_at(keys: Keys, document: dict[str, Any]) -> Any:
     found = field_at(keys, document, Config)
     return None if found is None else found[0]
 

@@ -6,14 +6,14 @@ from __future__ import annotations
 class FrameCounter:
     """Counts a camera's exposures, those too that were lost, over wraps and re-openings.
 
-    A camera's own numbers run from ``first`` to ``largest`` and then begin with ``first`` again: 0 to 2³² − 1
+    A camera's own numbers run from ``first`` to ``last`` and then begin with ``first`` again: 0 to 2³² − 1
     in Video4Linux, 1 to 65535 in GigE Vision, where 0 means that a frame has no number. A number that is not
     ahead of the last one by less than half of that range was counted anew, or not at all: the frame then
     takes the next number. So it does after a re-opening, for nobody knows how many were lost meanwhile.
     """
 
-    def __init__(self, first: int, largest: int) -> None:
-        self._numbers = range(first, largest + 1)
+    def __init__(self, first: int, last: int) -> None:
+        self._numbers = range(first, last + 1)
         self._last_raw: int | None = None
         self._last = -1
 

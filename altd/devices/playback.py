@@ -12,7 +12,7 @@ from altd.recording.reader import Recording
 from altd.recording.table import Row
 from altd.records import Frame
 
-_OVERDUE_S = 0.5
+_MAX_OVERDUE_S = 0.5
 """In real time a frame that nobody fetched for so long is left out, as a camera would have lost it."""
 
 
@@ -34,31 +34,31 @@ class Playback:
         self.length_sequences = recording.rows.largest_sequence + 1
         self._started_ns: int | None = None
         self._next_s: dict[str, float] = {}
-        self._moved = threading.Condition()
+        self._changed = threading.Condition()
 
     def t_ns(self, row: Row, turn: int) -> int:
         """When a row's frame is exposed, on the monotonic clock, in a turn through the recording."""
-        with self._moved:
+        with self._changed:
             if self._started_ns is None:
                 self._started_ns = time.monotonic_ns()
-            return self._started_ns + round(self._at_s(row, turn) * 1e9)
+            return self._started_ns + round(self._due_s(row, turn) * 1e9)
 
-    def stands_at(self, camera: str, row: Row | None, turn: int) -> None:
+    def set_next(self, camera: str, row: Row | None, turn: int) -> None:
         """Note which frame a camera delivers next; None: it is at its end."""
-        with self._moved:
-            self._next_s[camera] = float("inf") if row is None else self._at_s(row, turn)
-            self._moved.notify_all()
+        with self._changed:
+            self._next_s[camera] = float("inf") if row is None else self._due_s(row, turn)
+            self._changed.notify_all()
 
     def await_others(self, camera: str, timeout_s: float) -> bool:
         """Wait until no other camera is an exposure behind; False when that takes too long."""
 
-        def in_step() -> bool:
+        def is_abreast() -> bool:
             return self._next_s[camera] <= min(self._next_s.values()) + self._exposure_s / 2
 
-        with self._moved:
-            return self._moved.wait_for(in_step, timeout_s)
+        with self._changed:
+            return self._changed.wait_for(is_abreast, timeout_s)
 
-    def _at_s(self, row: Row, turn: int) -> float:
+    def _due_s(self, row: Row, turn: int) -> float:
         return row.t_s - self._first_s + turn * self._length_s
 
 
@@ -81,7 +81,7 @@ class PlaybackCamera:
         self._rows = playback.recording.rows.of(name)
         self._next = next(self._rows, None)
         self._failure: str | None = None
-        playback.stands_at(name, self._next, 0)
+        playback.set_next(name, self._next, 0)
 
     def open(self) -> None:
         """Nothing to get ready; the recording was checked when it was opened."""
@@ -91,8 +91,8 @@ class PlaybackCamera:
         playback = self._playback
         turn, row, t_ns = self._due()
         if playback.realtime:
-            while (wait_s := (t_ns - time.monotonic_ns()) * 1e-9) < -_OVERDUE_S:
-                self._step()
+            while (wait_s := (t_ns - time.monotonic_ns()) * 1e-9) < -_MAX_OVERDUE_S:
+                self._advance()
                 turn, row, t_ns = self._due()
             if wait_s > timeout_s:
                 time.sleep(timeout_s)
@@ -101,7 +101,7 @@ class PlaybackCamera:
                 time.sleep(wait_s)
         elif not playback.await_others(self.name, timeout_s):
             raise CameraTimeoutError("another camera's frames are not taken")
-        self._step()
+        self._advance()
         try:
             frame = playback.recording.frame(row)
         except BadInputError as error:
@@ -126,7 +126,7 @@ class PlaybackCamera:
             raise CameraEndedError("the recording is at its end")
         return self._turn, self._next, self._playback.t_ns(self._next, self._turn)
 
-    def _step(self) -> None:
+    def _advance(self) -> None:
         """To the next row, from the last one to the first where the recording is repeated.
 
         A table that is not any more what was checked ends it for good: nobody knows what its frames are.
@@ -139,4 +139,4 @@ class PlaybackCamera:
                 self._next = next(self._rows, None)
         except BadInputError as error:
             self._failure, self._next = str(error), None
-        self._playback.stands_at(self.name, self._next, self._turn)
+        self._playback.set_next(self.name, self._next, self._turn)

@@ -19,7 +19,7 @@ SERIAL_NAMES = (
     "/dev/ttyAMA*",
 )
 CAMERA_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
-_SHOWN = 4
+_MAX_NAMES_SHOWN = 4
 _USB_SHARE = 0.6
 """The part of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
 
@@ -31,7 +31,7 @@ def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
         ports.append(config.stage.device)
     for device in ports:
         yield from _device(f"serial {device}", device, SERIAL_NAMES, machine)
-    yield from _twice("serial", {str(device): device for device in ports}, machine)
+    yield from _duplicates("serial", {str(device): device for device in ports}, machine)
 
 
 def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
@@ -54,7 +54,7 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
         for name, camera in config.cameras.items()
         if isinstance(camera, V4l2CameraSettings)
     }
-    yield from _twice("camera", video, machine)
+    yield from _duplicates("camera", video, machine)
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]
         says = f"its cameras need {needed:.0f} Mbit/s of {speed}"
@@ -73,7 +73,7 @@ def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
         if path is not None:
             yield from _device(subject, Path(path), ("/dev/gpiochip*",), machine)
         else:
-            there = _there(("/dev/gpiochip*",), machine)
+            there = _alternatives(("/dev/gpiochip*",), machine)
             yield wrong(subject, f"none that may be opened is called so; {there}", "sudo gpiodetect")
 
 
@@ -121,15 +121,15 @@ def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine
     status = machine.status(device)
     if status is None:
         mend = f"plug it in, or take one of these names into altd.toml: ls -l {names[0]}"
-        yield wrong(subject, f"is not there; {_there(names, machine)}", mend)
+        yield wrong(subject, f"is not there; {_alternatives(names, machine)}", mend)
     elif not stat.S_ISCHR(status.st_mode):
         yield wrong(subject, "is no device", f"ls -l {names[0]}   # take one of these names into altd.toml")
     else:
         yield from _permission(subject, str(device), machine)
-        yield from _taken(subject, machine.at(device).resolve().name, status, machine)
+        yield from _other_users(subject, machine.at(device).resolve().name, status, machine)
 
 
-def _twice(what: str, devices: Mapping[str, Path], machine: Machine) -> Iterator[Finding]:
+def _duplicates(what: str, devices: Mapping[str, Path], machine: Machine) -> Iterator[Finding]:
     """Names of one and the same device: udev gives each several, and only one can have it."""
     first: dict[int, str] = {}
     for name, device in devices.items():
@@ -171,7 +171,7 @@ def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding
         yield good(subject, f"{whom} may open it ({rights})")
 
 
-def _taken(subject: str, node: str, status: os.stat_result, machine: Machine) -> Iterator[Finding]:
+def _other_users(subject: str, node: str, status: os.stat_result, machine: Machine) -> Iterator[Finding]:
     for number, name in dict.fromkeys(machine.holders(status)):
         if number == os.getpid():
             continue
@@ -185,13 +185,13 @@ def _taken(subject: str, node: str, status: os.stat_result, machine: Machine) ->
             yield wrong(subject, f"{name} has it (process {number})", mends.get(name, f"sudo kill {number}"))
 
 
-def _there(names: tuple[str, ...], machine: Machine) -> str:
+def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
     """What there is instead: under the first of the patterns that fits anything."""
     for pattern in names:
         found = machine.paths(pattern)
         if found:
-            more = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-            return f"there is {', '.join(found[:_SHOWN])}{more}"
+            more = f" and {len(found) - _MAX_NAMES_SHOWN} more" if len(found) > _MAX_NAMES_SHOWN else ""
+            return f"there is {', '.join(found[:_MAX_NAMES_SHOWN])}{more}"
     return "nor is there any other"
 
 

@@ -12,8 +12,8 @@ from altd.config import AravisCameraSettings, Config
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 
-GIGABIT = 1000
-JUMBO = 8000
+MIN_MBIT_S = 1000
+MIN_JUMBO_BYTES = 8000
 """Bytes of a packet from which a frame's packets no longer cost a noticeable part of a core."""
 
 FRAMES_BUFFERED = 2
@@ -123,18 +123,18 @@ def _interface(name: str, packet_bytes: int, machine: Machine) -> Iterator[Findi
     speed = machine.number(f"{folder}/speed")
     if speed is None or speed < 0:
         yield better(subject, "does not tell its speed", f"sudo ethtool {name}")
-    elif speed < GIGABIT:
+    elif speed < MIN_MBIT_S:
         mend = (
             f"sudo ethtool -s {name} autoneg on   # all eight wires: another cable, another socket or switch"
         )
-        yield wrong(subject, f"runs at {speed} Mbit/s instead of {GIGABIT}", mend)
+        yield wrong(subject, f"runs at {speed} Mbit/s instead of {MIN_MBIT_S}", mend)
     else:
         yield good(subject, f"runs at {speed} Mbit/s")
     mtu = machine.number(f"{folder}/mtu") or 0
     larger = f"sudo ip link set {name} mtu 9000   # and for good in its settings; the switch must pass it on"
     if packet_bytes > mtu:
         yield wrong(subject, f"its MTU is {mtu} but packet_bytes {packet_bytes}", larger)
-    elif mtu < JUMBO:
+    elif mtu < MIN_JUMBO_BYTES:
         yield better(subject, f"its MTU is {mtu}: it works, larger packets cost the processor less", larger)
     else:
         yield good(subject, f"its MTU is {mtu}")

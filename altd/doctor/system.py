@@ -16,11 +16,11 @@ from altd.doctor.machine import Machine
 from altd.errors import BadInputError
 
 STATE = "/var/lib/altd"
-FREE_BYTES = 500_000_000
-OLDEST_YEAR = 2026
+MIN_FREE_BYTES = 500_000_000
+MIN_YEAR = 2026
 """This release is no older: a clock that shows an earlier year was never set."""
 
-_AGAIN = "docs/install.md   # install the release again: the package is incomplete"
+_REINSTALL = "docs/install.md   # install the release again: the package is incomplete"
 _UNSYNCHRONISED = 0x40
 
 
@@ -37,7 +37,7 @@ def libraries(config: Config | None) -> Iterator[Finding]:
 def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
     """UTC is in every output. ``synchronised``: what the kernel says; None when it does not say."""
     subject, mend = "clock", "sudo timedatectl set-ntp true   # or install chrony, and name it a server"
-    if now.year < OLDEST_YEAR:
+    if now.year < MIN_YEAR:
         yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", mend)
     elif synchronised:
         yield good(subject, f"{now:%Y-%m-%d %H:%M} UTC, kept by a time server")
@@ -54,7 +54,7 @@ def disk(machine: Machine) -> Iterator[Finding]:
         folder = folder.parent
     free = shutil.disk_usage(folder).free
     subject, says = f"disk of {STATE}", f"{free / 1e9:.1f} GB free"
-    if free >= FREE_BYTES:
+    if free >= MIN_FREE_BYTES:
         yield good(subject, says)
     else:
         yield wrong(subject, says, f"sudo du -xhd1 {STATE} /var | sort -h   # what fills it")
@@ -109,7 +109,7 @@ def _library(name: str, module: str) -> Finding:
     try:
         importlib.import_module(module)
     except Exception as error:  # a library that is half there raises what it likes
-        return wrong(f"library {name}", _one_line(error), _AGAIN)
+        return wrong(f"library {name}", _one_line(error), _REINSTALL)
     return good(f"library {name}", "is there")
 
 

@@ -14,7 +14,7 @@ from altd.errors import BadInputError
 from altd.process.standard_streams import (
     clear_counter,
     complain,
-    forget_unwritten,
+    drop_unwritten,
     output_failure,
     prepare_streams,
 )
@@ -46,7 +46,7 @@ def run_to_end(work: Callable[[], int], name: Callable[[], str]) -> int:
         with _signals_raised():
             return _status_of(work, name)
     finally:
-        forget_unwritten()
+        drop_unwritten()
 
 
 def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:

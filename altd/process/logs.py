@@ -15,10 +15,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 LOG_REPEAT_S = 10.0
-"""A cause is said once in this time, and how often it came meanwhile with its next line."""
+"""A cause is written once in this time, and how often it came meanwhile with its next line."""
 
 MAX_CAUSES = 20
-"""Different causes of one logger that are said in this time; what comes beyond is counted."""
+"""Different causes of one logger that are written in this time; what comes beyond is counted."""
 
 MAX_WAITING_LINES = 1000
 """More than these are dropped and counted while standard error takes nothing."""
@@ -32,7 +32,7 @@ _ADDRESSES_AND_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+")
 @dataclass(slots=True)
 class _Cause:
     line: str
-    said_s: float
+    written_s: float
     held_back: int = 0
 
 
@@ -59,12 +59,12 @@ class RepeatLimit:
         if key not in causes and len(causes) >= MAX_CAUSES:
             key, message = "", f"{family}: many different messages"
         cause = causes.get(key)
-        if cause is not None and now_s - cause.said_s < LOG_REPEAT_S:
+        if cause is not None and now_s - cause.written_s < LOG_REPEAT_S:
             cause.held_back += 1
             return None
         held_back = 0 if cause is None else cause.held_back
         causes[key] = _Cause(message.partition("\n")[0], now_s)
-        return _times(held_back)
+        return _repeats_note(held_back)
 
     def due(self, *, all_of_them: bool = False) -> list[str]:
         """Lines for what was held back and did not come again; forgets causes that are over."""
@@ -72,10 +72,10 @@ class RepeatLimit:
         lines = []
         for causes in self._causes.values():
             for key, cause in list(causes.items()):
-                if all_of_them or now_s - cause.said_s >= LOG_REPEAT_S:
+                if all_of_them or now_s - cause.written_s >= LOG_REPEAT_S:
                     del causes[key]
                     if cause.held_back:
-                        lines.append(cause.line + _times(cause.held_back))
+                        lines.append(cause.line + _repeats_note(cause.held_back))
         return lines
 
 
@@ -99,45 +99,45 @@ class StderrLog(logging.Handler):
             note = self._limit.note(record)
             if note is None:
                 return
-            said = copy.copy(record)
-            said.msg, said.args = record.getMessage() + note, None
-            self._put(self.format(said))
+            line = copy.copy(record)
+            line.msg, line.args = record.getMessage() + note, None
+            self._enqueue(self.format(line))
         except Exception:
             self.handleError(record)
 
     def close(self) -> None:
         """Write what is left, but wait for standard error no longer than ``JOIN_TIMEOUT_S``."""
         if not self._ending.is_set():
-            self._put_due(all_of_them=True)
+            self._enqueue_repeats(all_of_them=True)
             self._ending.set()
-            self._put("")  # wakes the thread
+            self._enqueue("")  # wakes the thread
             self._thread.join(JOIN_TIMEOUT_S)
         super().close()
 
-    def _put(self, line: str) -> None:
+    def _enqueue(self, line: str) -> None:
         try:
             self._lines.put_nowait(line)
         except queue.Full:
             self._dropped += 1
 
-    def _put_due(self, *, all_of_them: bool = False) -> None:
+    def _enqueue_repeats(self, *, all_of_them: bool = False) -> None:
         self.acquire()
         try:
             for line in self._limit.due(all_of_them=all_of_them):
-                self._put(line)
+                self._enqueue(line)
         finally:
             self.release()
 
     def _run(self) -> None:
-        looked_s = time.monotonic()
+        flushed_s = time.monotonic()
         while not (self._ending.is_set() and self._lines.empty()):
             try:
                 line = self._lines.get(timeout=LOG_REPEAT_S)
             except queue.Empty:
                 line = ""
-            if time.monotonic() - looked_s >= LOG_REPEAT_S:
-                looked_s = time.monotonic()
-                self._put_due()
+            if time.monotonic() - flushed_s >= LOG_REPEAT_S:
+                flushed_s = time.monotonic()
+                self._enqueue_repeats()
             if line:
                 self._write(line)
             if self._lines.empty():
@@ -173,5 +173,5 @@ def logging_to_stderr(level: int, prefix: str = "altd: ") -> Iterator[None]:
         handler.close()
 
 
-def _times(held_back: int) -> str:
+def _repeats_note(held_back: int) -> str:
     return f" ({held_back} more like it in {LOG_REPEAT_S:g} s)" if held_back else ""

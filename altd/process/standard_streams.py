@@ -53,23 +53,23 @@ def prepare_streams() -> None:
 
 def complain(line: str) -> None:
     """A line on standard error, over a counter that stands there, unless it takes none for a second."""
-    _put(f"{_clearing()}{line}\n")
+    _write(f"{_erasure()}{line}\n")
 
 
 def clear_counter() -> None:
     """Take away what a counter left in the last line of a terminal."""
-    if clearing := _clearing():
-        _put(clearing)
+    if clearing := _erasure():
+        _write(clearing)
 
 
-def _clearing() -> str:
+def _erasure() -> str:
     try:
         return "\r\033[K" if sys.stderr.isatty() else ""
     except ValueError:  # it is closed
         return ""
 
 
-def _put(text: str) -> None:
+def _write(text: str) -> None:
     try:
         descriptor = sys.stderr.fileno()
     except (OSError, ValueError):  # what stands for it has none, or it is closed
@@ -90,7 +90,7 @@ def output_failure() -> OSError | None:
     return raw.failure if isinstance(raw, _Output) else None
 
 
-def forget_unwritten() -> None:
+def drop_unwritten() -> None:
     """Drop what standard output and error did not take: at its end Python would try again, loudly."""
     for stream in (sys.stdout, sys.stderr):
         try:

@@ -15,7 +15,7 @@ from altd.tables.columns import Column, Row, Type
 if TYPE_CHECKING:
     import pyarrow
 
-ROWS_AT_ONCE = 8192
+MAX_ROWS_HELD = 8192
 """Of a row group, which is what is held: 2 MB."""
 
 
@@ -68,7 +68,7 @@ class ParquetTable:
         """A row; what it does not have is null."""
         times = {name: _moment(row.get(name)) for name in self._times}
         self._rows.append({**row, **times})
-        if len(self._rows) >= ROWS_AT_ONCE:
+        if len(self._rows) >= MAX_ROWS_HELD:
             self._flush()
 
     def __enter__(self) -> Self:

@@ -10,7 +10,7 @@ from support.gpio_sim import SimulatedChip
 from support.guest import leave_results
 
 from altd.config import GpiodLampsSettings, IndicatorsSettings
-from altd.devices.gpio.find_chips import chip_paths, look_at
+from altd.devices.gpio.find_chips import chip_paths, read_chip
 from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators
 from altd.devices.gpio.lines import OutputLines
 from altd.ports import Indicator, LampsError
@@ -55,7 +55,7 @@ for active_low in (False, True):
     steps = {"before": unit.levels(*pins)}
     lamps.open()
     steps["opened"] = unit.levels(*pins)
-    consumers = [line.used_by for line in look_at(unit.path).lines if line.name in pins]
+    consumers = [line.used_by for line in read_chip(unit.path).lines if line.name in pins]
     for step, on in (("lit", True), ("dark", False), ("lit again", True)):
         lamps.switch(on)
         steps[step] = unit.levels(*pins)
@@ -88,17 +88,17 @@ some.close()
 by_number = OutputLines(plain.name, ["2"], active_low=False)
 by_number.open()
 by_number.set(["2"])
-results["by number"] = [line.used_by for line in look_at(plain.path).lines]
+results["by number"] = [line.used_by for line in read_chip(plain.path).lines]
 by_number.close()
 
 results["inventory"] = [
-    [chip.name, chip.label, [line.name for line in chip.lines]] for chip in map(look_at, chip_paths())
+    [chip.name, chip.label, [line.name for line in chip.lines]] for chip in map(read_chip, chip_paths())
 ]
 
 # complaints
 with unit.held("blinker", "LED_B"):
     results["taken"] = complaint(opened("unit", *pins))
-    results["inventory while taken"] = [line.used_by for line in look_at(unit.path).lines]
+    results["inventory while taken"] = [line.used_by for line in read_chip(unit.path).lines]
 complaints = {
     "no chip": opened("units", "LED_A"),
     "no path": opened("/dev/gpiochip77", "LED_A"),

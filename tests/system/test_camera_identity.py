@@ -82,11 +82,11 @@ def test_a_usb_camera_has_the_serial_of_its_descriptor(
     entry = tmp_path / "char" / f"{number >> 8}:{number & 255}"
     entry.mkdir(parents=True)
     (entry / "device").symlink_to(usb / "1-1:1.0")
-    monkeypatch.setattr(node, "_CHARACTER_DEVICES", tmp_path / "char")
+    monkeypatch.setattr(node, "CHARACTER_DEVICES", tmp_path / "char")
     with Path("/dev/null").open() as device:
-        assert node._usb_serial(device.fileno()) == "SN0001"
+        assert node.usb_serial(device.fileno()) == "SN0001"
         (usb / "serial").unlink()
-        assert node._usb_serial(device.fileno()) is None
+        assert node.usb_serial(device.fileno()) is None
 
 
 def test_simulated_cameras_have_names_of_their_own() -> None:

@@ -25,7 +25,7 @@ from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
 from altd.app.scan import scanner_of
 from altd.calibration.calibrating import calibrate
 from altd.config import Config, Scan
-from altd.devices.grbl import driver
+from altd.devices.grbl import controller
 from altd.errors import BadInputError
 from altd.mapping.inverse import InverseMap
 from altd.recording.header import CameraHeader, RecordingHeader, UnitHeader
@@ -50,12 +50,12 @@ def made() -> Unit:
 @pytest.fixture
 def unit(made: Unit, monkeypatch: pytest.MonkeyPatch) -> Iterator[Unit]:
     for name, seconds in {
-        "POLL_S": 0.01,
-        "_SILENCE_S": 0.05,
-        "_WAKE_S": 0.5,
-        "_REPORT_WITHIN_S": 0.2,
+        "POLL_INTERVAL_S": 0.01,
+        "_SILENCE_TIMEOUT_S": 0.05,
+        "_WAKE_TIMEOUT_S": 0.5,
+        "_REPORT_TIMEOUT_S": 0.2,
     }.items():
-        monkeypatch.setattr(driver, name, seconds)
+        monkeypatch.setattr(controller, name, seconds)
     yield made
     made.clear()
     made.leds_on = False

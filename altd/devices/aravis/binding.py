@@ -26,32 +26,32 @@ except (ImportError, ValueError) as error:
         "see docs/install.md"
     ) from error
 
-_LOST = (
+_LOST_CODES = (
     Aravis.DeviceError.TIMEOUT,
     Aravis.DeviceError.NOT_CONNECTED,
     Aravis.DeviceError.TRANSFER_ERROR,
 )
-_ONE_AT_A_TIME = threading.Lock()
+_GENICAM_LOCK = threading.Lock()
 """Aravis 0.8.26 crashes when two threads read a camera's description (GenICam) at once. Its own way to open a
 camera has a lock against that, but holds it while it looks for a camera that is not there."""
 
 # bootstrap registers of stream channel 0 (GigE Vision 2.0, section 28): SCP0, SCDA0, SCSP0
 _HOST_PORT, _DESTINATION_ADDRESS, _SOURCE_PORT = 0x0D00, 0x0D18, 0x0D1C
 
-_BUSY = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
+_BUSY_CODES = (Aravis.DeviceError.NOT_CONTROLLER, Aravis.DeviceError.PROTOCOL_ERROR_ACCESS_DENIED)
 
 
 @contextmanager
-def _typed(what: str) -> Iterator[None]:
+def _typed_errors(what: str) -> Iterator[None]:
     try:
         yield
     except GLib.Error as error:
         kind: type[CameraError] = CameraRefusedError
         if error.matches(Aravis.device_error_quark(), Aravis.DeviceError.NOT_FOUND):
             kind = CameraNotFoundError
-        elif any(error.matches(Aravis.device_error_quark(), code) for code in _LOST):
+        elif any(error.matches(Aravis.device_error_quark(), code) for code in _LOST_CODES):
             kind = CameraLostError
-        elif any(error.matches(Aravis.device_error_quark(), code) for code in _BUSY):
+        elif any(error.matches(Aravis.device_error_quark(), code) for code in _BUSY_CODES):
             kind = CameraBusyError
         raise kind(f"{what}: {error.message}") from None
 
@@ -61,7 +61,7 @@ class Device:
 
     def __init__(self, own_address: str, address: str) -> None:
         self._own_address = int.from_bytes(socket.inet_aton(own_address), "big")
-        with _typed(address), _ONE_AT_A_TIME:
+        with _typed_errors(address), _GENICAM_LOCK:
             before = open_sockets()
             self._device = Aravis.GvDevice.new(
                 Gio.InetAddress.new_from_string(own_address), Gio.InetAddress.new_from_string(address)
@@ -87,22 +87,22 @@ class Device:
 
     def has(self, feature: str) -> bool:
         """Whether the camera has a feature and it can be used now."""
-        with _typed(feature):
+        with _typed_errors(feature):
             return bool(self._camera.is_feature_available(feature))
 
     def choices(self, feature: str) -> tuple[str, ...]:
         """What an enumeration can be set to."""
-        with _typed(feature):
+        with _typed_errors(feature):
             return tuple(self._camera.dup_available_enumerations_as_strings(feature))
 
     def text(self, feature: str) -> str:
         """The value of a text or an enumeration."""
-        with _typed(feature):
+        with _typed_errors(feature):
             return str(self._camera.get_string(feature))
 
     def set(self, feature: str, value: bool | int | float | str) -> None:
         """Set any feature; a command is executed by True."""
-        with _typed(feature):
+        with _typed_errors(feature):
             node = self._device.get_feature(feature)
             if node is None:
                 raise CameraRefusedError(f"{feature}: the camera has no such feature")
@@ -118,36 +118,36 @@ class Device:
             else:
                 self._camera.set_integer(feature, int(value))
 
-    def bounds(self, feature: str) -> tuple[int, int]:
+    def integer_limits(self, feature: str) -> tuple[int, int]:
         """The smallest and largest value of an integer."""
-        with _typed(feature):
+        with _typed_errors(feature):
             smallest, largest = self._camera.get_integer_bounds(feature)
             return int(smallest), int(largest)
 
     def pixel_format(self) -> int:
         """The PFNC code of the format that is set."""
-        with _typed("PixelFormat"):
+        with _typed_errors("PixelFormat"):
             return int(self._camera.get_pixel_format())
 
     def region(self) -> tuple[int, int, int, int]:
         """Offset x, y, width and height, px."""
-        with _typed("region"):
+        with _typed_errors("region"):
             x, y, width, height = self._camera.get_region()
             return int(x), int(y), int(width), int(height)
 
     def set_region(self, x: int, y: int, width: int, height: int) -> None:
         """Offset and size, px, in an order that fits every region that was set before."""
-        with _typed(f"region {width} x {height} at {x}, {y}"):
+        with _typed_errors(f"region {width} x {height} at {x}, {y}"):
             self._camera.set_region(x, y, width, height)
 
     def payload_bytes(self) -> int:
         """The size of a frame with all that comes with it."""
-        with _typed("PayloadSize"):
+        with _typed_errors("PayloadSize"):
             return int(self._camera.get_payload())
 
-    def frame_rate_bounds(self) -> tuple[float, float] | None:
+    def frame_rate_limits(self) -> tuple[float, float] | None:
         """In frames a second; None when the camera has no rate to set."""
-        with _typed("frame rate"):
+        with _typed_errors("frame rate"):
             if not self._camera.is_frame_rate_available():
                 return None
             slowest, fastest = self._camera.get_frame_rate_bounds()
@@ -155,7 +155,7 @@ class Device:
 
     def run_free(self, fps: float) -> float | None:
         """Without trigger, at a rate; the rate that the camera then has, None when it has none to set."""
-        with _typed("frame rate"):
+        with _typed_errors("frame rate"):
             if not self._camera.is_frame_rate_available():
                 self._camera.clear_triggers()
                 return None
@@ -164,25 +164,25 @@ class Device:
 
     def set_trigger(self, source: str) -> None:
         """A frame for each trigger from this source, such as ``Software`` or ``Line1``."""
-        with _typed(f"trigger {source}"):
+        with _typed_errors(f"trigger {source}"):
             self._camera.set_trigger(source)
 
     def trigger(self) -> None:
         """The software trigger."""
-        with _typed("TriggerSoftware"):
+        with _typed_errors("TriggerSoftware"):
             self._camera.software_trigger()
 
-    def exposure_bounds_us(self) -> tuple[float, float] | None:
+    def exposure_limits_us(self) -> tuple[float, float] | None:
         """None when there is no exposure to set."""
-        with _typed("exposure"):
+        with _typed_errors("exposure"):
             if not self._camera.is_exposure_time_available():
                 return None
             shortest, longest = self._camera.get_exposure_time_bounds()
             return float(shortest), float(longest)
 
-    def gain_bounds(self) -> tuple[float, float] | None:
+    def gain_limits(self) -> tuple[float, float] | None:
         """In the camera's own unit, dB for a camera that keeps to SFNC; None when there is no gain to set."""
-        with _typed("gain"):
+        with _typed_errors("gain"):
             if not self._camera.is_gain_available():
                 return None
             smallest, largest = self._camera.get_gain_bounds()
@@ -190,27 +190,27 @@ class Device:
 
     def exposure_us(self) -> float:
         """The exposure that is set."""
-        with _typed("exposure"):
+        with _typed_errors("exposure"):
             return float(self._camera.get_exposure_time())
 
     def set_exposure_us(self, exposure_us: float) -> None:
-        """Raises CameraRefusedError outside of the bounds."""
-        with _typed(f"exposure {exposure_us:g} us"):
+        """Raises CameraRefusedError outside of the limits."""
+        with _typed_errors(f"exposure {exposure_us:g} us"):
             self._camera.set_exposure_time(exposure_us)
 
     def gain(self) -> float:
         """The gain that is set."""
-        with _typed("gain"):
+        with _typed_errors("gain"):
             return float(self._camera.get_gain())
 
     def set_gain(self, gain: float) -> None:
-        """Raises CameraRefusedError outside of the bounds."""
-        with _typed(f"gain {gain:g}"):
+        """Raises CameraRefusedError outside of the limits."""
+        with _typed_errors(f"gain {gain:g}"):
             self._camera.set_gain(gain)
 
     def manual_exposure(self) -> None:
         """Switch off the camera's own control of exposure and gain, where it has one."""
-        with _typed("ExposureAuto, GainAuto"):
+        with _typed_errors("ExposureAuto, GainAuto"):
             if self._camera.is_exposure_auto_available():
                 self._camera.set_exposure_time_auto(Aravis.Auto.OFF)
             if self._camera.is_gain_auto_available():
@@ -218,7 +218,7 @@ class Device:
 
     def without_chunks(self) -> None:
         """Have frames sent bare, also by a camera that another program left otherwise."""
-        with _typed("ChunkModeActive"):
+        with _typed_errors("ChunkModeActive"):
             if self._camera.are_chunks_available():
                 self._camera.set_chunk_mode(False)
 
@@ -231,7 +231,7 @@ class Device:
 
         Returns what the camera made of it.
         """
-        with _typed("packet size"):
+        with _typed_errors("packet size"):
             if packet_bytes:
                 self._camera.gv_set_packet_size(packet_bytes)
             else:
@@ -240,7 +240,7 @@ class Device:
 
     def start(self, port: int) -> int:
         """Start acquisition, frames to this ``port`` of ours; the port that they come from, 0 if not told."""
-        with _typed("stream"):
+        with _typed_errors("stream"):
             self._camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
             self._device.write_register(_DESTINATION_ADDRESS, self._own_address)
             self._device.write_register(_HOST_PORT, port)
@@ -253,5 +253,5 @@ class Device:
 
     def stop(self) -> None:
         """Stop acquisition."""
-        with _typed("AcquisitionStop"):
+        with _typed_errors("AcquisitionStop"):
             self._camera.stop_acquisition()

@@ -19,13 +19,13 @@ RETENTION_NS = 100_000_000
 """A frame that lacks packets is given up so long after the last of them; it holds up those behind it."""
 QUARANTINE_NS = 2_000_000_000
 
-_RESEND_AFTER_NS = 10_000_000
+_RESEND_TIMEOUT_NS = 10_000_000
 _RESEND_INTERVAL_NS = 25_000_000
 _MAX_RESENDS = 3
-_MAX_RANGES = 16
-_REMEMBERED_LEADERS = 16
-_STANDARD_IDS = 65535
-_EXTENDED_IDS = 2**64 - 1
+_MAX_RESEND_RANGES = 16
+_MAX_LEADERS_KEPT = 16
+_MAX_STANDARD_ID = 65535
+_MAX_EXTENDED_ID = 2**64 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +63,8 @@ class Block:
 class _Layout:
     """Whence frames come and by which ids, as the first leader shows it, and hence what is in which packet.
 
-    ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to ``most`` may
-    come.
+    ``needed`` payload packets hold the image, the last of them ``last_data_bytes`` of it; up to
+    ``max_packets`` may come.
     """
 
     port: int
@@ -72,7 +72,7 @@ class _Layout:
     data_bytes: int
     needed: int
     last_data_bytes: int
-    most: int
+    max_packets: int
 
 
 @dataclass(slots=True)
@@ -88,7 +88,7 @@ class _OpenBlock:
     pixels: memoryview
     have: bytearray
     resends: int = 0
-    asked_ns: int = 0
+    requested_ns: int = 0
 
 
 class Assembler:
@@ -109,9 +109,9 @@ class Assembler:
         self._source_port = source_port
         self._layout: _Layout | None = None
         self._open: dict[int, _OpenBlock] = {}
-        self._leaders: deque[tuple[int, bytes]] = deque(maxlen=_REMEMBERED_LEADERS)
+        self._leaders: deque[tuple[int, bytes]] = deque(maxlen=_MAX_LEADERS_KEPT)
         self._last_whole: _OpenBlock | None = None
-        self._quiet_until_ns = 0
+        self._quarantined_until_ns = 0
         self._request_id = 0
 
     @property
@@ -121,7 +121,7 @@ class Assembler:
 
     def quarantined(self, now_ns: int) -> bool:
         """Whether frames are withheld because of a contradiction."""
-        return now_ns < self._quiet_until_ns
+        return now_ns < self._quarantined_until_ns
 
     def take(self, packet: memoryview, port: int, now_ns: int) -> None:
         """A datagram that came from the camera's address and ``port``."""
@@ -168,18 +168,18 @@ class Assembler:
         if not self._resend:
             return
         for block in self._open.values():
-            interval_ns = _RESEND_INTERVAL_NS if block.resends else _RESEND_AFTER_NS
+            interval_ns = _RESEND_INTERVAL_NS if block.resends else _RESEND_TIMEOUT_NS
             if (
                 block.missing == 0
                 or block.resends == _MAX_RESENDS
-                or now_ns - max(block.last_ns, block.asked_ns) < interval_ns
+                or now_ns - max(block.last_ns, block.requested_ns) < interval_ns
             ):
                 continue
             block.resends += 1
-            block.asked_ns = now_ns
+            block.requested_ns = now_ns
             for first, last in _gaps(block.have):
                 if last == len(block.have) - 1:  # the trailer's place, behind all that the camera may send
-                    last = block.layout.most + 1
+                    last = block.layout.max_packets + 1
                 self._request_id = self._request_id % 65535 + 1
                 yield gvsp.resend_command(self._request_id, block.id, block.layout.extended, first, last)
 
@@ -255,7 +255,7 @@ class Assembler:
         self, block: _OpenBlock, packet_id: int, body: memoryview, port: int, now_ns: int
     ) -> None:
         layout = block.layout
-        fits = layout.needed < packet_id <= layout.most + 1
+        fits = layout.needed < packet_id <= layout.max_packets + 1
         if not fits or not gvsp.is_trailer(body):
             self.refused += 1
         elif port != layout.port:
@@ -269,7 +269,7 @@ class Assembler:
         """Nothing that came until now is believed any more; who sends next is taken for the camera."""
         self.contradictions += 1
         self.last_contradiction = f"{what}: another sender uses the camera's address"
-        self._quiet_until_ns = now_ns + QUARANTINE_NS
+        self._quarantined_until_ns = now_ns + QUARANTINE_NS
         self._open.clear()
         self._leaders.clear()
         self._layout = self._last_whole = None
@@ -278,20 +278,22 @@ class Assembler:
 def _layout(form: StreamFormat, port: int, extended: bool) -> _Layout:
     data_bytes = gvsp.data_bytes(form.packet_bytes, extended)
     needed = -(-form.image_bytes // data_bytes)
-    most = max(needed, -(-form.payload_bytes // data_bytes))
-    return _Layout(port, extended, data_bytes, needed, form.image_bytes - (needed - 1) * data_bytes, most)
+    max_packets = max(needed, -(-form.payload_bytes // data_bytes))
+    return _Layout(
+        port, extended, data_bytes, needed, form.image_bytes - (needed - 1) * data_bytes, max_packets
+    )
 
 
 def _is_ahead(block_id: int, last: int, extended: bool) -> bool:
     """Whether a block's number follows another one's, over its wrap: by less than half of all numbers."""
-    count = _EXTENDED_IDS if extended else _STANDARD_IDS
+    count = _MAX_EXTENDED_ID if extended else _MAX_STANDARD_ID
     return 0 < (block_id - last) % count < count / 2
 
 
 def _gaps(have: bytearray) -> Iterator[tuple[int, int]]:
     """First and last packet id of the first ranges of packets that are missing; the leader never is."""
     last = 0
-    for _ in range(_MAX_RANGES):
+    for _ in range(_MAX_RESEND_RANGES):
         first = have.find(0, last + 1)
         if first < 0:
             return

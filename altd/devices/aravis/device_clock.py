@@ -9,26 +9,26 @@ import numpy as np
 
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 5
-_AGREED_NS = 8_000_000
+_TOLERANCE_NS = 8_000_000
 """What a frame may come early or late by, against those before it, without a question: a frame's way through
 network, driver and threads varies by less, and so does a drift of 0.1 % in five seconds."""
 _VERY_LATE_NS = 25_000_000
-_FEW, _FEW_BAND_NS = 4, 4_000_000
-_MANY, _MANY_BAND_NS = 20, 8_000_000
+_VERY_LATE_FRAMES, _VERY_LATE_BAND_NS = 4, 4_000_000
+_LATE_FRAMES, _LATE_BAND_NS = 20, 8_000_000
 """Of so many frames in a row that come late, the few by more than ``_VERY_LATE_NS``, three quarters lie on a
 straight line to so much, and not one that falls: a clock that was set or runs slow makes that; what a busy
 computer or network holds up scatters, and comes in less and less late."""
-_ON_LINE_SHARE = 0.75
-_FALLING_NS = 1_000_000
-_REMEMBERED = 100
-_STEPPED_AFTER_NS = 3_000_000_000
+_MIN_SHARE_ON_LINE = 0.75
+_MAX_FALL_NS = 1_000_000
+_MAX_LATE_KEPT = 100
+_STEP_TIMEOUT_NS = 3_000_000_000
 """Who has come late on a line for so long, without one frame in time, was not held up."""
-_OUTDATED_NS = 10_000_000_000
+_ENVELOPE_TIMEOUT_NS = 10_000_000_000
 """An envelope that no frame has met for so long is made anew of those that came late."""
-_BACK_IN_A_ROW = 3
+_MAX_BACK_IN_A_ROW = 3
 _SETTLING_FRAMES = 10
 """The first of all may have come late themselves."""
-_STEADY_FRAMES = 20
+_MIN_STEADY_FRAMES = 20
 """A clock that was implausible is used again when so many frames agree with it."""
 
 
@@ -60,20 +60,20 @@ class DeviceClock:
     def __init__(self) -> None:
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._last_device_ns: int | None = None
-        self._steady = _STEADY_FRAMES
+        self._steady = _MIN_STEADY_FRAMES
         """How many frames in a row have agreed since the clock was not plausible."""
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
         self._mapped = 0
         """Frames since the clock was mapped anew."""
-        self._late_ns: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
+        self._late_ns: deque[tuple[int, int]] = deque(maxlen=_MAX_LATE_KEPT)
         """When the late ones of a row were received, and their offsets."""
         self._late_since_ns = 0
 
     @property
     def trusted(self) -> bool:
         """Whether the device's clock is in use, not the receive time."""
-        return self._steady >= _STEADY_FRAMES
+        return self._steady >= _MIN_STEADY_FRAMES
 
     def host_ns(self, device_ns: int, receive_ns: int) -> int | None:
         """The host's time of ``device_ns``, for a frame that was received at ``receive_ns``; never later.
@@ -85,27 +85,27 @@ class DeviceClock:
             return self._back(device_ns, receive_ns)
         self._in_a_row_back = 0
         if not self._buckets:
-            self._take(offset_ns, receive_ns)
+            self._add(offset_ns, receive_ns)
         beyond_ns = offset_ns - self._envelope_ns()
         self._mapped += 1
-        if beyond_ns < -_AGREED_NS and self._mapped > _SETTLING_FRAMES:
+        if beyond_ns < -_TOLERANCE_NS and self._mapped > _SETTLING_FRAMES:
             return self._early(device_ns, offset_ns, receive_ns)
         self._last_device_ns = device_ns
         self._early_offset_ns = None
-        if beyond_ns > _AGREED_NS:
-            return self._held_up(offset_ns, device_ns, receive_ns)
+        if beyond_ns > _TOLERANCE_NS:
+            return self._late(offset_ns, device_ns, receive_ns)
         self._late_ns.clear()
         self._steady += not self.trusted
-        self._take(offset_ns, receive_ns)
+        self._add(offset_ns, receive_ns)
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
 
     def _back(self, device_ns: int, receive_ns: int) -> int | None:
         """A stamp that is not later than the last: of a frame that was overtaken, or the clock stands."""
         self._in_a_row_back += 1
-        if self.trusted and self._in_a_row_back <= _BACK_IN_A_ROW:
+        if self.trusted and self._in_a_row_back <= _MAX_BACK_IN_A_ROW:
             return None
         self._last_device_ns = device_ns
-        self._begin_anew(steady=0)
+        self._restart(steady=0)
         return receive_ns
 
     def _early(self, device_ns: int, offset_ns: int, receive_ns: int) -> int:
@@ -113,60 +113,60 @@ class DeviceClock:
         known_ns, self._early_offset_ns = self._early_offset_ns, offset_ns
         if known_ns is not None:
             self._last_device_ns = device_ns
-            agrees = abs(offset_ns - known_ns) <= _AGREED_NS
-            self._begin_anew(steady=self._steady if agrees else 0)
-            self._take(offset_ns, receive_ns)
+            agrees = abs(offset_ns - known_ns) <= _TOLERANCE_NS
+            self._restart(steady=self._steady if agrees else 0)
+            self._add(offset_ns, receive_ns)
         return receive_ns
 
-    def _held_up(self, offset_ns: int, device_ns: int, receive_ns: int) -> int | None:
+    def _late(self, offset_ns: int, device_ns: int, receive_ns: int) -> int | None:
         """A frame that comes late: what it shows is old, or the clock was set back or runs slow."""
         if not self.trusted:
-            self._begin_anew(steady=0)
-            self._take(offset_ns, receive_ns)
+            self._restart(steady=0)
+            self._add(offset_ns, receive_ns)
             return receive_ns
         if not self._late_ns:
             self._late_since_ns = receive_ns
         self._late_ns.append((receive_ns, offset_ns))
         lasted_ns = receive_ns - self._late_since_ns
-        if lasted_ns > _OUTDATED_NS:
+        if lasted_ns > _ENVELOPE_TIMEOUT_NS:
             smallest_ns = min(offset for _, offset in self._late_ns)
-            self._begin_anew(steady=self._steady)
-            self._take(smallest_ns, receive_ns)
-        elif self._lie_on_a_line(_MANY, _AGREED_NS, _MANY_BAND_NS):
-            if lasted_ns <= _STEPPED_AFTER_NS:
+            self._restart(steady=self._steady)
+            self._add(smallest_ns, receive_ns)
+        elif self._are_on_a_line(_LATE_FRAMES, _TOLERANCE_NS, _LATE_BAND_NS):
+            if lasted_ns <= _STEP_TIMEOUT_NS:
                 return None
-            is_steady = offset_ns - self._late_ns[0][1] <= _AGREED_NS
-            self._begin_anew(steady=_STEADY_FRAMES if is_steady else 0)
-            self._take(offset_ns, receive_ns)
+            is_steady = offset_ns - self._late_ns[0][1] <= _TOLERANCE_NS
+            self._restart(steady=_MIN_STEADY_FRAMES if is_steady else 0)
+            self._add(offset_ns, receive_ns)
             return receive_ns
-        elif self._lie_on_a_line(_FEW, _VERY_LATE_NS, _FEW_BAND_NS):
+        elif self._are_on_a_line(_VERY_LATE_FRAMES, _VERY_LATE_NS, _VERY_LATE_BAND_NS):
             return None
         return min(device_ns + self._envelope_ns(), receive_ns)
 
-    def _lie_on_a_line(self, count: int, least_ns: int, band_ns: int) -> bool:
+    def _are_on_a_line(self, count: int, min_late_ns: int, band_ns: int) -> bool:
         """Whether the last so many all came late by so much, and three quarters of them on one line."""
         if len(self._late_ns) < count:
             return False
         envelope_ns = self._envelope_ns()
         offsets_ns = np.array([float(offset_ns - envelope_ns) for _, offset_ns in self._late_ns])[-count:]
-        if offsets_ns.min() < least_ns:
+        if offsets_ns.min() < min_late_ns:
             return False
         first, second = np.triu_indices(count, 1)
         slope_ns = float(np.median((offsets_ns[second] - offsets_ns[first]) / (second - first)))
         level_ns = offsets_ns - slope_ns * np.arange(count)
         near = np.abs(level_ns - np.median(level_ns)) <= band_ns / 2
-        return slope_ns > -_FALLING_NS and float(near.mean()) >= _ON_LINE_SHARE
+        return slope_ns > -_MAX_FALL_NS and float(near.mean()) >= _MIN_SHARE_ON_LINE
 
     def _envelope_ns(self) -> int:
         return min(bucket.offset_ns for bucket in self._buckets)
 
-    def _take(self, offset_ns: int, receive_ns: int) -> None:
+    def _add(self, offset_ns: int, receive_ns: int) -> None:
         if not self._buckets or receive_ns - self._buckets[-1].begin_ns >= _BUCKET_NS:
             self._buckets.append(_Bucket(receive_ns, offset_ns))
         else:
             self._buckets[-1].offset_ns = min(self._buckets[-1].offset_ns, offset_ns)
 
-    def _begin_anew(self, steady: int) -> None:
+    def _restart(self, steady: int) -> None:
         self._buckets.clear()
         self._steady = steady
         self._early_offset_ns = None

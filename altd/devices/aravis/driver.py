@@ -16,11 +16,12 @@ from contextlib import suppress
 import numpy as np
 
 from altd.config import AravisCameraSettings
-from altd.devices.aravis import gvcp
+from altd.devices.aravis import gvcp_client
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock
-from altd.devices.aravis.opened import BITS, Opened, let_go, set_up
+from altd.devices.aravis.gvcp import DiscoveredCamera, is_address
+from altd.devices.aravis.open_camera import BITS, OpenCamera, release, set_up
 from altd.devices.counting import FrameCounter
 from altd.ports import (
     CameraBusyError,
@@ -36,20 +37,20 @@ from altd.records import CameraIdentity, Frame, Origin, PixelArray
 
 log = logging.getLogger("altd")
 
-_ANSWER_S = 0.1
-_GREETINGS = 2
-_DISCOVERY_S = 0.25
-_SLICE_S = 0.1
-_SILENT_S = 0.3
-_SILENT_PERIODS = 2.5
-_FRAMELESS_S = 1.0
+_ANSWER_TIMEOUT_S = 0.1
+_MAX_DISCOVERY_TRIES = 2
+_DISCOVERY_TIMEOUT_S = 0.25
+_POLL_INTERVAL_S = 0.1
+_SILENCE_TIMEOUT_S = 0.3
+_SILENCE_TIMEOUT_PERIODS = 2.5
+_FRAMELESS_TIMEOUT_S = 1.0
 """A camera that answers so long without sending a frame is opened anew."""
-_HEARTBEAT_S = 3.0
-_PAST_HEARTBEAT_S = 0.5
-_LARGEST_ID = 65535
-_MAX_NAMED = 8
-_SETTLED_PERIODS = 2
-_SIMULATED = ("Aravis", "altd hw_sim")
+_HEARTBEAT_TIMEOUT_S = 3.0
+_HEARTBEAT_MARGIN_S = 0.5
+_MAX_BLOCK_ID = 65535
+_MAX_CAMERAS_NAMED = 8
+_EXPOSURE_SETTLING_PERIODS = 2
+_SIMULATED_NAMES = ("Aravis", "altd hw_sim")
 
 
 class AravisCamera:
@@ -64,12 +65,12 @@ class AravisCamera:
         self.identity: CameraIdentity | None = None
         self._settings = settings
         self._period_ns = round(1e9 / settings.fps)
-        self._opened: Opened | None = None
+        self._opened: OpenCamera | None = None
         self._address: str | None = None
         self._outputs: dict[str, bool] = {}
-        self._counter = FrameCounter(1, _LARGEST_ID)
+        self._counter = FrameCounter(1, _MAX_BLOCK_ID)
         self._clock = DeviceClock()
-        self._heartbeat_s = _HEARTBEAT_S
+        self._heartbeat_timeout_s = _HEARTBEAT_TIMEOUT_S
         self._answers = True
         self._frame_ns = 0
         self._answering_since_ns: int | None = None
@@ -83,24 +84,26 @@ class AravisCamera:
 
     def open(self) -> None:
         """Find the camera, take control of it, set it up and start its stream."""
-        greeting = self._find()
+        camera = self._find()
         try:
-            own_address = gvcp.own_address_towards(greeting.address)
+            own_address = gvcp_client.own_address_towards(camera.address)
         except OSError as error:
-            raise CameraNotFoundError(f"{greeting.address}: {error.strerror}") from None
-        device = Device(own_address, greeting.address)
+            raise CameraNotFoundError(f"{camera.address}: {error.strerror}") from None
+        device = Device(own_address, camera.address)
         ours = device.controlled
         try:
             if not ours:
-                raise CameraBusyError(f"{greeting.id} at {greeting.address}: another program controls it")
-            self.origin = _origin(greeting, device)
-            self.identity = CameraIdentity(greeting.serial or None, greeting.model or None, "aravis")
-            self._opened = set_up(device, self._settings, self.name, own_address, greeting.address)
+                raise CameraBusyError(f"{camera.id} at {camera.address}: another program controls it")
+            self.origin = _origin(camera, device)
+            self.identity = CameraIdentity(camera.serial or None, camera.model or None, "aravis")
+            self._opened = set_up(device, self._settings, self.name, own_address, camera.address)
         except BaseException:
-            let_go(device, None, threading.Lock(), stop=False, wait=ours)
+            release(device, None, threading.Lock(), stop=False, wait=ours)
             raise
-        self._address = greeting.address
-        self._heartbeat_s = gvcp.heartbeat_s(greeting.address, _ANSWER_S) or _HEARTBEAT_S
+        self._address = camera.address
+        self._heartbeat_timeout_s = (
+            gvcp_client.heartbeat_timeout_s(camera.address, _ANSWER_TIMEOUT_S) or _HEARTBEAT_TIMEOUT_S
+        )
         for line, on in self._outputs.items():
             self._opened.switch_output(line, on)
         self._counter.reopened()
@@ -113,13 +116,13 @@ class AravisCamera:
 
     def next_frame(self, timeout_s: float) -> Frame:
         """The next whole frame. Those that lost packets are missing in ``sequence``."""
-        opened = self._still_open()
+        opened = self._open_camera()
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while True:
             now_ns = time.monotonic_ns()
-            left_s = min((deadline_ns - now_ns) * 1e-9, _SLICE_S)
+            left_s = min((deadline_ns - now_ns) * 1e-9, _POLL_INTERVAL_S)
             if self._settings.trigger == "software":
-                left_s = min(left_s, self._triggered(opened, now_ns))
+                left_s = min(left_s, self._trigger_when_due(opened, now_ns))
             try:
                 block = opened.stream.pop(left_s)
             except OSError as error:
@@ -131,18 +134,18 @@ class AravisCamera:
                 return self._frame(opened, block)
             if not opened.device.controlled:
                 raise CameraLostError("control of the camera is lost")
-            self._watch(opened)
+            self._check_controlled(opened)
             if time.monotonic_ns() >= deadline_ns:
                 raise CameraTimeoutError(f"no whole frame within {timeout_s:g} s")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Set both, and read back what the camera made of it."""
-        opened = self._still_open()
+        opened = self._open_camera()
         if opened.exposure_range is None:
             raise CameraRefusedError("the camera has no exposure to set")
         self._changed_ns = time.monotonic_ns()
         opened.set_exposure(exposure_ms, gain_db)
-        self._settled_ns = time.monotonic_ns() + _SETTLED_PERIODS * self._period_ns
+        self._settled_ns = time.monotonic_ns() + _EXPOSURE_SETTLING_PERIODS * self._period_ns
 
     def switch_output(self, line: str, on: bool) -> None:
         """Set an output line of the camera; it is set again whenever the camera was opened anew.
@@ -151,67 +154,77 @@ class AravisCamera:
         CameraRefusedError. A camera that has just died holds the call for 2.5 s.
         """
         self._outputs[line] = on
-        self._still_open().switch_output(line, on)
+        self._open_camera().switch_output(line, on)
 
     def close(self) -> None:
-        """Stop and let go; at most a second, also for a camera that is dead."""
+        """Stop and release it; at most a second, also for a camera that is dead."""
         opened, self._opened = self._opened, None
         if opened is not None:
             ours = self._answers and opened.device.controlled
-            let_go(opened.device, opened.stream, opened.lock, stop=ours, wait=ours)
+            release(opened.device, opened.stream, opened.lock, stop=ours, wait=ours)
 
-    def _still_open(self) -> Opened:
+    def _open_camera(self) -> OpenCamera:
         opened = self._opened
         if opened is None:
             raise CameraLostError("the camera is not open")
         return opened
 
-    def _find(self) -> gvcp.Greeting:
+    def _find(self) -> DiscoveredCamera:
         wanted = self._settings.device
-        address = wanted if gvcp.is_address(wanted) else self._address
-        for _ in range(_GREETINGS):
-            greeting = None if address is None else gvcp.greet(address, _ANSWER_S)
-            if greeting is not None and (address == wanted or greeting.is_called(wanted)):
-                return greeting
+        address = wanted if is_address(wanted) else self._address
+        for _ in range(_MAX_DISCOVERY_TRIES):
+            camera = None if address is None else gvcp_client.discover_at(address, _ANSWER_TIMEOUT_S)
+            if camera is not None and (address == wanted or camera.is_called(wanted)):
+                return camera
         if address == wanted:
             raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
-        there = gvcp.discover(_DISCOVERY_S)
-        claims = [greeting for greeting in there if greeting.is_called(wanted)]
-        found = [greeting for greeting in claims if gvcp.greet(greeting.address, _ANSWER_S) == greeting]
+        there = gvcp_client.discover(_DISCOVERY_TIMEOUT_S)
+        claims = [camera for camera in there if camera.is_called(wanted)]
+        found = [
+            camera
+            for camera in claims
+            if gvcp_client.discover_at(camera.address, _ANSWER_TIMEOUT_S) == camera
+        ]
         if len(found) > 1:
             raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
         if not found:
-            others = [f"{greeting.serial} at {greeting.address}" for greeting in there[:_MAX_NAMED]]
-            if len(there) > _MAX_NAMED:
-                others.append(f"{len(there) - _MAX_NAMED} more")
+            others = [f"{camera.serial} at {camera.address}" for camera in there[:_MAX_CAMERAS_NAMED]]
+            if len(there) > _MAX_CAMERAS_NAMED:
+                others.append(f"{len(there) - _MAX_CAMERAS_NAMED} more")
             only = ", ".join(others) or "none at all"
             raise CameraNotFoundError(f"no camera {wanted} answers, only {only}")
         return found[0]
 
-    def _watch(self, opened: Opened) -> None:
-        """Whether a camera without whole frames still is ours; raises CameraLostError when it is not."""
+    def _check_controlled(self, opened: OpenCamera) -> None:
+        """Of a camera that sends no whole frames: raises CameraLostError when it is not ours any more."""
         now_ns = time.monotonic_ns()
         silent_s = (now_ns - self._frame_ns) * 1e-9
-        if silent_s < max(_SILENT_S, _SILENT_PERIODS * self._period_ns * 1e-9) or self._address is None:
+        if (
+            silent_s < max(_SILENCE_TIMEOUT_S, _SILENCE_TIMEOUT_PERIODS * self._period_ns * 1e-9)
+            or self._address is None
+        ):
             return
-        privilege = gvcp.privilege(self._address, _ANSWER_S)
+        privilege = gvcp_client.control_privilege(self._address, _ANSWER_TIMEOUT_S)
         self._answers = privilege is not None
         if privilege is None:
             self._answering_since_ns = None
-            if silent_s > self._heartbeat_s + _PAST_HEARTBEAT_S:
+            if silent_s > self._heartbeat_timeout_s + _HEARTBEAT_MARGIN_S:
                 raise CameraLostError(f"the camera at {self._address} does not answer any more")
         elif privilege == 0:
             self._answers = False  # not to us: nothing is to be stopped there
             raise CameraLostError("the camera has started anew, or dropped us")
         elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
-        elif self._settings.trigger != "line" and now_ns - self._answering_since_ns > _FRAMELESS_S * 1e9:
+        elif (
+            self._settings.trigger != "line"
+            and now_ns - self._answering_since_ns > _FRAMELESS_TIMEOUT_S * 1e9
+        ):
             remark = opened.stream.remark
             raise CameraLostError(
                 f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
             )
 
-    def _triggered(self, opened: Opened, now_ns: int) -> float:
+    def _trigger_when_due(self, opened: OpenCamera, now_ns: int) -> float:
         """Trigger when it is time; how long until the next time, s.
 
         A camera that does not answer is not triggered: that would take 2.5 s.
@@ -226,8 +239,8 @@ class AravisCamera:
         """Multiples of the period: all cameras of this computer are triggered at the same instants."""
         return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
-    def _frame(self, opened: Opened, block: Block) -> Frame:
-        sequence = self._counter.number((block.frame_id - 1) % _LARGEST_ID + 1)
+    def _frame(self, opened: OpenCamera, block: Block) -> Frame:
+        sequence = self._counter.number((block.frame_id - 1) % _MAX_BLOCK_ID + 1)
         t_ns = self._middle_ns(block, round((opened.exposure_ms or 0.0) * 1e6))
         if t_ns is None:
             late = "frames are held up, or the camera's clock was set back"
@@ -264,8 +277,8 @@ class AravisCamera:
         return pixels
 
 
-def _origin(greeting: gvcp.Greeting, device: Device) -> Origin:
-    names = [f"{greeting.vendor} {greeting.model}"]
+def _origin(camera: DiscoveredCamera, device: Device) -> Origin:
+    names = [f"{camera.vendor} {camera.model}"]
     with suppress(CameraError):
         names.append(f"{device.text('DeviceVendorName')} {device.text('DeviceModelName')}")
-    return Origin.SIMULATED if any(name.startswith(_SIMULATED) for name in names) else Origin.CAMERA
+    return Origin.SIMULATED if any(name.startswith(_SIMULATED_NAMES) for name in names) else Origin.CAMERA

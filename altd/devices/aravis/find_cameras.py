@@ -5,13 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-from altd.devices.aravis import gvcp
+from altd.devices.aravis import gvcp_client
 from altd.devices.aravis.binding import Device
-from altd.devices.aravis.opened import BITS
+from altd.devices.aravis.gvcp import DiscoveredCamera
+from altd.devices.aravis.open_camera import BITS
 from altd.ports import CameraError
 
-_DISCOVERY_S = 0.5
-_ANSWER_S = 0.2
+_DISCOVERY_TIMEOUT_S = 0.5
+_ANSWER_TIMEOUT_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +34,17 @@ class FoundCamera:
 
 def find_cameras() -> list[FoundCamera]:
     """All cameras that answer in half a second, by address; one that nobody controls is opened shortly."""
-    return [_look_at(greeting) for greeting in gvcp.discover(_DISCOVERY_S)]
+    return [_examined(camera) for camera in gvcp_client.discover(_DISCOVERY_TIMEOUT_S)]
 
 
-def _look_at(greeting: gvcp.Greeting) -> FoundCamera:
-    in_use = gvcp.privilege(greeting.address, _ANSWER_S) != 0
+def _examined(camera: DiscoveredCamera) -> FoundCamera:
+    in_use = gvcp_client.control_privilege(camera.address, _ANSWER_TIMEOUT_S) != 0
     formats = None
     if not in_use:
         with suppress(CameraError, OSError):
-            device = Device(gvcp.own_address_towards(greeting.address), greeting.address)
+            device = Device(gvcp_client.own_address_towards(camera.address), camera.address)
             try:
                 formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
             finally:
                 device.close()
-    return FoundCamera(
-        greeting.id, greeting.vendor, greeting.model, greeting.serial, greeting.address, in_use, formats
-    )
+    return FoundCamera(camera.id, camera.vendor, camera.model, camera.serial, camera.address, in_use, formats)

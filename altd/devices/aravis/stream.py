@@ -15,11 +15,11 @@ from altd.devices.aravis.packets import BATCH, PacketSocket
 
 log = logging.getLogger("altd")
 
-_QUEUE = 8
+_MAX_READY_BLOCKS = 8
 """Frames that nobody took; the oldest goes first."""
-_IDLE_POLL_MS = 50
-_BUSY_POLL_MS = 5
-_GATHER_S = 0.0003
+_IDLE_POLL_INTERVAL_MS = 50
+_BUSY_POLL_INTERVAL_MS = 5
+_GATHERING_S = 0.0003
 """While a frame comes in: so long packets gather in the socket, else each one wakes the thread."""
 _LOG_REPEAT_S = 60.0
 _JOIN_TIMEOUT_S = 1.0
@@ -33,11 +33,11 @@ class Stream:
         self._receiving = receiving
         self._assembler = assembler
         self._control = address, PORT
-        self._ready: deque[Block] = deque(maxlen=_QUEUE)
-        self._news = threading.Condition()
+        self._ready: deque[Block] = deque(maxlen=_MAX_READY_BLOCKS)
+        self._changed = threading.Condition()
         self._closing = False
         self._failure: OSError | None = None
-        self._said_ns = 0
+        self._logged_ns = 0
         self._thread = threading.Thread(target=self._run, name=f"gvsp {address}", daemon=True)
         self._thread.start()
 
@@ -53,8 +53,8 @@ class Stream:
 
     def pop(self, timeout_s: float) -> Block | None:
         """The oldest block not yet taken; None when none came in time. Raises OSError."""
-        with self._news:
-            self._news.wait_for(lambda: self._ready or self._failure, timeout_s)
+        with self._changed:
+            self._changed.wait_for(lambda: self._ready or self._failure, timeout_s)
             if self._ready:
                 return self._ready.popleft()
             if self._failure is not None:
@@ -72,36 +72,36 @@ class Stream:
             poll = select.poll()
             poll.register(self._receiving, select.POLLIN)
             while not self._closing:
-                came = poll.poll(_BUSY_POLL_MS if self._assembler.busy else _IDLE_POLL_MS)
-                count = self._take() if came else 0
-                self._give()
+                came = poll.poll(_BUSY_POLL_INTERVAL_MS if self._assembler.busy else _IDLE_POLL_INTERVAL_MS)
+                count = self._receive() if came else 0
+                self._deliver()
                 if 0 < count < BATCH and self._assembler.busy:
-                    time.sleep(_GATHER_S)
+                    time.sleep(_GATHERING_S)
         except OSError as error:
-            with self._news:
+            with self._changed:
                 self._failure = error
-                self._news.notify()
+                self._changed.notify()
 
-    def _take(self) -> int:
+    def _receive(self) -> int:
         assembler, count, before = self._assembler, 0, self._assembler.contradictions
         now_ns = time.monotonic_ns()
         for packet, port in self._receiving.receive():
             assembler.take(packet, port, now_ns)
             count += 1
         if assembler.contradictions != before:
-            with self._news:
+            with self._changed:
                 self._ready.clear()  # nobody knows whose these are
-            if not self._said_ns or now_ns - self._said_ns > _LOG_REPEAT_S * 1e9:
-                self._said_ns = now_ns
+            if not self._logged_ns or now_ns - self._logged_ns > _LOG_REPEAT_S * 1e9:
+                self._logged_ns = now_ns
                 log.warning("camera %s: %s", self._camera, assembler.last_contradiction)
         return count
 
-    def _give(self) -> None:
+    def _deliver(self) -> None:
         now_ns = time.monotonic_ns()
         for block in self._assembler.blocks(now_ns):
-            with self._news:
+            with self._changed:
                 self._ready.append(block)
-                self._news.notify()
+                self._changed.notify()
         for command in self._assembler.resend_commands(now_ns):
             with suppress(OSError):  # the camera is away, or the network is: the frame is lost
                 self._receiving.send(command, self._control)

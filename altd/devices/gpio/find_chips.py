@@ -41,14 +41,14 @@ def chip_paths() -> list[Path]:
     return sorted(nodes, key=lambda path: (len(path.name), path.name))
 
 
-def look_at(path: Path) -> GpioChip:
+def read_chip(path: Path) -> GpioChip:
     """The chip behind a device, as it is now; raises LampsError that names the device."""
     try:
         with gpiod.Chip(str(path)) as chip:
             about = chip.get_info()
             infos = [chip.get_line_info(offset) for offset in range(about.num_lines)]
     except OSError as error:
-        raise LampsError(_why_closed(path, error)) from error
+        raise LampsError(_opening_failure(path, error)) from error
     lines = tuple(
         GpioLine(info.offset, info.name or "", (info.consumer or "the kernel") if info.used else None)
         for info in infos
@@ -59,12 +59,12 @@ def look_at(path: Path) -> GpioChip:
 def find_chip(wanted: str) -> GpioChip:
     """The chip of that label, name or path; raises LampsError that says which there are."""
     if wanted.startswith("/"):
-        return look_at(Path(wanted))
+        return read_chip(Path(wanted))
     found: list[GpioChip] = []
     closed: list[str] = []
     for path in chip_paths():
         try:
-            found.append(look_at(path))
+            found.append(read_chip(path))
         except LampsError as error:
             closed.append(str(error))
     fitting = [chip for chip in found if wanted in (chip.label, chip.name)]
@@ -92,10 +92,10 @@ def find_line(chip: GpioChip, wanted: str) -> GpioLine:
     return fitting[0]
 
 
-def _why_closed(path: Path, error: OSError) -> str:
+def _opening_failure(path: Path, error: OSError) -> str:
     match error.errno:
         case errno.EACCES:
-            return f"no permission to open {path}, which is for {_group(path)}"
+            return f"no permission to open {path}, which is for {_group_of(path)}"
         case errno.EPERM:
             return f"no permission to open {path}: the service may not (DeviceAllow=char-gpiochip)"
         case errno.ENOENT:
@@ -105,7 +105,7 @@ def _why_closed(path: Path, error: OSError) -> str:
     return f"{path}: {error.strerror or error}"
 
 
-def _group(path: Path) -> str:
+def _group_of(path: Path) -> str:
     """Whom the device lets in."""
     try:
         status = path.stat()

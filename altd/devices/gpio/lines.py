@@ -43,7 +43,7 @@ class OutputLines:
                 str(chip.path), consumer=CONSUMER, config={tuple(self._offsets.values()): dark}
             )
         except OSError as error:
-            raise LampsError(self._why_not_ours(error)) from error
+            raise LampsError(self._refusal(error)) from error
 
     def set(self, lit: Collection[str]) -> None:
         """Light these and darken the others; raises LampsError."""
@@ -67,7 +67,7 @@ class OutputLines:
         request, self._request = self._request, None
         request.release()
 
-    def _why_not_ours(self, error: OSError) -> str:
+    def _refusal(self, error: OSError) -> str:
         names = ", ".join(map(repr, self._names))
         if error.errno != errno.EBUSY:
             return f"{self._place}: {names} cannot be had as outputs: {error.strerror or error}"
@@ -78,9 +78,9 @@ class OutputLines:
                 taken.setdefault(holder, []).append(repr(name))
         if not taken:
             return f"{chip}: one of {names} was taken by another program"
-        each = (f"{', '.join(lines)} taken by {_known(holder)}" for holder, lines in taken.items())
+        each = (f"{', '.join(lines)} taken by {_holder_name(holder)}" for holder, lines in taken.items())
         return f"{chip}: {'; '.join(each)}"
 
 
-def _known(holder: str) -> str:
+def _holder_name(holder: str) -> str:
     return f"{holder!r}, the daemon or one of its commands" if holder == CONSUMER else repr(holder)

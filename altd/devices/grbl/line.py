@@ -11,9 +11,9 @@ from altd.devices.grbl.protocol import Reply, parse
 from altd.ports import StageLostError, StageNotFoundError
 from altd.serial_port.opening import close_serial, open_serial
 
-_LOOK_S = 0.02
-_LONGEST_S = 2.0
-_LONGEST_NOISE = 4096
+_READ_TIMEOUT_S = 0.02
+_WRITE_TIMEOUT_S = 2.0
+_MAX_UNFINISHED_BYTES = 4096
 """Bytes without the end of a line: nothing of them will become a reply."""
 
 
@@ -28,7 +28,9 @@ class Line:
         self.noise = 0
         """Lines that were not understood."""
         try:
-            self._port = open_serial(device, baud, read_timeout_s=_LOOK_S, write_timeout_s=_LONGEST_S)
+            self._port = open_serial(
+                device, baud, read_timeout_s=_READ_TIMEOUT_S, write_timeout_s=_WRITE_TIMEOUT_S
+            )
         except OSError as error:
             raise StageNotFoundError(f"{device}: {error.strerror}") from error
 
@@ -43,13 +45,13 @@ class Line:
         except (OSError, termios.error) as error:  # pyserial's errors are OSErrors
             raise self._lost() from error
 
-    def receive(self, within_s: float) -> Reply | None:
+    def receive(self, timeout_s: float) -> Reply | None:
         """The next reply, or None when none came in time; raises StageLostError."""
-        deadline = time.monotonic() + within_s
+        deadline = time.monotonic() + timeout_s
         while not self._replies:
             try:
                 waiting = self._port.in_waiting
-                data = self._port.read(max(1, waiting)) if waiting or within_s > 0 else b""
+                data = self._port.read(max(1, waiting)) if waiting or timeout_s > 0 else b""
             except (OSError, termios.error, TypeError) as error:  # TypeError: closed under its hands
                 raise self._lost() from error
             self._take(data)
@@ -59,7 +61,7 @@ class Line:
 
     def _take(self, data: bytes) -> None:
         *lines, self._rest = (self._rest + data).split(b"\n")
-        if len(self._rest) > _LONGEST_NOISE:
+        if len(self._rest) > _MAX_UNFINISHED_BYTES:
             self._rest = b""
             self.noise += 1
         for raw in lines:

@@ -103,8 +103,8 @@ class Alarm:
 
 
 @dataclass(frozen=True, slots=True)
-class Banner:
-    """The controller (re)started; ``version`` such as (1, 1)."""
+class Welcome:
+    """The welcome message: the controller (re)started; ``version`` such as (1, 1)."""
 
     version: tuple[int, int]
     text: str
@@ -142,11 +142,11 @@ class Status:
     offset_mm: Point | None = None
 
 
-Reply = Ok | Refusal | Alarm | Banner | Setting | Message | Status
+Reply = Ok | Refusal | Alarm | Welcome | Setting | Message | Status
 
 _CODE = re.compile(r"(error|ALARM):(\d{1,3})")
 _NUMBER = r"-?\d{1,9}\.\d{1,6}"  # nine digits of mm: what is longer is noise, and might not be finite
-_BANNER = re.compile(r"Grbl(?:HAL)? (\d{1,3})\.(\d{1,3})\w* .*\[?.*help\]")
+_WELCOME = re.compile(r"Grbl(?:HAL)? (\d{1,3})\.(\d{1,3})\w* .*\[?.*help\]")
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)")
 _STATUS = re.compile(
     r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?((?:\|[A-Za-z]+:[-+\w.,:]*)*)>"
@@ -163,8 +163,8 @@ def parse(line: str) -> Reply | None:
         return Refusal(code) if coded[1] == "error" else Alarm(code)
     if line.startswith("<"):
         return _status(line)
-    if banner := _BANNER.fullmatch(line):
-        return Banner((int(banner[1]), int(banner[2])), line)
+    if welcome := _WELCOME.fullmatch(line):
+        return Welcome((int(welcome[1]), int(welcome[2])), line)
     if setting := _SETTING.fullmatch(line):
         return Setting(int(setting[1]), float(setting[2]))
     if (line.startswith("[") and line.endswith("]")) or line.startswith(">"):

@@ -30,7 +30,7 @@ from altd.records import CameraIdentity, Frame, Origin
 
 _TEST_DRIVERS = ("vivid", "v4l2 loopback")
 """Drivers of the kernel that make pictures up, or pass on those of another program."""
-_LARGEST_SEQUENCE = 2**32 - 1
+_MAX_SEQUENCE = 2**32 - 1
 _OPENING_FAILURES: tuple[tuple[tuple[int, ...], type[CameraError], str], ...] = (
     ((errno.ENOENT, errno.ENODEV, errno.ENXIO), CameraNotFoundError, "there is no such camera now"),
     ((errno.EBUSY,), CameraBusyError, "another program uses the camera"),
@@ -60,7 +60,7 @@ class V4l2Camera:
         self.identity: CameraIdentity | None = None
         self.waits = False
         self._settings = settings
-        self._counter = FrameCounter(0, _LARGEST_SEQUENCE)
+        self._counter = FrameCounter(0, _MAX_SEQUENCE)
         self._running: _Running | None = None
 
     @property
@@ -72,10 +72,10 @@ class V4l2Camera:
     def open(self) -> None:
         """Take hold of the camera and let it run in the config's format, rate and controls."""
         self.close()
-        with self._failing_to_open():
+        with self._typed_opening_failures():
             node = Node(self._settings.device)
             try:
-                self._running = self._run(node)
+                self._running = self._start(node)
             except BaseException:
                 node.close()
                 raise
@@ -87,10 +87,10 @@ class V4l2Camera:
         """The next whole frame; one that came damaged shows as a gap in the numbers."""
         running = self._open_camera()
         deadline_s = time.monotonic() + timeout_s
-        with self._losing():
+        with self._typed_losses():
             while buffer := running.stream.take(deadline_s):
                 frame = self._frame(running, buffer)
-                running.stream.give_back(buffer)
+                running.stream.requeue(buffer)
                 if frame is not None:
                     return frame
                 if time.monotonic() >= deadline_s:  # a driver may have one damaged frame after the other
@@ -102,7 +102,7 @@ class V4l2Camera:
         running = self._open_camera()
         if running.exposure is None:
             raise CameraRefusedError(f"{self._settings.device}: has no exposure in a unit of time")
-        with self._losing():
+        with self._typed_losses():
             running.exposure_ms = running.exposure.set(running.node, exposure_ms)
 
     def close(self) -> None:
@@ -112,7 +112,7 @@ class V4l2Camera:
             running.stream.close()
             running.node.close()
 
-    def _run(self, node: Node) -> _Running:
+    def _start(self, node: Node) -> _Running:
         settings = self._settings
         if not node.streams:
             raise CameraRefusedError("is no camera: it streams no frames")
@@ -154,9 +154,9 @@ class V4l2Camera:
         )
 
     @contextlib.contextmanager
-    def _failing_to_open(self) -> Iterator[None]:
+    def _typed_opening_failures(self) -> Iterator[None]:
         """Say which kind of failure an opening met."""
-        with self._losing():
+        with self._typed_losses():
             try:
                 yield
             except OSError as error:
@@ -166,7 +166,7 @@ class V4l2Camera:
                 raise
 
     @contextlib.contextmanager
-    def _losing(self) -> Iterator[None]:
+    def _typed_losses(self) -> Iterator[None]:
         """With the device in front; whatever an open camera fails with, it has to be opened again."""
         device = self._settings.device
         try:
@@ -174,10 +174,10 @@ class V4l2Camera:
         except (CameraNotFoundError, CameraBusyError, CameraRefusedError) as error:
             raise type(error)(f"{device}: {error}") from error
         except OSError as error:
-            raise CameraLostError(f"{device}: {_why(error)}") from error
+            raise CameraLostError(f"{device}: {_reason(error)}") from error
 
 
-def _why(error: OSError) -> str:
+def _reason(error: OSError) -> str:
     if error.errno == errno.ENODEV:
         return "the camera is gone"
     if error.errno == errno.EIO:

@@ -24,13 +24,13 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """One control as the driver describes it; a menu's values are those from ``smallest`` to ``largest``."""
+    """One control as the driver describes it; a menu's values are those from ``minimum`` to ``maximum``."""
 
     number: int
     name: str
     kind: str
-    smallest: int
-    largest: int
+    minimum: int
+    maximum: int
     step: int
     default: int
     reads: bool
@@ -42,7 +42,7 @@ class Control:
 
     def set(self, node: Node, value: int) -> None:
         """Set it to exactly this; raises CameraRefusedError when the camera does not take it, or OSError."""
-        beyond = self.kind != "button" and not self.smallest <= value <= self.largest
+        beyond = self.kind != "button" and not self.minimum <= value <= self.maximum
         if beyond or not self.writes:  # the kernel would take the nearest
             raise CameraRefusedError(f"control {self.name} does not take {value}: {self}")
         try:
@@ -60,7 +60,7 @@ class Control:
         if not self.writes:
             return "it can only be read"
         step = f" in steps of {self.step}" if self.step > 1 else ""
-        return f"it takes {self.smallest} to {self.largest}{step}"
+        return f"it takes {self.minimum} to {self.maximum}{step}"
 
 
 def controls_of(node: Node) -> dict[str, Control]:
@@ -92,10 +92,10 @@ def _controls(node: Node) -> Iterator[Control]:
             button = query.type == abi.V4L2_CTRL_TYPE_BUTTON
             yield Control(
                 number=query.id,
-                name=_spelled(text(query.name)),
+                name=_as_one_word(text(query.name)),
                 kind=_KINDS[query.type],
-                smallest=query.minimum,
-                largest=query.maximum,
+                minimum=query.minimum,
+                maximum=query.maximum,
                 step=query.step,
                 default=query.default_value,
                 reads=not button and not query.flags & abi.V4L2_CTRL_FLAG_WRITE_ONLY,
@@ -104,6 +104,6 @@ def _controls(node: Node) -> Iterator[Control]:
         query.id |= abi.V4L2_CTRL_FLAG_NEXT_CTRL
 
 
-def _spelled(name: str) -> str:
+def _as_one_word(name: str) -> str:
     """The driver's words as one, the same as ``v4l2-ctl`` makes of them."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")

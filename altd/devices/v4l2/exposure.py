@@ -11,7 +11,7 @@ from altd.devices.v4l2.controls import Control
 from altd.devices.v4l2.node import Node
 from altd.ports import ExposureRange
 
-_UNIT_MS = 0.1
+_EXPOSURE_UNIT_MS = 0.1
 _MANUAL = 1
 _KEEP_RATE = 0
 
@@ -33,7 +33,7 @@ class ExposureTime:
         """Out of a camera's controls; None when it cannot be told an exposure in milliseconds."""
         by_number = {control.number: control for control in controls}
         time = by_number.get(abi.V4L2_CID_EXPOSURE_ABSOLUTE)
-        if time is None or not time.writes or time.largest < 1:
+        if time is None or not time.writes or time.maximum < 1:
             return None
         automatic = by_number.get(abi.V4L2_CID_EXPOSURE_AUTO)
         return cls(time, automatic, by_number.get(abi.V4L2_CID_EXPOSURE_AUTO_PRIORITY))
@@ -41,13 +41,15 @@ class ExposureTime:
     @property
     def range(self) -> ExposureRange:
         """From the shortest to the longest; without a gain."""
-        return ExposureRange(max(1, self.time.smallest) * _UNIT_MS, self.time.largest * _UNIT_MS, 0.0, 0.0)
+        return ExposureRange(
+            max(1, self.time.minimum) * _EXPOSURE_UNIT_MS, self.time.maximum * _EXPOSURE_UNIT_MS, 0.0, 0.0
+        )
 
     def now_ms(self, node: Node) -> float | None:
         """The exposure, or None while the camera chooses it by itself; raises OSError."""
         if self.automatic is not None and self.automatic.value(node) != _MANUAL:
             return None
-        return self.time.value(node) * _UNIT_MS
+        return self.time.value(node) * _EXPOSURE_UNIT_MS
 
     def set(self, node: Node, exposure_ms: float) -> float:
         """Expose as nearly so as the camera can, and say how; raises CameraRefusedError, OSError."""
@@ -57,11 +59,11 @@ class ExposureTime:
             self.may_slow_down.set(node, _KEEP_RATE)
         units = self.units(exposure_ms)
         self.time.set(node, units)
-        return units * _UNIT_MS
+        return units * _EXPOSURE_UNIT_MS
 
     def units(self, exposure_ms: float) -> int:
         """The nearest value that the control takes."""
-        first, step = max(1, self.time.smallest), max(1, self.time.step)
-        last = first + (self.time.largest - first) // step * step
-        nearest = first + round((exposure_ms / _UNIT_MS - first) / step) * step
+        first, step = max(1, self.time.minimum), max(1, self.time.step)
+        last = first + (self.time.maximum - first) // step * step
+        nearest = first + round((exposure_ms / _EXPOSURE_UNIT_MS - first) / step) * step
         return min(max(nearest, first), last)

@@ -12,7 +12,7 @@ from altd.devices.v4l2.node import Node
 from altd.devices.v4l2.offers import Size, fourccs, sizes
 
 _DEVICES = Path("/dev")
-_STABLE = Path("/dev/v4l/by-path")
+_BY_PATH = Path("/dev/v4l/by-path")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,11 @@ class UnreadableCamera:
 
 def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
     """The cameras of this machine in the order of their numbers; none is taken hold of or changed."""
-    stable = {path.resolve(): path for path in sorted(_STABLE.glob("*"), reverse=True)}
+    stable = {path.resolve(): path for path in sorted(_BY_PATH.glob("*"), reverse=True)}
     for device in sorted(_DEVICES.glob("video[0-9]*"), key=lambda device: int(device.name[5:])):
         path = stable.get(device, device)
         try:
-            found = _look_at(device, path)
+            found = _camera_at(device, path)
         except OSError as error:
             yield UnreadableCamera(path, error.strerror or "cannot be read")
         else:
@@ -53,7 +53,7 @@ def find_cameras() -> Iterator[FoundCamera | UnreadableCamera]:
                 yield found
 
 
-def _look_at(device: Path, path: Path) -> FoundCamera | None:
+def _camera_at(device: Path, path: Path) -> FoundCamera | None:
     """The camera behind a device; None when it is something else, such as an output. Raises OSError."""
     node = Node(device)
     try:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from altd.records import PixelArray
 
-_PLAUSIBLE_NS = 1_000_000_000
+_MAX_CLOCK_DIFFERENCE_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def middle_of_exposure_ns(
     exposure is added to its beginning or taken off its end; an unknown one counts as zero. The time that
     the sensor takes to be read is in a stamp of the second kind, and stays: no driver tells it.
     """
-    if clock == "unknown" and abs(stamp_ns - now_ns) > _PLAUSIBLE_NS:
+    if clock == "unknown" and abs(stamp_ns - now_ns) > _MAX_CLOCK_DIFFERENCE_NS:
         stamp_ns = now_ns
     half_ns = round((exposure_ms or 0.0) * 0.5e6)
     return stamp_ns + half_ns if source is Stamp.START_OF_EXPOSURE else stamp_ns - half_ns

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from altd.devices.v4l2 import abi
 
-_CHARACTER_DEVICES = Path("/sys/dev/char")
+CHARACTER_DEVICES = Path("/sys/dev/char")
 
 Argument = TypeVar("Argument", bound=ctypes.Structure | ctypes.c_int)
 Entry = TypeVar("Entry", bound=ctypes.Structure)
@@ -31,7 +31,7 @@ class Node:
         self.driver = text(about.driver)
         self.card = text(about.card)
         self.bus = text(about.bus_info)
-        self.serial = _usb_serial(self.descriptor)
+        self.serial = usb_serial(self.descriptor)
         capabilities = about.capabilities
         if capabilities & abi.V4L2_CAP_DEVICE_CAPS:  # those of this node, not of all nodes of the camera
             capabilities = about.device_caps
@@ -59,14 +59,14 @@ class Node:
         os.close(self.descriptor)
 
 
-def _usb_serial(descriptor: int) -> str | None:
+def usb_serial(descriptor: int) -> str | None:
     """The serial number in a USB camera's descriptor, from sysfs; None where it has none.
 
     ``device`` of the node is the camera's interface, the directory above it the USB device (sysfs-bus-usb).
     Some makers give all their cameras the same.
     """
     number = os.fstat(descriptor).st_rdev
-    interface = _CHARACTER_DEVICES / f"{os.major(number)}:{os.minor(number)}" / "device"
+    interface = CHARACTER_DEVICES / f"{os.major(number)}:{os.minor(number)}" / "device"
     try:
         serial = (interface.resolve(strict=True).parent / "serial").read_text(errors="replace").strip()
     except OSError:

@@ -15,14 +15,14 @@ class Size:
 
     width: int
     height: int
-    largest_width: int
-    largest_height: int
+    max_width: int
+    max_height: int
 
     def __str__(self) -> str:
         smallest = f"{self.width} × {self.height}"
-        if (self.width, self.height) == (self.largest_width, self.largest_height):
+        if (self.width, self.height) == (self.max_width, self.max_height):
             return smallest
-        return f"{smallest} to {self.largest_width} × {self.largest_height}"
+        return f"{smallest} to {self.max_width} × {self.max_height}"
 
 
 def fourccs(node: Node) -> list[str]:

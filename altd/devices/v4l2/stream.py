@@ -14,10 +14,10 @@ from altd.devices.v4l2.image import Layout, PixelFormat
 from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
 
-_BUFFERS = 4
+_BUFFER_COUNT = 4
 """One is filled while one is taken; the others bridge a thread that the machine lets wait."""
-_AGAIN_S = 0.001
-_SAME_RATE = 1e-4
+_SPURIOUS_WAKE_BACKOFF_S = 0.001
+_RATE_TOLERANCE = 1e-4
 """Rates that differ by less are one: a fraction of the kernel's, a decimal of the config."""
 
 
@@ -61,7 +61,7 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
         raise
     taken = capture.timeperframe
     rate = taken.denominator / taken.numerator if taken.numerator else 0.0
-    if abs(rate - fps) > _SAME_RATE * fps:
+    if abs(rate - fps) > _RATE_TOLERANCE * fps:
         there = offers.rates(node, layout.pixel_format.fourcc, layout.width, layout.height)
         listed = " of " + ", ".join(f"{rate:.6g}" for rate in there) if there else ""
         raise CameraRefusedError(f"does not run at {fps:g} frames/s; the nearest is {rate:.6g}{listed}")
@@ -79,7 +79,7 @@ class Stream:
             granted = node.call(
                 abi.VIDIOC_REQBUFS,
                 abi.v4l2_requestbuffers(
-                    count=_BUFFERS, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
+                    count=_BUFFER_COUNT, type=abi.V4L2_BUF_TYPE_VIDEO_CAPTURE, memory=abi.V4L2_MEMORY_MMAP
                 ),
             )
             for index in range(granted.count):  # not always as many as were asked for
@@ -102,13 +102,15 @@ class Stream:
             except BlockingIOError:
                 if left_ms <= 0.0:
                     return None
-                time.sleep(_AGAIN_S)  # woken for nothing; a driver that does so for ever costs no processor
+                time.sleep(
+                    _SPURIOUS_WAKE_BACKOFF_S
+                )  # woken for nothing; a driver that does so for ever costs no processor
 
     def memory(self, buffer: abi.v4l2_buffer) -> mmap:
-        """What the driver wrote; its own again after ``give_back``."""
+        """What the driver wrote; its own again after ``requeue``."""
         return self._maps[int(buffer.index)]
 
-    def give_back(self, buffer: abi.v4l2_buffer) -> None:
+    def requeue(self, buffer: abi.v4l2_buffer) -> None:
         """Let the driver fill it again."""
         self._node.call(abi.VIDIOC_QBUF, buffer)
 

@@ -7,7 +7,7 @@ import math
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
-from altd.devices.grbl.protocol import Banner, Setting, Status, parse
+from altd.devices.grbl.protocol import Setting, Status, Welcome, parse
 
 NAME = "grbl"
 
@@ -30,6 +30,6 @@ def check(example: bytes) -> None:
         assert (reply.machine_mm is None) != (reply.work_mm is None)
     elif isinstance(reply, Setting):
         numbers = [reply.value]
-    elif isinstance(reply, Banner):
+    elif isinstance(reply, Welcome):
         numbers = [float(part) for part in reply.version]
     assert all(math.isfinite(number) for number in numbers), reply

@@ -31,10 +31,10 @@ EXAMPLES = spoilt_bytes(st.sampled_from((_introduction(), _acknowledge(b"\0\0\0\
 
 def check(example: bytes) -> None:
     """An answer is used as a whole or not at all, and what is shown of it can be printed on one line."""
-    ack = gvcp._answer(example, gvcp._DISCOVERY, REQUEST_ID)
-    greeting = None if ack is None else gvcp._greeting(ack)
-    if greeting is not None:
-        assert greeting.id.isprintable()
-        assert gvcp.is_address(greeting.address)
-    register = gvcp._answer(example, gvcp._READ_REGISTER, REQUEST_ID)
+    discovered = gvcp.read_acknowledge(example, gvcp.DISCOVERY, REQUEST_ID)
+    camera = None if discovered is None else gvcp.read_discovery(discovered)
+    if camera is not None:
+        assert camera.id.isprintable()
+        assert gvcp.is_address(camera.address)
+    register = gvcp.read_acknowledge(example, gvcp.READ_REGISTER, REQUEST_ID)
     assert register is None or len(register) <= len(example)

@@ -17,7 +17,7 @@ import pytest
 from support.grbl_conversation import CONVERSATION
 
 from altd.config import GrblStageSettings
-from altd.devices.grbl import driver, protocol
+from altd.devices.grbl import controller, protocol
 from altd.devices.grbl.driver import GrblStage
 from altd.ports import (
     StageAlarmError,
@@ -36,10 +36,16 @@ SLOW = {110: "1500", 111: "1500"}
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The driver's patience for a real table, shortened to that of a simulated one."""
-    waits = {"POLL_S": 0.02, "_REPORT_WITHIN_S": 0.1, "_SILENCE_S": 0.05, "_WAKE_S": 0.3, "_HALT_S": 0.5}
-    for name, seconds in waits.items():
-        monkeypatch.setattr(driver, name, seconds)
+    """The controller's time limits for a real table, shortened to those of a simulated one."""
+    limits_s = {
+        "POLL_INTERVAL_S": 0.02,
+        "_REPORT_TIMEOUT_S": 0.1,
+        "_SILENCE_TIMEOUT_S": 0.05,
+        "_WAKE_TIMEOUT_S": 0.3,
+        "_BRAKE_TIMEOUT_S": 0.5,
+    }
+    for name, seconds in limits_s.items():
+        monkeypatch.setattr(controller, name, seconds)
 
 
 @pytest.fixture
@@ -89,7 +95,7 @@ def soon(act: Callable[[], None], after_s: float = 0.15) -> threading.Timer:
         ("ok", protocol.Ok()),
         ("error:9", protocol.Refusal(9)),
         ("ALARM:2", protocol.Alarm(2)),
-        ("Grbl 1.1h ['$' for help]", protocol.Banner((1, 1), "Grbl 1.1h ['$' for help]")),
+        ("Grbl 1.1h ['$' for help]", protocol.Welcome((1, 1), "Grbl 1.1h ['$' for help]")),
         ("$13=0", protocol.Setting(13, 0.0)),
         ("[MSG:Caution: Unlocked]", protocol.Message("[MSG:Caution: Unlocked]")),
         (">G54G20:ok", protocol.Message(">G54G20:ok")),
@@ -291,7 +297,7 @@ def test_homing_is_stopped_at_once(table: GrblTable, stage: GrblStage) -> None:
 
 def test_a_move_that_a_killed_program_left_behind_is_let_finish(table: GrblTable, stage: GrblStage) -> None:
     table.controller.settings |= SLOW
-    stage._send(b"G90 G1 X90 Y90 F1500\n")
+    stage.controller.send(b"G90 G1 X90 Y90 F1500\n")
     time.sleep(0.1)
     stage.close()
     late = GrblStage(settings(table.device, start="unlock"))
@@ -323,7 +329,7 @@ def test_what_is_no_stage_is_named(
     (tmp_path / "file").touch()
     assert complaint(tmp_path / "file") == f"{tmp_path / 'file'}: is no serial port or refuses its settings"
     assert complaint(table.device) == f"{table.device}: another program uses the port"
-    monkeypatch.setattr(driver, "_WAKE_S", 0.02)
+    monkeypatch.setattr(controller, "_WAKE_TIMEOUT_S", 0.02)
     terminal, line = os.openpty()
     tty.setraw(line)
     silent = Path(os.ttyname(line))
@@ -360,8 +366,8 @@ def drives_grbl_itself(grbl_itself: Path) -> None:
     for place in [(1.0, 1.0), (2.5, -1.25)]:
         stage.move_to(*place)
         assert stage.position() == pytest.approx(place, abs=0.002 + 1e-6)
-    stage._command("$22=1")
-    stage._command("$20=1")
+    stage.controller.command("$22=1")
+    stage.controller.command("$20=1")
     with pytest.raises(StageAlarmError, match="ALARM:2"):
         stage.move_to(5000.0, 0.0)
     stage.close()
@@ -375,7 +381,7 @@ def drives_grbl_itself(grbl_itself: Path) -> None:
     stage.close()
     stage = GrblStage(settings(grbl_itself, start="home", answer_within_s=2.0))
     stage.open()
-    assert stage._status().state == "Idle"
+    assert stage.controller.status().state == "Idle"
     stage.close()
 
 

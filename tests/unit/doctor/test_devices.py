@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.guest import run_in_guest
 
-from altd.devices.gpio import find_chips as inventory
+from altd.devices.gpio import find_chips
 from altd.devices.gpio.find_chips import GpioChip, GpioLine
 from altd.doctor import devices
 from altd.doctor.finding import Verdict
@@ -221,8 +221,8 @@ class TestGpioLines:
         """A chip with two named lines, which this computer need not have."""
         lines = tuple(GpioLine(number, name, None) for number, name in enumerate(("LED1", "LED2", "")))
         chip = GpioChip(Path("/dev/gpiochip0"), "gpiochip0", self.LABEL, lines)
-        monkeypatch.setattr(inventory, "chip_paths", lambda: [chip.path])
-        monkeypatch.setattr(inventory, "look_at", lambda _: chip)
+        monkeypatch.setattr(find_chips, "chip_paths", lambda: [chip.path])
+        monkeypatch.setattr(find_chips, "read_chip", lambda _: chip)
 
     def findings(self, configured: Configured, lines: list[str], ok: str, chip: str) -> list[devices.Finding]:
         lamps = {"driver": "gpiod", "chip": self.LABEL, "lines": lines}

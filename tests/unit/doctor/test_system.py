@@ -76,7 +76,7 @@ class TestClock:
 
 def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     assert says(list(system.disk(tree.machine)), Verdict.GOOD, "GB free")
-    monkeypatch.setattr(system, "FREE_BYTES", 1 << 62)
+    monkeypatch.setattr(system, "MIN_FREE_BYTES", 1 << 62)
     assert "du" in says(list(system.disk(tree.machine)), Verdict.WRONG, "GB free").mend
 
 

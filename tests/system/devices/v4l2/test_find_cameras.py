@@ -14,7 +14,7 @@ BY_PATH = "/dev/v4l/by-path/pci-0000:00:14.0-usb-0:2:1.0-video-index0"
 def results(tmp_path_factory: pytest.TempPathFactory) -> Any:
     need_program("v4l2-ctl", "v4l-utils")
     drivers = ("vivid.n_devs=1", "v4l2loopback.devices=1")
-    run = run_in_guest(tmp_path_factory.mktemp("inventory"), "inventory.py", kernel_arguments=drivers)
+    run = run_in_guest(tmp_path_factory.mktemp("inventory"), "find_cameras.py", kernel_arguments=drivers)
     return run.results
 
 

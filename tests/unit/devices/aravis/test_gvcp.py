@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from altd.devices.aravis import gvcp
+from altd.devices.aravis import gvcp, gvcp_client
 
 ELSEWHERE = f"127.99.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
 """Port 3956 is fixed; an address of our own keeps test runs apart."""
@@ -49,7 +49,7 @@ def ack(question: bytes, payload: bytes, status: int = 0, of: int = 0, claimed: 
 class TestQuestions:
     def test_a_register_is_read(self) -> None:
         with answering(lambda question: [ack(question, b"\0\0\1\2")]):
-            assert gvcp.privilege(ELSEWHERE, 1.0) == 0x102
+            assert gvcp_client.control_privilege(ELSEWHERE, 1.0) == 0x102
 
     @pytest.mark.parametrize(
         "answer",
@@ -81,8 +81,8 @@ class TestQuestions:
     def test_what_is_no_answer_is_none_in_time(self, answer: Callable[[bytes], list[bytes]]) -> None:
         with answering(answer):
             began_s = time.monotonic()
-            assert gvcp.privilege(ELSEWHERE, 0.1) is None
-            assert gvcp.greet(ELSEWHERE, 0.1) is None
+            assert gvcp_client.control_privilege(ELSEWHERE, 0.1) is None
+            assert gvcp_client.discover_at(ELSEWHERE, 0.1) is None
             assert time.monotonic() - began_s < 1.0
 
     def test_no_two_have_the_same_number(self) -> None:
@@ -90,23 +90,23 @@ class TestQuestions:
         asked: list[bytes] = []
         with answering(lambda question: asked.append(question[6:8]) or []):
             for _ in range(20):
-                gvcp.privilege(ELSEWHERE, 0.01)
+                gvcp_client.control_privilege(ELSEWHERE, 0.01)
         assert len(set(asked)) > 15
 
     def test_the_answer_is_found_behind_noise(self) -> None:
         with answering(
             lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]
         ):
-            assert gvcp.privilege(ELSEWHERE, 1.0) == 2
+            assert gvcp_client.control_privilege(ELSEWHERE, 1.0) == 2
 
     def test_a_name_is_text_whatever_the_camera_says(self) -> None:
         hostile = bytearray(248)
         hostile[0x24:0x28] = socket.inet_aton(ELSEWHERE)
         hostile[0x48:0x68] = b"\xff\x1b[2J\n" * 5 + b"\xff\xff"
         with answering(lambda question: [ack(question, bytes(hostile))]):
-            greeting = gvcp.greet(ELSEWHERE, 1.0)
-        assert greeting is not None
-        assert greeting.vendor.isprintable()
+            camera = gvcp_client.discover_at(ELSEWHERE, 1.0)
+        assert camera is not None
+        assert camera.vendor.isprintable()
 
     @pytest.mark.parametrize(
         ("text", "is_one"), [("10.0.0.7", True), ("10.0.0", False), ("::1", False), ("22334", False)]

@@ -18,7 +18,7 @@ found = [
         "card": camera.card,
         "driver": camera.driver,
         "formats": {name: list(map(str, sizes)) for name, sizes in camera.formats.items()},
-        "controls": {control.name: [control.smallest, control.largest] for control in camera.controls},
+        "controls": {control.name: [control.minimum, control.maximum] for control in camera.controls},
     }
     for camera in find_cameras()
     if isinstance(camera, FoundCamera)

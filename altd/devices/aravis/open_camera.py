@@ -17,16 +17,16 @@ from altd.ports import CameraError, CameraLostError, CameraRefusedError, Exposur
 BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 """The formats that come unpacked, one byte or one little-endian word a pixel."""
 
-_RATE_OFF = 0.02
+_MAX_RATE_ERROR = 0.02
 MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
 """GigE Vision demands 576 of every camera; the largest frame on an Ethernet has little over 9000."""
-_FRAMES_IN_SOCKET = 4
+_SOCKET_FRAMES = 4
 """As many as net.core.rmem_max allows; a packet takes twice its size there."""
-_RELEASE_S = 1.0
+_RELEASE_TIMEOUT_S = 1.0
 
 
 @dataclass(slots=True)
-class Opened:
+class OpenCamera:
     """What is held of an open camera. ``lock`` is taken around every use of the device but the stream's."""
 
     device: Device
@@ -61,7 +61,7 @@ class Opened:
 
 def set_up(
     device: Device, settings: AravisCameraSettings, camera: str, own_address: str, address: str
-) -> Opened:
+) -> OpenCamera:
     """Set the camera up and start its stream; raises CameraRefusedError that says what the camera offers."""
     with suppress(CameraRefusedError):  # its last controller may have died while it streamed
         device.stop()
@@ -72,14 +72,14 @@ def set_up(
     _set_trigger(device, settings)
     if settings.exposure.control != "camera":
         device.manual_exposure()
-    exposure_us, gain = device.exposure_bounds_us(), device.gain_bounds()
+    exposure_us, gain = device.exposure_limits_us(), device.gain_limits()
     device.without_chunks()
     known = settings.exposure.control != "camera"  # else it changes by itself
     exposure_ms = device.exposure_us() * 1e-3 if known and exposure_us is not None else None
     gain_db = device.gain() if known and gain is not None else None
     stream = _start_stream(device, settings, camera, own_address, address)
     exposure_range = _exposure_range(exposure_us, gain)
-    return Opened(device, stream, exposure_range, gain is not None, exposure_ms, gain_db)
+    return OpenCamera(device, stream, exposure_range, gain is not None, exposure_ms, gain_db)
 
 
 def _start_stream(
@@ -99,7 +99,7 @@ def _start_stream(
         device.ticks_per_s(),
     )
     try:
-        receiving = PacketSocket(own_address, address, packet_bytes, _FRAMES_IN_SOCKET * image_bytes)
+        receiving = PacketSocket(own_address, address, packet_bytes, _SOCKET_FRAMES * image_bytes)
     except OSError as error:
         raise CameraLostError(f"{own_address}: {error.strerror}") from None
     try:
@@ -109,14 +109,14 @@ def _start_stream(
         raise
     assembler = Assembler(
         stream_format,
-        max_open=_FRAMES_IN_SOCKET + math.ceil(settings.fps * RETENTION_NS * 1e-9),
+        max_open=_SOCKET_FRAMES + math.ceil(settings.fps * RETENTION_NS * 1e-9),
         resend=settings.resend,
         source_port=source_port,
     )
     return Stream(camera, receiving, assembler, address)
 
 
-def let_go(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
+def release(device: Device, stream: Stream | None, lock: threading.Lock, stop: bool, wait: bool) -> None:
     """Release a camera in a thread of its own, for one that does not answer takes seven seconds to release.
 
     This gives control back, in vain when it is no longer ours: a controller is known by its port. ``wait``
@@ -135,7 +135,7 @@ def let_go(device: Device, stream: Stream | None, lock: threading.Lock, stop: bo
     thread = threading.Thread(target=release, name="aravis-release", daemon=True)
     thread.start()
     if wait:
-        thread.join(_RELEASE_S)
+        thread.join(_RELEASE_TIMEOUT_S)
 
 
 def _set_format(device: Device, wanted: str) -> None:
@@ -156,8 +156,8 @@ def _set_region(device: Device, settings: AravisCameraSettings) -> None:
     except CameraRefusedError:
         refused = True
     if refused:
-        device.set_region(0, 0, 0, 0)  # offsets back to zero: the bounds of the size depend on them
-        (w_min, w_max), (h_min, h_max) = device.bounds("Width"), device.bounds("Height")
+        device.set_region(0, 0, 0, 0)  # offsets back to zero: the limits of the size depend on them
+        (w_min, w_max), (h_min, h_max) = device.integer_limits("Width"), device.integer_limits("Height")
         size = f"{settings.width} x {settings.height} at {settings.offset_x_px}, {settings.offset_y_px}"
         raise CameraRefusedError(
             f"{size}: the camera offers {w_min} to {w_max} x {h_min} to {h_max}, "
@@ -177,11 +177,11 @@ def _set_trigger(device: Device, settings: AravisCameraSettings) -> None:
 
 
 def _set_rate(device: Device, fps: float) -> None:
-    bounds = device.frame_rate_bounds()
-    if bounds is not None and not bounds[0] <= fps <= bounds[1]:
-        raise CameraRefusedError(f"fps {fps:g}: the camera offers {bounds[0]:g} to {bounds[1]:g}")
+    limits = device.frame_rate_limits()
+    if limits is not None and not limits[0] <= fps <= limits[1]:
+        raise CameraRefusedError(f"fps {fps:g}: the camera offers {limits[0]:g} to {limits[1]:g}")
     actual = device.run_free(fps)
-    if actual is not None and abs(actual - fps) > _RATE_OFF * fps:
+    if actual is not None and abs(actual - fps) > _MAX_RATE_ERROR * fps:
         raise CameraRefusedError(f"fps {fps:g}: the camera makes it {actual:g}")
 
 
@@ -199,9 +199,9 @@ def _switch_output(device: Device, line: str, on: bool) -> None:
     if not device.has("UserOutputValue"):
         raise CameraRefusedError("the camera has no UserOutputValue, thus no output to switch")
     if device.has("LineSelector"):
-        _choose(device, "LineSelector", line)
+        _set_choice(device, "LineSelector", line)
     if device.has("LineMode") and device.text("LineMode") != "Output":
-        _choose(device, "LineMode", "Output")
+        _set_choice(device, "LineMode", "Output")
     output = None
     if device.has("LineSource"):
         output = device.text("LineSource")
@@ -225,7 +225,7 @@ def _user_output(offered: tuple[str, ...], line: str) -> str:
     return f"UserOutput{number}" if f"UserOutput{number}" in outputs else outputs[0]
 
 
-def _choose(device: Device, feature: str, wanted: str) -> None:
+def _set_choice(device: Device, feature: str, wanted: str) -> None:
     offered = device.choices(feature)
     if wanted not in offered:
         raise CameraRefusedError(f"{feature} {wanted}: the camera offers {', '.join(offered) or 'none'}")
