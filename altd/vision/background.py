@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray, PixelArray
+from altd.vision.robust import MAD_TO_SIGMA, mad_sigma, median
 
 Image = npt.NDArray[np.float32]
 
@@ -24,7 +25,6 @@ _REFINEMENTS = 3
 _TOLERATED_COUNTS = 0.1
 _FEWEST_CELLS = 1000
 """A smaller picture, of which a spot covers much, does not tell the terms with r² from noise."""
-_MAD_TO_SIGMA = 1.4826
 _RIDGE = 1e-9 * np.eye(9)
 _ROUNDED_UP = 0.125
 """The mean of four whole numbers, rounded half up, is off by 0, −1/4, 1/2 or 1/4: this in the mean."""
@@ -109,13 +109,13 @@ def fit_background(coarse: Image) -> Background:
     height, width = rows // tile_rows, columns // tile_columns
     tiles = coarse[: height * tile_rows, : width * tile_columns]
     tiles = tiles.reshape(tile_rows, height, tile_columns, width).swapaxes(1, 2)
-    values = _medians(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
+    values = median(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
     middle_px = (columns * CELL_PX - 1) / 2, (rows * CELL_PX - 1) / 2
     scale_px = max(rows, columns) * CELL_PX / 2
     terms = 9 if coarse.size >= _FEWEST_CELLS else 6
     design = _tile_design(tile_rows, tile_columns, height, width, middle_px, scale_px)[:, :terms]
-    middle = float(_medians(values))
-    kept = values <= middle + _OUTLIER_SIGMAS * _sigma(np.abs(values - middle)) + 1.0
+    middle = float(median(values))
+    kept = values <= middle + _OUTLIER_SIGMAS * mad_sigma(np.abs(values - middle)) + 1.0
     solution: FloatArray = np.array([middle, *[0.0] * (terms - 1)])
     for _ in range(_REFINEMENTS):
         if np.count_nonzero(kept) < len(values) // 3:
@@ -125,7 +125,8 @@ def fit_background(coarse: Image) -> Background:
         normal = rows_kept.T @ rows_kept + _RIDGE[:terms, :terms]
         solution = np.asarray(np.linalg.solve(normal, values[kept] @ rows_kept), dtype=np.float64)
         off = np.abs(values - design @ solution)
-        kept_before, kept = kept, off <= _OUTLIER_SIGMAS * _sigma(off[kept]) + _TOLERATED_COUNTS
+        limit = _OUTLIER_SIGMAS * mad_sigma(off[kept]) + _TOLERATED_COUNTS
+        kept_before, kept = kept, off <= limit
         if (kept == kept_before).all():
             break
     coefficients = (*solution.tolist(), *[0.0] * (9 - terms))
@@ -159,7 +160,7 @@ def robust_sigma(values: Image) -> float:
     """Standard deviation by the median absolute value, deaf to what shines; for values about zero."""
     magnitudes = np.abs(values.ravel())
     middle = magnitudes.size // 2
-    return _MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
+    return MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
 
 
 def pixel_noise(pixels: PixelArray, background: Background) -> float:
@@ -174,17 +175,3 @@ def pixel_noise(pixels: PixelArray, background: Background) -> float:
     limit = 4.0 * (robust_sigma(sample) + 0.5)
     inner = sample[np.abs(sample) <= limit]
     return math.sqrt(float(inner @ inner) / inner.size + 1 / 12) if inner.size else limit
-
-
-def _sigma(magnitudes: FloatArray) -> float:
-    return _MAD_TO_SIGMA * float(_medians(magnitudes))
-
-
-def _medians(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """``np.median`` along the last axis, which on fifty values spends its time on checks."""
-    ordered = np.sort(values, axis=-1)
-    count = values.shape[-1]
-    middle: npt.NDArray[Any] = (
-        ordered[..., (count - 1) // 2] + ordered[..., count // 2]
-    ) / values.dtype.type(2)
-    return middle
