@@ -105,7 +105,7 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
     equations = weighted @ residuals.derivatives.T
     equations.flat[:: len(equations) + 1] += residuals.prior
     try:
-        covariance: FloatArray = np.linalg.inv(equations)
+        covariance = np.asarray(np.linalg.inv(equations), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     in_patterns = patterns * weights
