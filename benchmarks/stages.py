@@ -38,7 +38,7 @@ _Part = tuple[ModuleType, str, str]
 """A function as the module that calls it knows it, and what the table calls it."""
 
 _SEARCH_PARTS: Sequence[_Part] = (
-    (search_room, "coarse_picture", "coarse picture"),
+    (search_room, "coarse_image", "coarse picture"),
     (search_room, "fit_background", "background"),
 )
 _SPOT_PARTS: Sequence[_Part] = (

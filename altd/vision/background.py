@@ -1,4 +1,4 @@
-"""What ambient light leaves in a frame, found robustly on a coarse picture of it."""
+"""The smooth background of ambient light in a frame, fitted robustly to a coarse image of it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray, PixelArray
+from altd.vision.robust import MAD_TO_SIGMA, mad_sigma, median
 
 Image = npt.NDArray[np.float32]
 
 CELL_PX = 8
-"""Side of a coarse cell. It covers more than one printed dot, so the print does not show."""
+"""Side of a coarse cell. It covers more than one printed dot, so it averages the print out."""
 
 _TILE_ROWS, _TILE_COLUMNS = 6, 8
 _OUTLIER_SIGMAS = 2.0
-_REFINEMENTS = 3
-_TOLERATED_COUNTS = 0.1
-_FEWEST_CELLS = 1000
-"""A smaller picture, of which a spot covers much, does not tell the terms with r² from noise."""
-_MAD_TO_SIGMA = 1.4826
+_MAX_ITERATIONS = 3
+_TOLERANCE_COUNTS = 0.1
+_MIN_CELLS_FOR_FALL_OFF = 1000
+"""In a smaller image, of which a spot covers much, noise hides the terms with r²."""
 _RIDGE = 1e-9 * np.eye(9)
-_ROUNDED_UP = 0.125
+_ROUNDING_BIAS_COUNTS = 0.125
 """The mean of four whole numbers, rounded half up, is off by 0, −1/4, 1/2 or 1/4: this in the mean."""
 
 
@@ -77,13 +77,13 @@ def _powers(first_px: float, count: int, step_px: int, scale_px: float) -> Image
     )
 
 
-def coarse_picture(pixels: PixelArray) -> Image:
+def coarse_image(pixels: PixelArray) -> Image:
     """Means over CELL_PX × CELL_PX cells, without single hot pixels.
 
     Halfway down, a 3 × 3 median removes what is smaller than about 8 px. Rows and columns that do not fill
     a cell are left out: a spot there would be cut by the edge.
 
-    The picture is halved three times, since OpenCV has vector code for halving only. Single precision from
+    The image is halved three times, since OpenCV has vector code for halving only. Single precision from
     the first half on keeps the fractions of a count: on whole numbers the median takes the nearest one.
     """
     rows, columns = pixels.shape[0] // CELL_PX, pixels.shape[1] // CELL_PX
@@ -92,40 +92,41 @@ def coarse_picture(pixels: PixelArray) -> Image:
     # halving: on a frame that no cache holds, 10 µs spent and 30 µs saved.
     cv2.sumElems(whole)
     half = _halved(whole).astype(np.float32)
-    half -= np.float32(_ROUNDED_UP)
+    half -= np.float32(_ROUNDING_BIAS_COUNTS)
     return _halved(cv2.medianBlur(_halved(half), 3))
 
 
-def _halved(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def _halved(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Means over 2 × 2."""
-    size = picture.shape[1] // 2, picture.shape[0] // 2
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    size = image.shape[1] // 2, image.shape[0] // 2
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 def fit_background(coarse: Image) -> Background:
-    """Least squares through the medians of 6 × 8 tiles, without the tiles in which something shines."""
+    """Robust least squares through the medians of 6 × 8 tiles; tiles that a light fills are outliers."""
     rows, columns = coarse.shape
     tile_rows, tile_columns = min(_TILE_ROWS, rows), min(_TILE_COLUMNS, columns)
     height, width = rows // tile_rows, columns // tile_columns
     tiles = coarse[: height * tile_rows, : width * tile_columns]
     tiles = tiles.reshape(tile_rows, height, tile_columns, width).swapaxes(1, 2)
-    values = _medians(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
+    values = median(tiles.reshape(tile_rows * tile_columns, -1)).astype(np.float64)
     middle_px = (columns * CELL_PX - 1) / 2, (rows * CELL_PX - 1) / 2
     scale_px = max(rows, columns) * CELL_PX / 2
-    terms = 9 if coarse.size >= _FEWEST_CELLS else 6
+    terms = 9 if coarse.size >= _MIN_CELLS_FOR_FALL_OFF else 6
     design = _tile_design(tile_rows, tile_columns, height, width, middle_px, scale_px)[:, :terms]
-    middle = float(_medians(values))
-    kept = values <= middle + _OUTLIER_SIGMAS * _sigma(np.abs(values - middle)) + 1.0
+    middle = float(median(values))
+    kept = values <= middle + _OUTLIER_SIGMAS * mad_sigma(np.abs(values - middle)) + 1.0
     solution: FloatArray = np.array([middle, *[0.0] * (terms - 1)])
-    for _ in range(_REFINEMENTS):
+    for _ in range(_MAX_ITERATIONS):
         if np.count_nonzero(kept) < len(values) // 3:
             break
         rows_kept = design[kept]
-        # Normal equations: half the time of lstsq. The ridge is for tiles that do not tell all six apart.
+        # Normal equations take half the time of lstsq. The ridge is for tiles that leave a term undetermined.
         normal = rows_kept.T @ rows_kept + _RIDGE[:terms, :terms]
         solution = np.asarray(np.linalg.solve(normal, values[kept] @ rows_kept), dtype=np.float64)
-        off = np.abs(values - design @ solution)
-        kept_before, kept = kept, off <= _OUTLIER_SIGMAS * _sigma(off[kept]) + _TOLERATED_COUNTS
+        residuals = np.abs(values - design @ solution)
+        limit = _OUTLIER_SIGMAS * mad_sigma(residuals[kept]) + _TOLERANCE_COUNTS
+        kept_before, kept = kept, residuals <= limit
         if (kept == kept_before).all():
             break
     coefficients = (*solution.tolist(), *[0.0] * (9 - terms))
@@ -150,22 +151,22 @@ def _tile_design(
 
 
 def excess_over(coarse: Image, background: Background) -> Image:
-    """The coarse picture without the background, in counts."""
+    """The coarse image less the background, counts."""
     middle = (CELL_PX - 1) / 2
     return np.subtract(coarse, background.at((middle, middle), coarse.shape, (CELL_PX, CELL_PX)))
 
 
 def robust_sigma(values: Image) -> float:
-    """Standard deviation by the median absolute value, deaf to what shines; for values about zero."""
+    """MAD-based standard deviation of values about zero; bright regions hardly count."""
     magnitudes = np.abs(values.ravel())
     middle = magnitudes.size // 2
-    return _MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
+    return MAD_TO_SIGMA * float(np.partition(magnitudes, middle)[middle])
 
 
 def pixel_noise(pixels: PixelArray, background: Background) -> float:
     """Noise of one background pixel in counts, from a sparse sample of the frame.
 
-    The median absolute deviation only sets the limit up to which deviations are averaged, since on integer
+    The MAD-based standard deviation only sets the limit up to which deviations are averaged, since on integer
     counts it moves in steps; 1/12 is the variance of rounding, below which no camera goes.
     """
     step_v, step_u = max(pixels.shape[0] // 40, 1), max(pixels.shape[1] // 50, 1)
@@ -174,17 +175,3 @@ def pixel_noise(pixels: PixelArray, background: Background) -> float:
     limit = 4.0 * (robust_sigma(sample) + 0.5)
     inner = sample[np.abs(sample) <= limit]
     return math.sqrt(float(inner @ inner) / inner.size + 1 / 12) if inner.size else limit
-
-
-def _sigma(magnitudes: FloatArray) -> float:
-    return _MAD_TO_SIGMA * float(_medians(magnitudes))
-
-
-def _medians(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """``np.median`` along the last axis, which on fifty values spends its time on checks."""
-    ordered = np.sort(values, axis=-1)
-    count = values.shape[-1]
-    middle: npt.NDArray[Any] = (
-        ordered[..., (count - 1) // 2] + ordered[..., count // 2]
-    ) / values.dtype.type(2)
-    return middle

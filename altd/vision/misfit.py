@@ -17,8 +17,10 @@ from altd.records import FloatArray
 
 _LEVELS = 1.0, 0.7, 0.35, 0.12, 0.02, 0.0
 """The rings lie between these shares of the spot's peak; the last one holds the surroundings."""
-_HARMONICS = (1,), (2, 3), (0, 1, 2, 3), (0, 1, 2, 3), (0, 1, 2, 3)
-"""Of the direction, ring by ring. Peak, centre and form take up those that the inner two rings leave out."""
+_HARMONICS = slice(1, 3), slice(3, 7), slice(0, 7), slice(0, 7), slice(0, 7)
+"""Of the direction, ring by ring, as rows of 1, cos φ, sin φ, cos 2φ … sin 3φ. Peak, centre and form take up
+those that the inner two rings leave out."""
+_MAX_PATTERNS = sum(rows.stop - rows.start for rows in _HARMONICS)
 _MIN_BLOCKS = 6
 """A ring of fewer blocks has no pattern of its own."""
 _RIDGE = 0.02
@@ -60,20 +62,28 @@ class Residuals:
         return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Misfit:
     """The statistic ``chi2`` with its degrees of freedom, and what the fit is worth.
 
-    ``centre_px`` is the standard deviation of the centre for noise and grain together, ``pattern_px`` that
-    for grain alone (root mean square of both axes); ``worst_px`` is the former along the worse direction, in
-    which a spot that is cut by the edge of the image is known far less.
+    ``centre_covariance_px2`` (2, 2) is that of the centre for noise and grain together, ``pattern_px`` the
+    standard deviation for grain alone (root mean square of both axes).
     """
 
     chi2: float
     freedom: float
-    centre_px: float
+    centre_covariance_px2: FloatArray
     pattern_px: float
-    worst_px: float
+
+    @property
+    def centre_px(self) -> float:
+        """The standard deviation of the centre, root mean square of both axes."""
+        return math.sqrt(float(self.centre_covariance_px2[0, 0] + self.centre_covariance_px2[1, 1]) / 2)
+
+    @property
+    def worst_px(self) -> float:
+        """That along the worse direction, in which a spot cut by the image's edge is known far less."""
+        return math.sqrt(float(np.linalg.eigvalsh(self.centre_covariance_px2)[-1]))
 
 
 def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit | None:
@@ -95,7 +105,7 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
     equations = weighted @ residuals.derivatives.T
     equations.flat[:: len(equations) + 1] += residuals.prior
     try:
-        covariance = np.linalg.inv(equations)
+        covariance = np.asarray(np.linalg.inv(equations), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     in_patterns = patterns * weights
@@ -108,9 +118,11 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
     step = covariance @ (weighted @ residuals.light + residuals.pull)
     score = in_patterns @ residuals.light - shared @ step
     left = information - shared @ covariance @ shared.T
-    scale = 1 / np.sqrt(diagonal[used])
-    score = score[used] * scale
-    left = left[np.ix_(used, used)] * scale[:, None] * scale
+    if not used.all():
+        diagonal, score, left = diagonal[used], score[used], left[np.ix_(used, used)]
+    scale = 1 / np.sqrt(diagonal)
+    score = score * scale
+    left = left * scale[:, None] * scale
     ridged = left + _RIDGE * np.eye(len(left))
     solved = np.linalg.solve(ridged, np.column_stack([score, left]))
     centre = covariance[1:3] @ weighted
@@ -118,9 +130,8 @@ def misfit_of(residuals: Residuals, usual_grain: float | None = None) -> Misfit 
     return Misfit(
         chi2=float(score @ solved[:, 0]),
         freedom=float(np.trace(solved[:, 1:])),
-        centre_px=math.sqrt(float(covariance[1, 1] + covariance[2, 2]) / 2),
+        centre_covariance_px2=covariance[1:3, 1:3],
         pattern_px=math.sqrt(pattern),
-        worst_px=math.sqrt(float(np.linalg.eigvalsh(covariance[1:3, 1:3])[-1])),
     )
 
 
@@ -132,8 +143,13 @@ def excess_sigmas(chi2: float, freedom: float) -> float:
 
 def _patterns(residuals: Residuals) -> FloatArray:
     """Rows (patterns, n): light that would follow each ring and harmonic."""
-    powers = [None, residuals.direction, residuals.direction**2, residuals.direction**3]
-    rows = []
+    direction, count = residuals.direction, residuals.light.size
+    waves = np.empty((7, count))
+    waves[0] = 1.0
+    for harmonic, power in enumerate((direction, direction**2, direction**3)):
+        waves[1 + 2 * harmonic], waves[2 + 2 * harmonic] = power.real, power.imag
+    patterns = np.empty((_MAX_PATTERNS, count))
+    filled = 0
     for upper, lower, harmonics in zip(_LEVELS, _LEVELS[1:], _HARMONICS, strict=False):
         inside = (residuals.irradiance <= upper) & (residuals.irradiance > lower)
         if lower == 0.0:
@@ -141,10 +157,7 @@ def _patterns(residuals: Residuals) -> FloatArray:
         if np.count_nonzero(inside) < _MIN_BLOCKS:
             continue
         light = np.where(inside, residuals.spot_light if lower > 0 else residuals.flat_light, 0.0)
-        for harmonic in harmonics:
-            power = powers[harmonic]
-            if power is None:
-                rows.append(light)
-            else:
-                rows += [light * power.real, light * power.imag]
-    return np.array(rows).reshape(len(rows), residuals.light.size)
+        rows = slice(filled, filled + harmonics.stop - harmonics.start)
+        np.multiply(waves[harmonics], light, out=patterns[rows])
+        filled = rows.stop
+    return patterns[:filled]

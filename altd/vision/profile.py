@@ -15,6 +15,7 @@ from altd.vision.centre import Centre, Noise
 from altd.vision.flat import BLOCK_PX, Flat
 from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
+from altd.vision.robust import mad_sigma
 
 _ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
@@ -33,7 +34,6 @@ _ORDER_HELD_SIGMA = 1e-6
 _GRAIN_AT_FIRST = 0.04
 _GRAINS = 0.003, 1.0
 _GRAIN_SEEN_FROM = 0.1
-_MAD_TO_SIGMA = 1.4826
 _SPECK_SIGMAS = 4.5
 """Of 200 blocks of good grain one in 700 spots has one so far off."""
 _SPECK_SEEN_FROM = 0.05
@@ -151,10 +151,10 @@ def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) 
     """What the fit leaves over, its centre in px."""
     peak, u, v, a, b, c, *_ = solution.state
     derivatives, light = solution.rows[:_RESIDUAL], solution.rows[_RESIDUAL]
-    derivatives[[_U, _V]] /= sigma_px
+    derivatives[_U : _V + 1] /= sigma_px
     prior, known = np.zeros(_RESIDUAL), np.array(solution.state)
-    prior[[_RISE_X, _RISE_Y, _ORDER]] = rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2
-    known[[_RISE_X, _RISE_Y, _ORDER]] = 0.0, 0.0, 1.0
+    prior[_RISE_X : _ORDER + 1] = rise**-2, rise**-2, _ORDER_PRIOR_SIGMA**-2
+    known[_RISE_X : _ORDER + 1] = 0.0, 0.0, 1.0
     # a root of the form turns the ellipse into a circle and, being symmetric, keeps the directions nearly
     root = math.sqrt(a * c - b * b)
     x, y = data.monomials[1] - u, data.monomials[2] - v
@@ -179,7 +179,7 @@ def _without_specks(solution: _Solution) -> npt.NDArray[np.bool_] | None:
     residual = solution.rows[_RESIDUAL]
     sigmas = np.abs(residual) / np.sqrt(solution.noise_variance + solution.grain2 * solution.grain_variance)
     lit: npt.NDArray[np.bool_] = solution.spot > _SPECK_SEEN_FROM * solution.state[_PEAK]
-    usual = _MAD_TO_SIGMA * float(np.median(sigmas[lit])) if lit.any() else 0.0
+    usual = mad_sigma(sigmas[lit]) if lit.any() else 0.0
     specks = lit & (sigmas > _SPECK_SIGMAS * usual)
     if not 0 < np.count_nonzero(specks) <= _MAX_SPECK_SHARE * np.count_nonzero(lit):
         return None

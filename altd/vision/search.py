@@ -13,7 +13,7 @@ from altd.vision.background import (
     CELL_PX,
     Background,
     Image,
-    coarse_picture,
+    coarse_image,
     excess_over,
     fit_background,
     robust_sigma,
@@ -54,7 +54,7 @@ def search(pixels: PixelArray) -> Search:
     A region must stand out of the coarse picture's own noise by eight sigma (among 5 640 cells, four are
     usual) and be no dimmer than a tenth of the brightest.
     """
-    coarse = coarse_picture(pixels)
+    coarse = coarse_image(pixels)
     background = fit_background(coarse)
     excess = excess_over(coarse, background)
     detection = max(_DETECTION_SIGMAS * robust_sigma(excess), _DETECTION_COUNTS)

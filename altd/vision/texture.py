@@ -90,7 +90,8 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     if patch is None:
         return None
     noise = analysis.noise
-    smooth, correction = _smoothed(patch.excess)
+    once = patch.smooth if analysis.settings.smoothing_px == _SMOOTHING_PX else _blurred(patch.excess)
+    smooth, correction = _with_curvature(once)
     clipped = _near_clipped(patch.pixels, analysis.frame.full_scale)
     counts = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
     light = np.where(counts, smooth, np.float32(1))
@@ -107,13 +108,16 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     )
 
 
-def _smoothed(image: Image) -> tuple[Image, Image]:
-    """Low-passed with curvature kept, 2G − G², whose second moment is zero; and the correction to G.
+def _blurred(image: Image) -> Image:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX), dtype=np.float32)
+
+
+def _with_curvature(once: Image) -> tuple[Image, Image]:
+    """An image smoothed ``once`` by G as by 2G − G², whose second moment is zero; and the correction to G.
 
     Where a correction of relative size b was needed, on a steep flank, an error of about b² is left.
     """
-    once = cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX)
-    correction = once - cv2.GaussianBlur(once, (0, 0), _SMOOTHING_PX)
+    correction = once - _blurred(once)
     return np.asarray(once + correction, dtype=np.float32), np.asarray(correction, dtype=np.float32)
 
 
@@ -137,7 +141,8 @@ class Texture:
     @classmethod
     def of_flat(cls, flat: Flat) -> Self:
         """What spots show of a target whose response is known."""
-        smooth = np.maximum(_smoothed(flat.response)[0], np.float32(_MIN_RESPONSE))
+        smooth, _ = _with_curvature(_blurred(flat.response))
+        smooth = np.maximum(smooth, np.float32(_MIN_RESPONSE))
         relative = np.where(flat.levels > 0, np.clip(flat.response / smooth - 1, -1, _MAX_RELATIVE), 0)
         return cls(relative.astype(np.float32))
 
@@ -229,8 +234,8 @@ def match(sample: Sample, texture: Texture) -> Match | None:
 
 def _doubled_px(amplitudes: Image, of_first: float, first: _Peak) -> float:
     """Share times distance of the second picture that would do most, from what the first one leaves."""
-    rows, columns = np.indices(amplitudes.shape)
-    beside_px = np.hypot(rows - first.lag[0] - first.off_v, columns - first.lag[1] - first.off_u)
+    rows, columns = (np.arange(size) for size in amplitudes.shape)
+    beside_px = np.hypot((rows - first.lag[0] - first.off_v)[:, None], columns - first.lag[1] - first.off_u)
     merges = (beside_px > _RESOLVED_PX) & (beside_px < _MERGED_PX)
     return float(np.max(np.where(merges, amplitudes * beside_px, 0))) / max(of_first, _MIN_AMPLITUDE)
 

@@ -8,7 +8,7 @@ from support.frames import HEIGHT, WIDTH, frame, light
 
 from altd.reasons import Reason
 from altd.records import NoSpot
-from altd.vision.background import coarse_picture, fit_background
+from altd.vision.background import coarse_image, fit_background
 from altd.vision.localise import locate
 from hw_sim.faults import Fault
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
@@ -19,7 +19,7 @@ def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
     from_axis = np.hypot(u - WIDTH / 2 + 4, v - HEIGHT / 2 - 3) / 900.0  # in focal lengths
     falling = 60 / (1 + from_axis**2) ** 2 * (1 + 0.3 * u / WIDTH - 0.2 * v / HEIGHT)
     seen = frame(light() + falling, np.random.default_rng(1), noise=1.0, background=4.0)
-    background = fit_background(coarse_picture(seen.pixels)).at((0.0, 0.0), (HEIGHT, WIDTH))
+    background = fit_background(coarse_image(seen.pixels)).at((0.0, 0.0), (HEIGHT, WIDTH))
     off = background - falling - 4.0
     assert np.sqrt(np.mean(np.square(off))) < 0.15
     assert np.abs(off).max() < 0.8  # in a corner
