@@ -10,21 +10,21 @@ import asyncio
 import contextlib
 import errno
 import os
-import threading
-from collections.abc import AsyncIterator, Callable
-from typing import Any, TypeVar
+from collections.abc import AsyncIterator
+from typing import Any
 
 import serial
 
 from altd.config import SerialPortSettings
+from altd.runtime.threads import call_in_thread
 from altd.serial_port.opening import close_serial, open_serial
 
 CHUNK = 4096
 
-CLOSING_S = 1.0
+CLOSE_TIMEOUT_S = 1.0
 """How long closing is waited for; a device that takes nothing holds it for 30 s."""
 
-Result = TypeVar("Result")
+_THREAD = "serial-port"
 
 
 @contextlib.asynccontextmanager
@@ -34,14 +34,15 @@ async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> As
     At most ``limit`` bytes wait to go out. ``fresh``: those that the kernel holds count too, for what must
     not be late; some drivers (cdc_acm) then count a whole buffer for every write that is not out yet.
     """
-    opening = _apart(
+    opening = call_in_thread(
         lambda: open_serial(
             settings.device,
             settings.baud,
             parity=settings.parity,
             stop_bits=settings.stop_bits,
             rs485=settings.rs485,
-        )
+        ),
+        _THREAD,
     )
     try:
         device = await asyncio.shield(opening)
@@ -53,7 +54,7 @@ async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> As
         yield port
     finally:
         port.forget()
-        await asyncio.wait({_apart(lambda: close_serial(device))}, timeout=CLOSING_S)
+        await asyncio.wait({_close_in_thread(device)}, timeout=CLOSE_TIMEOUT_S)
 
 
 class Port:
@@ -144,32 +145,11 @@ def seconds_on_line(settings: SerialPortSettings, length: int) -> float:
     return length * bits / settings.baud
 
 
-def _apart(call: Callable[[], Result]) -> asyncio.Future[Result]:
-    """The result of a call that may block for long, made in a thread that keeps nobody from ending."""
-    loop = asyncio.get_running_loop()
-    result: asyncio.Future[Result] = loop.create_future()
-
-    def settle(value: Result | None, error: BaseException | None) -> None:
-        if result.done():
-            return
-        if error is not None:
-            result.set_exception(error)
-        else:
-            result.set_result(value)  # type: ignore[arg-type]
-
-    def run() -> None:
-        value, error = None, None
-        try:
-            value = call()
-        except BaseException as raised:
-            error = raised
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
-            loop.call_soon_threadsafe(settle, value, error)
-
-    threading.Thread(target=run, name="serial-port", daemon=True).start()
-    return result
+def _close_in_thread(device: serial.Serial) -> asyncio.Future[None]:
+    """Done once the port is closed, which may take long."""
+    return call_in_thread(lambda: close_serial(device), _THREAD)
 
 
 def _close_unwanted(opening: asyncio.Future[serial.Serial]) -> None:
     if not opening.cancelled() and opening.exception() is None:
-        _apart(lambda: close_serial(opening.result()))
+        _close_in_thread(opening.result())

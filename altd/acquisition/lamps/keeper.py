@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from altd.ports import Clock, LampsError
-from altd.runtime.own_thread import OwnThread
+from altd.runtime.threads import DeviceThread
 from altd.status.health import Component, State
 
 log = logging.getLogger("altd")
@@ -73,7 +73,7 @@ class Keeper(Generic[Look]):
 
     async def run(self) -> None:
         """Keep the lamps until cancelled; then they are dark."""
-        thread = OwnThread(self._component.name)
+        thread = DeviceThread(self._component.name)
         try:
             while True:
                 try:
@@ -90,7 +90,7 @@ class Keeper(Generic[Look]):
             if not await thread.end(self._driver.close, ANSWER_S):
                 log.warning("%s: the driver does not come back; they may stay lit", self._component.name)
 
-    async def _follow(self, thread: OwnThread) -> None:
+    async def _follow(self, thread: DeviceThread) -> None:
         """Show what is wanted, whenever that changes, until that fails."""
         while True:
             self._changed.clear()

@@ -180,7 +180,7 @@ class TestADeviceThatAnswersSlowly:
             close_serial(device)
 
         monkeypatch.setattr(port, "close_serial", slowly)
-        monkeypatch.setattr(port, "CLOSING_S", 0.1)
+        monkeypatch.setattr(port, "CLOSE_TIMEOUT_S", 0.1)
         async with opened(wire.settings(), limit=100, fresh=True):
             began = time.perf_counter()
         assert 0.09 < time.perf_counter() - began < 1.0

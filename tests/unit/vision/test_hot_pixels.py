@@ -35,6 +35,15 @@ def test_those_that_shine_in_every_frame_are_found_and_no_others(known: HotPixel
     assert known.sometimes.shape == (0, 2)
 
 
+def test_they_are_found_in_each_row_but_the_first_and_the_last() -> None:
+    image = np.zeros((480, 752))
+    places = [(5 + 31 * row % 740, row) for row in range(480)]
+    for u, v in places:
+        image[v, u] = 80.0
+    found = hot_pixels(frame(image, np.random.default_rng(9)).pixels)
+    assert list(map(tuple, found.tolist())) == places[1:-1]
+
+
 def test_what_a_lens_images_is_none_however_small() -> None:
     """A point of light behind a blur of 0.6 px; printed dots are larger."""
     v, u = np.mgrid[:480, :752]

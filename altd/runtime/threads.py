@@ -1,0 +1,78 @@
+"""Blocking calls in threads; what comes of them is settled in the event loop.
+
+A call that never comes back holds its thread and nobody else: neither the loop nor the end of the process,
+which a thread of ``asyncio.to_thread`` would hold.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TypeVar
+
+Result = TypeVar("Result")
+
+
+def call_in_thread(call: Callable[[], Result], name: str) -> asyncio.Future[Result]:
+    """The result of a call, or what it raises, from a thread that ends with it."""
+    result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+    threading.Thread(target=_settle, args=(result, call), name=name, daemon=True).start()
+    return result
+
+
+class DeviceThread:
+    """Makes the calls of one device, one after the other."""
+
+    def __init__(self, name: str) -> None:
+        self._calls: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        self._idle = asyncio.Event()
+        self._idle.set()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    async def call(self, function: Callable[..., Result], *arguments: object, within_s: float) -> Result:
+        """The call's result or what it raises; TimeoutError when it, or the one before, takes too long.
+
+        A call that took too long goes on; nothing more is called until it has come back.
+        """
+        result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
+        result.add_done_callback(lambda _: self._idle.set())
+        async with asyncio.timeout(within_s):
+            await self._idle.wait()
+            self._idle.clear()
+            self._calls.put(partial(self._call, result, partial(function, *arguments)))
+            return await asyncio.shield(result)
+
+    async def end(self, last: Callable[[], None], within_s: float) -> bool:
+        """Call ``last`` after what is under way and end; False when the thread does not come back in time."""
+        self._calls.put(last)
+        self._calls.put(None)
+        await asyncio.shield(asyncio.to_thread(self._thread.join, within_s))
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while (call := self._calls.get()) is not None:
+            call()
+
+    def _call(self, result: asyncio.Future[Result], call: Callable[[], Result]) -> None:
+        if not _settle(result, call):
+            self._calls.put(None)
+
+
+def _settle(result: asyncio.Future[Result], call: Callable[[], Result]) -> bool:
+    """Make a call in this thread and give its result to the loop; False when the loop is closed.
+
+    A result that was cancelled meanwhile stays so.
+    """
+    try:
+        settle = partial(result.set_result, call())
+    except BaseException as error:
+        settle = partial(result.set_exception, error)
+    try:
+        result.get_loop().call_soon_threadsafe(lambda: result.done() or settle())
+    except RuntimeError:  # the process is going down
+        return False
+    return True

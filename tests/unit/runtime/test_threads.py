@@ -1,0 +1,111 @@
+"""Calls in real threads; how late each comes back decides the test."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import pytest
+
+from altd.runtime.threads import DeviceThread, call_in_thread
+
+SLOW_MACHINE_S = 0.5
+
+
+def raise_it() -> None:
+    raise ZeroDivisionError("a defect")
+
+
+class Gate:
+    """A call that comes back once it may."""
+
+    def __init__(self) -> None:
+        self.entered = threading.Event()
+        self.may_end = threading.Event()
+
+    def __call__(self) -> str:
+        self.entered.set()
+        self.may_end.wait(10)
+        return "through"
+
+
+async def test_a_call_in_a_thread_gives_its_result_or_what_it_raises() -> None:
+    assert await call_in_thread(lambda: threading.current_thread().name, "worker") == "worker"
+    with pytest.raises(ZeroDivisionError):
+        await call_in_thread(raise_it, "worker")
+
+
+async def test_the_loop_goes_on_while_a_call_is_held_and_who_left_is_told_nothing() -> None:
+    gate = Gate()
+    waiting = asyncio.ensure_future(call_in_thread(gate, "worker"))
+    await asyncio.sleep(0.01)
+    assert gate.entered.is_set()
+    waiting.cancel()
+    gate.may_end.set()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+
+
+def test_a_call_that_outlives_its_loop_ends_its_thread_without_a_word(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    gate = Gate()
+
+    async def leave() -> None:
+        call_in_thread(gate, "worker")
+
+    asyncio.run(leave())
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "worker"]
+    gate.may_end.set()
+    thread.join(2.0)
+    assert not thread.is_alive()
+    assert capsys.readouterr() == ("", "")
+
+
+async def test_a_device_s_calls_come_one_after_the_other_in_one_thread() -> None:
+    thread = DeviceThread("device")
+    names = await asyncio.gather(
+        *(thread.call(lambda: threading.current_thread().name, within_s=1.0) for _ in range(5))
+    )
+    assert names == ["device"] * 5
+    with pytest.raises(ZeroDivisionError):
+        await thread.call(raise_it, within_s=1.0)
+    assert await thread.call(pow, 2, 5, within_s=1.0) == 32
+    assert await thread.end(lambda: None, 1.0)
+
+
+async def test_a_call_that_takes_too_long_times_out_and_so_does_the_next_until_it_is_back() -> None:
+    thread, gate = DeviceThread("device"), Gate()
+    for _ in range(2):
+        began_s = time.monotonic()
+        with pytest.raises(TimeoutError):
+            await thread.call(gate, within_s=0.05)
+        assert time.monotonic() - began_s < 0.05 + SLOW_MACHINE_S
+    gate.may_end.set()
+    assert await thread.call(pow, 2, 5, within_s=1.0) == 32
+    assert await thread.end(lambda: None, 1.0)
+
+
+async def test_the_end_of_a_thread_that_is_held_is_not_waited_for() -> None:
+    thread, gate, closed = DeviceThread("device"), Gate(), threading.Event()
+    with pytest.raises(TimeoutError):
+        await thread.call(gate, within_s=0.01)
+    assert not await thread.end(closed.set, 0.05)
+    assert not closed.is_set()
+    gate.may_end.set()
+    assert await asyncio.to_thread(closed.wait, 2.0)
+
+
+def test_a_device_thread_whose_loop_is_gone_ends() -> None:
+    gate = Gate()
+
+    async def leave() -> None:
+        with pytest.raises(TimeoutError):
+            await DeviceThread("device").call(gate, within_s=0.01)
+
+    asyncio.run(leave())
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "device"]
+    gate.may_end.set()
+    thread.join(2.0)
+    assert not thread.is_alive()
