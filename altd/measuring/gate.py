@@ -21,9 +21,11 @@ class Gate:
 
     def admit(self, measurement: Measurement) -> Measurement:
         """The measurement itself, or without its numbers and with the reason."""
-        if not measurement.valid:
+        if not measurement.valid and any(not fault.reason.is_warning for fault in measurement.status):
             return measurement
-        before, self._last = self._last, measurement
+        before = self._last
+        if measurement.valid:
+            self._last = measurement
         doubt = next(_doubts(measurement, before), None)
         if doubt is None:
             return measurement
@@ -32,6 +34,8 @@ class Gate:
 
 
 def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[str]:
+    if not measurement.values:
+        yield "no quantity is known"
     quantities = measurement.quantities
     yield from _doubts_of_values("", quantities.of_unit, measurement.values)
     for target, values in measurement.targets.items():
