@@ -14,6 +14,7 @@ from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.flat import flat_likeness
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
+from altd.calibration.repeated_scans import offset_doubts
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
 from altd.calibration.scan_grid import relative_sigmas, scan_grid
 from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, first_of_nodes, look, printed_nodes
@@ -199,7 +200,10 @@ def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
         _target(job, seen, fitted),
         _evidence(job, seen, fitted),
         _scatter(seen.usable, fitted),
-        doubts=tuple(f"{job.name}: {line}" for line in grid.missing_ends(margin_mm)),
+        doubts=(
+            *(f"{job.name}: {line}" for line in grid.missing_ends(margin_mm)),
+            *offset_doubts(job, seen.usable, fitted.fit.map),
+        ),
     )
 
 

@@ -40,9 +40,15 @@ class Visit:
         return len(self.spots_px) > len(self.complaints)
 
     @property
+    def spot_px(self) -> FloatArray:
+        """The mean (2,) of its spots."""
+        mean: FloatArray = np.mean(self.spots_px, axis=0)
+        return mean
+
+    @property
     def deviations_px(self) -> FloatArray:
         """How far each spot (n, 2) lies from their mean."""
-        deviations: FloatArray = np.array(self.spots_px) - np.mean(self.spots_px, axis=0)
+        deviations: FloatArray = np.array(self.spots_px) - self.spot_px
         return deviations
 
 
@@ -55,9 +61,14 @@ class Node:
     """Why it is out of use although it has spots; empty: it is not."""
 
     @property
+    def good_visits(self) -> dict[int, Visit]:
+        """The visits that can be used, by the number of the recording."""
+        return {} if self.refusal else {n: visit for n, visit in self.visits.items() if visit.is_usable}
+
+    @property
     def good(self) -> list[Visit]:
-        """The visits that can be used."""
-        return [] if self.refusal else [visit for visit in self.visits.values() if visit.is_usable]
+        """The same alone."""
+        return list(self.good_visits.values())
 
     @property
     def is_usable(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,6 +97,13 @@ def write_plate(
     path: Path, front: np.ndarray, rear: np.ndarray, pairs: int = 2, noise: float = 1.5, **more: object
 ) -> Path:
     """A recording of a plate whose light is ``front`` and ``rear``, LEDs off and on in turn."""
+    return write_plates(path, {"front": front, "rear": rear}, pairs, noise, **more)
+
+
+def write_plates(
+    path: Path, lights: Mapping[str, np.ndarray], pairs: int = 2, noise: float = 1.5, **more: object
+) -> Path:
+    """The same of any cameras, by their names; ``more`` replaces keys of the header."""
     rng = np.random.default_rng(0)
     path.mkdir(parents=True)
     plate = {"columns": COLUMNS, "rows": ROWS, "pitch_mm": PITCH_MM, "origin_mm": grid_mm()[0, 0].tolist()}
@@ -104,7 +111,7 @@ def write_plate(
     (path / "recording.json").write_text(json.dumps(about | more))
     rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm"]
     for sequence in range(2 * pairs):
-        for camera, light in (("front", front), ("rear", rear)):
+        for camera, light in lights.items():
             name = f"{camera}{sequence:04d}.png"
             on = sequence % 2
             counts = on * light + 8 + rng.normal(0, noise, light.shape)

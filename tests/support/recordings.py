@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -28,6 +28,7 @@ def picture(target: str, x_mm: float, y_mm: float, rng: np.random.Generator) -> 
 
 
 def header(kind: str, serial: str = "TEST-1", **more: object) -> dict[str, object]:
+    """Of front and rear; ``more`` replaces keys."""
     size = {"width": WIDTH, "height": HEIGHT, "bits": 8}
     return {
         "format": "altd-recording/1",
@@ -62,12 +63,7 @@ def write(path: Path, kind: str, shots: Iterable[Shot], serial: str = "TEST-1", 
 
 
 def write_scan(path: Path, serial: str = "TEST-1", columns: int = 6, rows: int = 5) -> Path:
-    places = [
-        (25.0 * (i - (columns - 1) / 2), 25.0 * (j - (rows - 1) / 2))
-        for j in range(rows)
-        for i in range(columns)
-    ]
-    return write(path, "scan", [(p, p, p) for p in places], serial)
+    return write(path, "scan", [(p, p, p) for p in grid(columns, rows)], serial)
 
 
 def write_beams(path: Path, beams: Iterable[tuple[float, float, float, float]], exposures: int = 4) -> Path:
@@ -76,3 +72,54 @@ def write_beams(path: Path, beams: Iterable[tuple[float, float, float, float]], 
     for x, y, sx, sy in beams:
         shots += [((x, y), (x + 280 * sx, y + 280 * sy), None)] * exposures
     return write(path, "measurement", shots)
+
+
+Spots = Mapping[str, tuple[float, float] | None]
+"""Where each target is hit, mm; None: dark."""
+
+
+def seen(name: str, z_mm: float, camera: str) -> dict[str, object]:
+    """A target as a header names it."""
+    return {"name": name, "z_mm": z_mm, "camera": camera}
+
+
+def write_targets(
+    path: Path,
+    kind: str,
+    targets: Sequence[Mapping[str, object]],
+    shots: Iterable[tuple[Spots, tuple[float, float] | None]],
+    serial: str = "TEST-1",
+    of_cameras: Mapping[str, object] | None = None,
+    seed: int = 0,
+    **more: object,
+) -> Path:
+    """A recording whose header says which ``targets`` it shows; each shot has the stage's position.
+
+    ``of_cameras`` stands in every camera's entry.
+    """
+    rng = np.random.default_rng(seed)
+    path.mkdir(parents=True)
+    size = {"width": WIDTH, "height": HEIGHT, "bits": 8, **(of_cameras or {})}
+    about = header(kind, unit={"serial": serial}, targets=list(targets))
+    about |= {"cameras": {str(target["camera"]): size for target in targets}} | more
+    (path / "recording.json").write_text(json.dumps(about))
+    rows = ["sequence,t_s,camera,file,leds,x_mm,y_mm"]
+    for sequence, (spots, stage) in enumerate(shots):
+        for target in targets:
+            name, spot = f"{target['camera']}{sequence:04d}.png", spots[str(target["name"])]
+            dark = np.full((HEIGHT, WIDTH), 8, np.uint8)
+            image = dark if spot is None else picture(str(target["name"]), *spot, rng)
+            cv2.imwrite(str(path / name), image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            x, y = stage or ("", "")
+            rows.append(f"{sequence},{sequence / 20:.6f},{target['camera']},{name},off,{x},{y}")
+    (path / "frames.csv").write_text("\n".join(rows) + "\n")
+    return path
+
+
+def grid(columns: int = 5, rows: int = 4, pitch_mm: float = 25.0) -> list[tuple[float, float]]:
+    """The nodes of a scan about the middle."""
+    return [
+        (pitch_mm * (i - (columns - 1) / 2), pitch_mm * (j - (rows - 1) / 2))
+        for j in range(rows)
+        for i in range(columns)
+    ]

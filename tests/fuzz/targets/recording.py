@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import cv2
@@ -15,6 +15,7 @@ from fuzz.pngs import spoilt_png
 from fuzz.spoil import SCRAPS, spoilt_bytes, spoilt_document
 from hypothesis import strategies as st
 
+from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
 
@@ -30,6 +31,10 @@ HEADER: dict[str, Any] = {
     "unit": {"serial": "A-1", "target_distance_mm": 280.0},
     "note": "made by a test",
     "start": "2026-11-20T08:15:30Z",
+    "targets": [
+        {"name": "front", "z_mm": 0.0, "camera": "front"},
+        {"name": "exit", "z_mm": 280.0, "camera": "rear"},
+    ],
     "plate": {"columns": 8, "rows": 6, "pitch_mm": 15.0, "origin_mm": [-52.5, -37.5], "disc_mm": 3.0},
 }
 TABLE = "".join(
@@ -88,6 +93,14 @@ def check(example: Folder) -> None:
         recording = open_recording(path)
         recording.sha256()
         assert math.isfinite(1 / recording.header.fps)
+        shown = recording.header.shown_targets
+        assert {target.camera for target in shown} <= set(recording.header.cameras)
+        assert (
+            len({target.name for target in shown}) == len({target.camera for target in shown}) == len(shown)
+        )
+        assert all(after.z_mm > before.z_mm for before, after in pairwise(shown))
+        if shown and recording.header.kind in ("scan", "plate"):
+            assert [frames.name for frames in target_frames([recording])] == [of.name for of in shown]
         for row in islice(recording.rows, 8):
             frame = recording.frame(row)
             camera = recording.header.cameras[row.camera]
