@@ -18,22 +18,28 @@ class Board:
         self._clock = clock
         self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None
-        self._put_up_ns = 0
+        self._published_ns = 0
         self._count = 0
         self._changed = asyncio.Event()
 
     @property
     def published(self) -> int:
-        """How many measurements were put up so far."""
+        """How many measurements were published so far."""
         return self._count
 
     def publish(self, measurement: Measurement) -> None:
-        """Put up a measurement and wake every reader that waits."""
+        """Publish a measurement and wake every reader that waits."""
         self._latest = measurement
-        self._put_up_ns = self._clock.monotonic_ns()
+        self._published_ns = self._clock.monotonic_ns()
         self._count += 1
         self._changed.set()
         self._changed = asyncio.Event()
+
+    async def published_after(self, count: int) -> int:
+        """How many measurements were published, once it is not ``count`` any more."""
+        while self._count == count:
+            await self._changed.wait()
+        return self._count
 
     def age_s(self) -> float | None:
         """Seconds since the middle of the latest measurement's window; None before the first."""
@@ -44,14 +50,14 @@ class Board:
     def read(self) -> Measurement | None:
         """The latest measurement; without its numbers and with ``stale`` once nothing follows it.
 
-        It ages from when its last light fell, not from when it was put up: what waited on its way is as old
+        It ages from when its last light fell, not from when it was published: what waited on its way is as old
         as it is. Frames that are played faster than they were recorded are ahead of the clock; what is made
-        of them ages from when it was put up.
+        of them ages from when it was published.
         """
         latest = self._latest
         if latest is None:
             return None
-        since_ns = min(self._put_up_ns, latest.light_ns)
+        since_ns = min(self._published_ns, latest.light_ns)
         if self._clock.monotonic_ns() - since_ns <= self._stale_after_ns:
             return latest
         return latest.without_numbers((*latest.status, Fault(Reason.STALE)))
@@ -72,11 +78,9 @@ class Cursor:
 
     async def next(self) -> Measurement:
         """The latest measurement not yet seen, waiting for one if need be."""
-        board = self._board
-        while board._count == self._seen:
-            await board._changed.wait()
-        self.skipped += board._count - self._seen - 1
-        self._seen = board._count
-        measurement = board.read()
+        published = await self._board.published_after(self._seen)
+        self.skipped += published - self._seen - 1
+        self._seen = published
+        measurement = self._board.read()
         assert measurement is not None  # noqa: S101  the count is above zero
         return measurement

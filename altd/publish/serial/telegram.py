@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, time
 from functools import reduce
 from operator import xor
-from typing import Any, Self
+from typing import Any
 
 from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, whole
 from altd.reasons import Reason
@@ -62,7 +62,7 @@ class Telegram:
     reasons: tuple[str, ...] | None = None
 
     @classmethod
-    def of(cls, measurement: Measurement | None) -> Self:
+    def of(cls, measurement: Measurement | None) -> Telegram:
         """What is to be said of the latest measurement; None: nothing was measured so far."""
         if measurement is None:
             return cls(reasons=(str(Reason.WARMING_UP),))
@@ -75,23 +75,13 @@ class Telegram:
         numbers |= {f"sigma_{key}": measurement.sigma(key) for key in SIGMAS}
         full = replace(head, mode=_mode(measurement), frames=measurement.frames, **numbers)
         try:
-            return full._with_reasons(codes)
+            return _with_codes(full, codes)
         except TelegramError:
-            return head._with_reasons((DOES_NOT_FIT, *codes))
+            return _with_codes(head, (DOES_NOT_FIT, *codes))
 
     def encode(self) -> bytes:
         """Both sentences; raises TelegramError when a value does not fit its field."""
         return b"".join(sentence.encode(self) for sentence in SENTENCES)
-
-    def _with_reasons(self, codes: tuple[str, ...]) -> Self:
-        """The telegram with the codes that there is room for; ``more`` stands for the others."""
-        for kept in range(len(codes), -1, -1):
-            shown = codes[:kept] + (MORE,) * (kept < len(codes))
-            telegram = replace(self, reasons=shown or None)
-            if len(QUALITY.encode(telegram)) <= LONGEST_SENTENCE:
-                break
-        MEASUREMENT.encode(telegram)
-        return telegram
 
 
 SIGMAS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -218,6 +208,17 @@ def parse(data: bytes) -> Telegram:
         if (values[name] is None) != (values["mode"] is Mode.INVALID):
             raise TelegramError(name, f"does not go with mode {values['mode']}")
     return Telegram(**values)
+
+
+def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
+    """The telegram with the codes that there is room for; ``more`` stands for the others."""
+    for kept in range(len(codes), -1, -1):
+        shown = codes[:kept] + (MORE,) * (kept < len(codes))
+        telegram = replace(telegram, reasons=shown or None)
+        if len(QUALITY.encode(telegram)) <= LONGEST_SENTENCE:
+            break
+    MEASUREMENT.encode(telegram)
+    return telegram
 
 
 def _mode(measurement: Measurement) -> Mode:
