@@ -50,9 +50,9 @@ class Board:
     def read(self) -> Measurement | None:
         """The latest measurement; without its numbers and with ``stale`` once nothing follows it.
 
-        It ages from when its last light fell, not from when it was published: what waited on its way is as old
-        as it is. Frames that are played faster than they were recorded are ahead of the clock; what is made
-        of them ages from when it was published.
+        It ages from when its last light fell, not from when it was published: what waited on its way is as
+        old as it is. Frames that are played faster than they were recorded are ahead of the clock; what is
+        made of them ages from when it was published.
         """
         latest = self._latest
         if latest is None:
