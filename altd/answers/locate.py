@@ -16,7 +16,7 @@ from altd.vision.centre import Centre
 from altd.vision.localise import locate, locate_ellipse
 
 UNREADABLE = "unreadable"
-_MAX_APART_SIGMAS = 5.0
+_MAX_DIFFERENCE_SIGMAS = 5.0
 """Of the two localisers: on a clean spot they lie as far apart as their sigmas say (``docs/locate.md``)."""
 
 
@@ -68,7 +68,7 @@ def doubt(spot: Spot, second: Centre | None) -> str | None:
     if second is None:
         return "the second localiser sees no closed contour"
     apart_px = math.hypot(spot.u_px - second.u_px, spot.v_px - second.v_px)
-    allowed_px = _MAX_APART_SIGMAS * math.hypot(spot.sigma_px, second.sigma_px)
+    allowed_px = _MAX_DIFFERENCE_SIGMAS * math.hypot(spot.sigma_px, second.sigma_px)
     if apart_px <= allowed_px:
         return None
     return f"the two localisers lie {apart_px:.3f} px apart, {allowed_px:.3f} px are allowed"

@@ -19,7 +19,7 @@ UNREADABLE = "unreadable"
 _MAX_LINE_BYTES = 1000
 """Of two numbers, and more."""
 _NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
-_DIGITS = 5
+_DECIMALS = 5
 
 
 class _Table(Protocol):
@@ -35,7 +35,7 @@ class _PlainTable:
             sys.stdout.write(f"invalid {row['reason']}\n")
         else:
             numbers = (row[name] for name in ("x_mm", "y_mm", "sigma_x_mm", "sigma_y_mm"))
-            sys.stdout.write(" ".join(f"{value:.{_DIGITS}f}" for value in numbers) + "\n")
+            sys.stdout.write(" ".join(f"{value:.{_DECIMALS}f}" for value in numbers) + "\n")
 
 
 def answer(calibration: Path, name: str, form: TextFormat | None, complain: Callable[[str], object]) -> int:
@@ -76,10 +76,10 @@ def _point(target: TargetCalibration, u_px: float, v_px: float) -> Row:
     sigma_x_mm, sigma_y_mm = (float(point.covariance_mm2[i, i]) ** 0.5 for i in range(2))
     return {
         **given,
-        "x_mm": round(point.x_mm, _DIGITS),
-        "y_mm": round(point.y_mm, _DIGITS),
-        "sigma_x_mm": round(sigma_x_mm, _DIGITS),
-        "sigma_y_mm": round(sigma_y_mm, _DIGITS),
+        "x_mm": round(point.x_mm, _DECIMALS),
+        "y_mm": round(point.y_mm, _DECIMALS),
+        "sigma_x_mm": round(sigma_x_mm, _DECIMALS),
+        "sigma_y_mm": round(sigma_y_mm, _DECIMALS),
     }
 
 

@@ -14,7 +14,7 @@ from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIE
 from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
-_FEW = 120
+_MAX_MARKED_BINS = 120
 """So many bins can be told apart: each is marked."""
 
 
@@ -52,7 +52,7 @@ def _panel(axes: Axes, history: History, quantity: str, joined: bool) -> None:
         t_s = [of.middle_s for of in run]
         means = [of.mean(quantity) for of in run]
         low, high = [of.low[quantity] for of in run], [of.high[quantity] for of in run]
-        marker = "." if len(run) == 1 or len(history.bins) <= _FEW or not joined else ""
+        marker = "." if len(run) == 1 or len(history.bins) <= _MAX_MARKED_BINS or not joined else ""
         gid = f"sigma of {quantity}"
         if joined and len(run) > 1:
             axes.fill_between(t_s, low, high, color=BLUE, alpha=0.25, linewidth=0, gid=gid)

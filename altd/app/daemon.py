@@ -35,7 +35,7 @@ from altd.runtime.supervision import Publisher, keep_running
 from altd.status.board import Board
 from altd.status.health import MEASURING, Component, Health, State
 
-_FACES_START_S = 1.0
+_FACES_START_TIMEOUT_S = 1.0
 
 
 class Daemon:
@@ -207,7 +207,7 @@ async def _all_of(tried: Sequence[asyncio.Event]) -> None:
     A face that takes long does not keep the unit from measuring.
     """
     try:
-        async with asyncio.timeout(_FACES_START_S):
+        async with asyncio.timeout(_FACES_START_TIMEOUT_S):
             for event in tried:
                 await event.wait()
     except TimeoutError:

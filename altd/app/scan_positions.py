@@ -15,7 +15,7 @@ from altd.records import Measurement
 
 MAX_WINDOW = 1000
 """Exposures; a node that has more is measured by its last ones."""
-_REMEMBERED = 4 * MAX_WINDOW
+_MAX_REMEMBERED = 4 * MAX_WINDOW
 """Exposures that a measurement may still speak of."""
 _MAX_BEHIND = MAX_WINDOW
 """Rows of one camera that may follow the other's latest: then that one is not forgotten while it waits."""
@@ -47,7 +47,7 @@ class _Stays:
         is_there = last is not None and node_key(row.position_mm) == node_key(last.position_mm)
         stay = 0 if last is None else last.stay + (not is_there)
         self._last = self.exposures[row.sequence] = _Exposure(stay, row.position_mm, row)
-        if len(self.exposures) > _REMEMBERED:
+        if len(self.exposures) > _MAX_REMEMBERED:
             del self.exposures[next(iter(self.exposures))]
         return self._last
 

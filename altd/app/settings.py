@@ -9,7 +9,7 @@ from pathlib import Path
 from altd.config import Config, TelegramPortSettings, load_config
 from altd.config.draft import Draft
 from altd.config.wording import Fault
-from altd.publish.serial.telegram import LONGEST_TELEGRAM
+from altd.publish.serial.telegram import MAX_TELEGRAM_BYTES
 from altd.serial_port.port import seconds_on_line
 
 
@@ -23,7 +23,7 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
     for number, port in enumerate(draft.serial):
         if not isinstance(port, TelegramPortSettings):
             continue
-        takes_s = seconds_on_line(port, LONGEST_TELEGRAM)
+        takes_s = seconds_on_line(port, MAX_TELEGRAM_BYTES)
         if port.rs485 is not None:
             takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
         if takes_s > port.interval_s:

@@ -13,16 +13,16 @@ from altd.records import Exposure, Fault, FloatArray, MeanSpots, Spot, SpotShape
 
 _MAD_TO_SIGMA = 1.4826
 _OUTLIER_SIGMAS = 6.0
-_FEWEST_FOR_OUTLIERS = 4
+_MIN_FOR_OUTLIERS = 4
 """Of three exposures under vibration two often lie close together, and the third is no outlier."""
-_LARGEST_OUTLIER_SHARE = 0.3
+_MAX_OUTLIER_FRACTION = 0.3
 _GAP_SIGMAS = 10.0
-_FEWEST_IN_A_PLACE = 2
+_MIN_IN_A_CLUSTER = 2
 """A single exposure is no place: it is an outlier, or with its neighbour the scatter of a short window."""
-_GONE_AFTER = 3
-"""So many unusable exposures at the end of a window: the spot is gone, whatever came before."""
-_FEWEST_FOR_MOTION = 4
-_PRIOR_EXPOSURES = 2.0
+_MAX_UNUSABLE_AT_END = 3
+"""So many unusable exposures at the end of a window: the spot is lost, whatever came before."""
+_MIN_FOR_MOTION = 4
+_PRIOR_WEIGHT = 2.0
 """Weight of the spots' own noise estimate against the observed scatter."""
 
 
@@ -75,30 +75,32 @@ def mean_spots(
     explain adds to a spot's sigma stays in the mean: it is the same in all exposures.
     """
     usable = [exposure for exposure in exposures if not exposure.faults()]
-    gone = len(exposures) >= _GONE_AFTER and all(e.faults() for e in exposures[-_GONE_AFTER:])
-    if gone or len(usable) < math.ceil(window / 2):
-        return _why_not(exposures)
+    is_lost = len(exposures) >= _MAX_UNUSABLE_AT_END and all(
+        e.faults() for e in exposures[-_MAX_UNUSABLE_AT_END:]
+    )
+    if is_lost or len(usable) < math.ceil(window / 2):
+        return _reasons_of_unusable(exposures)
     spots = [[_spot(exposure, target) for target in targets] for exposure in usable]
     px = np.array([[c for spot in row for c in (spot.u_px, spot.v_px)] for row in spots])
     typical_noise = np.repeat(_median(np.array([[spot.sigma_px for spot in row] for row in spots])), 2)
-    kept = _without_outliers(px, typical_noise)
-    too_many = np.count_nonzero(~kept) > _LARGEST_OUTLIER_SHARE * len(usable)
-    if too_many or _has_two_places(px[kept], typical_noise):
+    is_inlier = _is_inlier(px, typical_noise)
+    too_many = np.count_nonzero(~is_inlier) > _MAX_OUTLIER_FRACTION * len(usable)
+    if too_many or _has_two_clusters(px[is_inlier], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
-    counted = [exposure for exposure, near in zip(usable, kept, strict=True) if near]
-    middle_ns = _middle_ns([exposure.t_ns for exposure in counted])
-    since_middle_ns = np.array([exposure.t_ns - middle_ns for exposure in counted], dtype=np.float64)
-    mean = px[kept].mean(axis=0)
-    speed = _speed_px_per_ns(px[kept] - mean, since_middle_ns)
-    covariance_px2 = _covariance_of_mean(px[kept] - mean, speed, since_middle_ns, typical_noise)
-    by_target = [[_spot(exposure, target) for exposure in counted] for target in targets]
-    excess_px2 = [sum(spot.excess_px**2 for spot in of_target) / len(counted) for of_target in by_target]
+    inliers = [exposure for exposure, near in zip(usable, is_inlier, strict=True) if near]
+    middle_ns = _middle_ns([exposure.t_ns for exposure in inliers])
+    since_middle_ns = np.array([exposure.t_ns - middle_ns for exposure in inliers], dtype=np.float64)
+    mean = px[is_inlier].mean(axis=0)
+    speed = _speed_px_per_ns(px[is_inlier] - mean, since_middle_ns)
+    covariance_px2 = _covariance_of_mean(px[is_inlier] - mean, speed, since_middle_ns, typical_noise)
+    by_target = [[_spot(exposure, target) for exposure in inliers] for target in targets]
+    excess_px2 = [sum(spot.excess_px**2 for spot in of_target) / len(inliers) for of_target in by_target]
     return MeanSpots(
         targets=targets,
-        px=(mean - speed * np.repeat(_behind_ns(counted, targets), 2)).reshape(len(targets), 2),
+        px=(mean - speed * np.repeat(_behind_ns(inliers, targets), 2)).reshape(len(targets), 2),
         covariance_px2=covariance_px2 + np.diag(np.repeat(excess_px2, 2)),
         t_ns=middle_ns,
-        frames=int(np.count_nonzero(kept)),
+        frames=int(np.count_nonzero(is_inlier)),
         lost=len(exposures) - len(usable),
         shapes=tuple(_mean_shape(of_target) for of_target in by_target),
         excess_px=tuple(math.sqrt(square) for square in excess_px2),
@@ -130,10 +132,10 @@ def _spot(exposure: Exposure, target: str) -> Spot:
     return spot
 
 
-def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _is_inlier(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which rows of (n, coordinates) lie near the median in every coordinate."""
     count = len(px)
-    if count < _FEWEST_FOR_OUTLIERS:
+    if count < _MIN_FOR_OUTLIERS:
         return np.ones(count, bool)
     distance = np.abs(px - _median(px))
     # n / (n − 0.8) takes out most of the MAD's bias in small samples
@@ -144,7 +146,7 @@ def _without_outliers(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int
     return near
 
 
-def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
+def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
     """Whether (n, coordinates) fall into two places, as when the beam jumped half way through a window.
 
     Then the median lies between them and nothing is an outlier. The largest gap between neighbouring values
@@ -156,7 +158,7 @@ def _has_two_places(px: FloatArray, noise: FloatArray) -> bool:
         return False
     for column in np.flatnonzero(gaps.max(axis=0) > _GAP_SIGMAS * noise):
         split = int(gaps[:, column].argmax()) + 1
-        if not _FEWEST_IN_A_PLACE <= split <= len(px) - _FEWEST_IN_A_PLACE:
+        if not _MIN_IN_A_CLUSTER <= split <= len(px) - _MIN_IN_A_CLUSTER:
             continue
         sides = ordered[:split, column], ordered[split:, column]
         within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
@@ -174,7 +176,7 @@ def _behind_ns(exposures: Sequence[Exposure], targets: tuple[str, ...]) -> Float
 
 def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> FloatArray:
     """Steady motion in each coordinate of (n, coordinates); none in a window too short to tell."""
-    if len(deviations) < _FEWEST_FOR_MOTION:
+    if len(deviations) < _MIN_FOR_MOTION:
         return np.zeros(deviations.shape[1])
     speed: FloatArray = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
     return speed
@@ -188,16 +190,16 @@ def _covariance_of_mean(
     Steady motion is taken out first: it moves no mean that is given for the middle of its exposures.
     """
     count = len(deviations)
-    freedom = count - 1.0
-    if count >= _FEWEST_FOR_MOTION:
+    degrees_of_freedom = count - 1.0
+    if count >= _MIN_FOR_MOTION:
         deviations = deviations - since_middle_ns[:, None] * speed
-        freedom -= 1
-    scatter = deviations.T @ deviations + _PRIOR_EXPOSURES * np.diag(np.square(noise))
-    covariance: FloatArray = scatter / (freedom + _PRIOR_EXPOSURES) / count
+        degrees_of_freedom -= 1
+    scatter = deviations.T @ deviations + _PRIOR_WEIGHT * np.diag(np.square(noise))
+    covariance: FloatArray = scatter / (degrees_of_freedom + _PRIOR_WEIGHT) / count
     return covariance
 
 
-def _why_not(exposures: Sequence[Exposure]) -> tuple[Fault, ...]:
+def _reasons_of_unusable(exposures: Sequence[Exposure]) -> tuple[Fault, ...]:
     """The reasons of the unusable exposures, most frequent first, each with its latest detail."""
     latest = {str(fault): fault for exposure in exposures for fault in exposure.faults()}
     counts = Counter(str(fault) for exposure in exposures for fault in dict.fromkeys(exposure.faults()))

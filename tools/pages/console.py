@@ -6,8 +6,8 @@ import sys
 
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.serial.console import COMMANDS, PAGE_LINES, WATCH_S, Console
-from altd.publish.serial.lines import KEPT_LINES, LONGEST_LINE, BadLine
-from altd.publish.serial.publisher import PAUSE_S, TURN_BYTES
+from altd.publish.serial.lines import MAX_LINE_CHARACTERS, MAX_RECALLED_LINES, BadLine
+from altd.publish.serial.publisher import MAX_READ_BYTES, READ_INTERVAL_S
 from altd.records import Measurement
 from tools.pages.example import MEASURED
 from tools.pages.serial_examples import SPOT_LOST, health
@@ -26,8 +26,9 @@ set to the port's `baud`, `parity` and `stop_bits`, no flow control. For example
 
     picocom --baud 9600 /dev/ttyUSB0
 
-Press Enter; the prompt `>` appears. Upper and lower case are the same; a line has at most {LONGEST_LINE}
-characters. The console only shows: nothing typed here changes the unit, and there is no session to end.
+Press Enter; the prompt `>` appears. Upper and lower case are the same; a line has at most
+{MAX_LINE_CHARACTERS} characters. The console only shows: nothing typed here changes the unit, and there is no
+session to end.
 
 | command | does |
 |---|---|
@@ -37,7 +38,7 @@ characters. The console only shows: nothing typed here changes the unit, and the
 | left, right, Home, End; Ctrl-B, Ctrl-F, Ctrl-A, Ctrl-E | move in the line |
 | Backspace, Delete | erase a character |
 | Ctrl-W; Ctrl-U; Ctrl-K | erase the word before the cursor; all before it; all behind it |
-| up, down; Ctrl-P, Ctrl-N | bring back one of the last {KEPT_LINES} lines |
+| up, down; Ctrl-P, Ctrl-N | bring back one of the last {MAX_RECALLED_LINES} lines |
 | Ctrl-C | forget the line |
 | Ctrl-L | show the line anew |
 
@@ -50,8 +51,8 @@ An answer of more than a screen of {PAGE_LINES + 1} lines stops after each page:
 `watch` takes {shortest:g} to {longest:g} seconds; any key ends it. Uncertainties are standard deviations
 (1 sigma). Times are UTC.
 
-The console takes at most {TURN_BYTES} characters and one line at a time, and rests {1000 * PAUSE_S:g} ms
-after each: a line that floods it waits, and measuring does not.
+The console takes at most {MAX_READ_BYTES} characters and one line at a time, and rests
+{1000 * READ_INTERVAL_S:g} ms after each: a line that floods it waits, and measuring does not.
 
 When nothing appears: Enter again, then check the cable (RS232: receive and transmit crossed; RS485: A and B),
 and that the terminal's speed is the port's `baud`. Unreadable characters mean a wrong speed or parity, and so

@@ -6,8 +6,8 @@ import json
 import sys
 
 from altd.publish.http.publisher import NOTHING_YET, PATHS
-from altd.publish.http.server import CONNECTIONS, HEADER_BYTES, REQUEST_S, STALLED_S
-from altd.publish.http.stream import CLIENTS, QUIET_S
+from altd.publish.http.server import MAX_CONNECTIONS, MAX_HEADER_BYTES, REQUEST_TIMEOUT_S, SEND_TIMEOUT_S
+from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
 from altd.status.measurement_json import as_line, as_object
 from tools.pages.example import MEASURED
 
@@ -59,25 +59,26 @@ data: {as_line(MEASURED)}
 ```
 
 A client that cannot keep up skips measurements: a gap in the `id` shows it. When no exposures come any more,
-one event with `valid` false and `stale` says so. A line that starts with a colon comes after {QUIET_S:g} s of
-silence; a client that hears nothing for several seconds has lost the unit.
+one event with `valid` false and `stale` says so. A line that starts with a colon comes after
+{KEEP_ALIVE_INTERVAL_S:g} s of silence; a client that hears nothing for several seconds has lost the unit.
 
 ## Errors and limits
 
 Errors have a JSON object with `error`: 404 for an unknown path, 405 for a method other than `GET` and `HEAD`,
-503 as above or when {CLIENTS} streams are open already. What is no HTTP is answered with 400 in plain text.
+503 as above or when {MAX_STREAMS} streams are open already. What is no HTTP is answered with 400 in plain
+text.
 
 | limit | |
 |---|---|
 | requests a connection | 1: the unit closes after its answer |
-| connections | {CONNECTIONS}, fewer where descriptors are few; a further one is closed unanswered |
-| streams | {CLIENTS} |
-| time to send the request header | {REQUEST_S:g} s, then the connection is closed |
-| size of a request header that comes in pieces | {HEADER_BYTES} bytes |
-| time without taking an answer | {STALLED_S:g} s, then the connection is closed |
+| connections | {MAX_CONNECTIONS}, fewer where descriptors are few; a further one is closed unanswered |
+| streams | {MAX_STREAMS} |
+| time to send the request header | {REQUEST_TIMEOUT_S:g} s, then the connection is closed |
+| size of a request header that comes in pieces | {MAX_HEADER_BYTES} bytes |
+| time without taking an answer | {SEND_TIMEOUT_S:g} s, then the connection is closed |
 
-A hostile host can take all {CONNECTIONS} connections and keep others out for as long as it goes on; measuring
-and the other interfaces do not suffer. There is no TLS, no password and no CORS: keep the unit in a
+A hostile host can take all {MAX_CONNECTIONS} connections and keep others out for as long as it goes on;
+measuring and the other interfaces do not suffer. There is no TLS, no password and no CORS: keep the unit in a
 network of its own.
 """
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from altd.config import TelegramPortSettings
 from altd.publish.serial.telegram import (
     DOES_NOT_FIT,
-    LONGEST_SENTENCE,
-    LONGEST_TELEGRAM,
+    MAX_SENTENCE_BYTES,
+    MAX_TELEGRAM_BYTES,
     MORE,
     SENTENCES,
     Sentence,
@@ -28,7 +28,7 @@ def page() -> str:
         DOES_NOT_FIT, "a number is too large for its field", "check the offsets in `[installation]`"
     )
     seconds = seconds_on_line(
-        TelegramPortSettings(device=Path("/dev/any"), speaks="telegram"), LONGEST_TELEGRAM
+        TelegramPortSettings(device=Path("/dev/any"), speaks="telegram"), MAX_TELEGRAM_BYTES
     )
     warnings = ", ".join(f"`{reason}`" for reason in Reason if reason.is_warning)
     return f"""# The serial telegram
@@ -38,8 +38,8 @@ def page() -> str:
 A serial port with `speaks = "telegram"` sends two sentences every `interval_s`, by themselves, at `baud`
 (8 data bits, `parity`, `stop_bits`). Both belong to one measurement and are sent in one piece; what the unit
 receives on this port it ignores. The framing is that of NMEA 0183: `$`, name, fields after commas, `*`,
-checksum, CR LF; at most {LONGEST_SENTENCE} characters each. The checksum is the exclusive or of all
-characters between `$` and `*`, as two hexadecimal digits. The longest telegram has {LONGEST_TELEGRAM}
+checksum, CR LF; at most {MAX_SENTENCE_BYTES} characters each. The checksum is the exclusive or of all
+characters between `$` and `*`, as two hexadecimal digits. The longest telegram has {MAX_TELEGRAM_BYTES}
 characters and takes {seconds:.2f} s at 9600 baud, 8N1.
 
 Each time the unit opens the port, after switching on or when an adapter is plugged in again, an empty line

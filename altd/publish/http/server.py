@@ -24,21 +24,21 @@ from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
 
-CONNECTIONS = 64
+MAX_CONNECTIONS = 64
 """More than these are closed at once: a flood must leave the daemon its file descriptors."""
 
-KEPT_DESCRIPTORS = 8
+RESERVED_DESCRIPTORS = 8
 """Where the process may have few descriptors, so many are left to controllers, cameras and ports."""
 
-REQUEST_S = 10.0
+REQUEST_TIMEOUT_S = 10.0
 """A client that has not sent a whole request header by then is cut off."""
 
-STALLED_S = 20
+SEND_TIMEOUT_S = 20
 """A client that takes nothing for so long is cut off by the kernel."""
 
-HEADER_BYTES = 8192
+MAX_HEADER_BYTES = 8192
 
-_SEND_BUFFER = 16384
+_SEND_BUFFER_BYTES = 16384
 """Small, so that a slow reader of the stream skips measurements instead of getting old ones."""
 
 _HEADERS = [
@@ -52,8 +52,8 @@ def listen(settings: HttpSettings) -> socket.socket:
     """The listening socket; raises OSError that names the address."""
     listener = listen_tcp(settings.host, settings.port)
     # what is set here every accepted connection inherits
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
-    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * STALLED_S)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 1000 * SEND_TIMEOUT_S)
     return listener
 
 
@@ -73,7 +73,7 @@ async def serve(
         server_header=False,
         headers=_HEADERS,
         timeout_graceful_shutdown=2,
-        h11_max_incomplete_event_size=HEADER_BYTES,
+        h11_max_incomplete_event_size=MAX_HEADER_BYTES,
     )
     await _Server(config, listener, component, ready).serve()
 
@@ -113,7 +113,9 @@ class _Server(uvicorn.Server):
 
     async def _admit(self, connection: socket.socket) -> None:
         """Serve a connection, or close it where there are enough."""
-        if len(self.server_state.connections) >= CONNECTIONS or is_among_last(connection, KEPT_DESCRIPTORS):
+        if len(self.server_state.connections) >= MAX_CONNECTIONS or is_among_last(
+            connection, RESERVED_DESCRIPTORS
+        ):
             self._component.count("connections_refused")
             connection.close()
             return
@@ -131,7 +133,7 @@ class _BoundedProtocol(H11Protocol):
         """Write nothing ahead of the client, and wait for its request only so long."""
         super().connection_made(transport)
         transport.set_write_buffer_limits(high=0)
-        self._deadline = self.loop.call_later(REQUEST_S, self._give_up)
+        self._deadline = self.loop.call_later(REQUEST_TIMEOUT_S, self._give_up)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the deadline."""

@@ -14,10 +14,10 @@ from altd.status.board import Board
 from altd.status.health import Component
 from altd.status.measurement_json import as_line
 
-CLIENTS = 16
+MAX_STREAMS = 16
 """Streams that are served at a time."""
 
-QUIET_S = 1.0
+KEEP_ALIVE_INTERVAL_S = 1.0
 """After this much silence a comment says that the unit is still there."""
 
 RETRY_MS = 2000
@@ -40,7 +40,7 @@ async def events(board: Board, component: Component) -> AsyncGenerator[str, None
     while True:
         skipped = cursor.skipped
         try:
-            async with asyncio.timeout(QUIET_S):
+            async with asyncio.timeout(KEEP_ALIVE_INTERVAL_S):
                 latest: Measurement | None = await cursor.next()
         except TimeoutError:
             latest = board.read()
@@ -75,9 +75,9 @@ class EventStream(StreamingResponse):
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve the client until it goes away."""
         streams = self._streams
-        if streams.open >= CLIENTS:
+        if streams.open >= MAX_STREAMS:
             streams.component.count("streams_refused")
-            refusal = JSONResponse({"error": f"{CLIENTS} streams are open already"}, status_code=503)
+            refusal = JSONResponse({"error": f"{MAX_STREAMS} streams are open already"}, status_code=503)
             await refusal(scope, receive, send)
             return
         streams.open += 1

@@ -30,7 +30,7 @@ LONGEST = 254
 MAX_CLIENTS = 32
 """With more, one is closed (Messaging 4.2): connections that a controller has forgotten make room for it."""
 
-KEPT_DESCRIPTORS = 4
+RESERVED_DESCRIPTORS = 4
 """Where the process may have few descriptors, so many are left to cameras and ports."""
 
 _DIRECT = frozenset({0, 255})
@@ -86,7 +86,7 @@ class ModbusTcpPublisher:
 
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
         """Serve a connection; where there are enough, one that is there already makes room."""
-        full = len(self._clients) >= MAX_CLIENTS or is_among_last(connection, KEPT_DESCRIPTORS)
+        full = len(self._clients) >= MAX_CLIENTS or is_among_last(connection, RESERVED_DESCRIPTORS)
         if full and not self._clients:
             self._component.count("connections_refused")
             connection.close()

@@ -17,7 +17,7 @@ class Advice(NamedTuple):
     remedy: str
 
 
-_CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
+_CLEAN_THE_WINDOW = "clean the window, look for reflections and for what stands in the beam"
 _RIGHT_CAMERA = "swap the cameras' cables or put the old camera back"
 
 _LEDS = Advice(
@@ -31,7 +31,7 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
             "the spot is too dim", "clean the window, give the laser more power or expose longer"
         ),
     },
-    Reason.AMBIGUOUS: {"two spots touch": Advice("the spot is double", _CLEAN_AND_LOOK)},
+    Reason.AMBIGUOUS: {"two spots touch": Advice("the spot is double", _CLEAN_THE_WINDOW)},
     Reason.SATURATED: {
         "whole frame": Advice(
             "the whole picture is overexposed",

@@ -10,12 +10,12 @@ import codecs
 from collections.abc import Iterator
 from enum import Enum, auto
 
-ESC_S = 0.15
+ESCAPE_TIMEOUT_S = 0.15
 """ESC alone was the key when nothing follows for so long: longer than a byte takes at 1200 baud, shorter than
 anybody types."""
-SEQUENCE_S = 0.5
+SEQUENCE_TIMEOUT_S = 0.5
 """A sequence that was begun is given up after so long; a terminal server may hold a part of it back."""
-PASTE_S = 2.0
+PASTE_TIMEOUT_S = 2.0
 """A bracketed paste without its end is given up after so long."""
 MAX_SEQUENCE = 16
 """Characters of a sequence that are kept: no key sends more. A longer one is none that is known."""
@@ -126,10 +126,10 @@ class KeyReader:
     def waiting_s(self) -> float | None:
         """After how much silence ``rest`` is due; None: nothing is open."""
         if self._in is not _In.TEXT:
-            return ESC_S if self._in is _In.ESCAPE else SEQUENCE_S
+            return ESCAPE_TIMEOUT_S if self._in is _In.ESCAPE else SEQUENCE_TIMEOUT_S
         if self._telnet.is_open or self._decoder.getstate()[0]:
-            return SEQUENCE_S
-        return PASTE_S if self._pasting else None
+            return SEQUENCE_TIMEOUT_S
+        return PASTE_TIMEOUT_S if self._pasting else None
 
     def take(self, byte: int) -> Iterator[str | Key]:
         """The keys that end with this byte."""

@@ -7,24 +7,24 @@ from enum import Enum
 
 from altd.publish.serial.keys import Key
 
-LONGEST_LINE = 70
-KEPT_LINES = 16
+MAX_LINE_CHARACTERS = 70
+MAX_RECALLED_LINES = 16
 """Lines that the up and down keys bring back."""
 
-_MIN_JUNK = 3
+_MIN_NOISE = 3
 _BACK = b"\b"
 
 
 class BadLine(Enum):
     """A line that is not worth reading, with what to tell the person."""
 
-    TOO_LONG = f"line too long: at most {LONGEST_LINE} characters"
+    TOO_LONG = f"line too long: at most {MAX_LINE_CHARACTERS} characters"
     STRAY = "not plain ASCII: type it anew or check the parity"
     NO_TEXT = "that was no text: wrong baud rate or parity?"
 
 
 class LineEditor:
-    """Takes one key at a time and keeps at most one line and ``KEPT_LINES`` earlier ones.
+    """Takes one key at a time and keeps at most one line and ``MAX_RECALLED_LINES`` earlier ones.
 
     What it shows is built of printable ASCII, blanks and backspaces, which every terminal knows. A character
     that is not ASCII stands in the line as ``?`` and can be erased; as no command has one, it makes none.
@@ -36,7 +36,7 @@ class LineEditor:
         """Where the cursor stands."""
         self._too_long = False
         self._junk = 0
-        self._earlier: deque[str] = deque(maxlen=KEPT_LINES)
+        self._earlier: deque[str] = deque(maxlen=MAX_RECALLED_LINES)
         self._recalled = 0
         """How many lines back the one is that is shown; 0: none of the earlier ones."""
         self._own = ""
@@ -50,7 +50,7 @@ class LineEditor:
             case Key.ENTER:
                 return self._end()
             case Key.JUNK_END:
-                self._junk += _MIN_JUNK
+                self._junk += _MIN_NOISE
                 return self._end()
             case Key.JUNK:
                 self._junk += 1
@@ -70,7 +70,7 @@ class LineEditor:
         return _ascii(self._line) + _BACK * (len(self._line) - self._at)
 
     def _insert(self, character: str) -> bytes:
-        if len(self._line) == LONGEST_LINE:
+        if len(self._line) == MAX_LINE_CHARACTERS:
             self._too_long = True
             return b""
         self._line.insert(self._at, character)
@@ -81,7 +81,7 @@ class LineEditor:
     def _end(self) -> str | BadLine:
         line, junk = "".join(self._line), self._junk
         bad = None
-        if junk >= _MIN_JUNK and 2 * junk >= len(line):
+        if junk >= _MIN_NOISE and 2 * junk >= len(line):
             bad = BadLine.NO_TEXT
         elif junk:
             bad = BadLine.STRAY

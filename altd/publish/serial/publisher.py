@@ -9,18 +9,18 @@ from collections.abc import Callable
 from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
-from altd.publish.serial.telegram import LINE_END, LONGEST_TELEGRAM, encode
+from altd.publish.serial.telegram import LINE_END, MAX_TELEGRAM_BYTES, encode
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
-CONSOLE_WAITING = 16384
+MAX_WAITING_BYTES = 16384
 """Bytes of console output that may wait for a slow line."""
 
-PAUSE_S = 0.02
+READ_INTERVAL_S = 0.02
 """Rest after each turn: a line that floods, or echoes all it is sent, must not keep the unit busy."""
 
-TURN_BYTES = 128
+MAX_READ_BYTES = 128
 """Typed characters that the console takes in a turn, and no more than one line of them: a turn then takes the
 event loop about a millisecond, whatever comes in. 6,400 characters a second are more than anybody types."""
 
@@ -39,7 +39,7 @@ class TelegramPublisher:
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
         interval_ns = round(self._settings.interval_s * 1e9)
-        async with opened(self._settings, limit=len(LINE_END) + LONGEST_TELEGRAM, fresh=True) as port:
+        async with opened(self._settings, limit=len(LINE_END) + MAX_TELEGRAM_BYTES, fresh=True) as port:
             ready()
             due_ns = self._clock.monotonic_ns()
             lead = LINE_END  # ends the line that an unplugged cable or a crash may have torn
@@ -54,7 +54,7 @@ class TelegramPublisher:
                 try:
                     while not pause.done():
                         if await port.read(until=pause):
-                            await asyncio.sleep(PAUSE_S)
+                            await asyncio.sleep(READ_INTERVAL_S)
                 finally:
                     pause.cancel()
 
@@ -94,7 +94,7 @@ class ConsolePublisher:
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
         console = Console(self._board.read, self._health, self._board.quantities)
-        async with opened(self._settings, limit=CONSOLE_WAITING, fresh=False) as port:
+        async with opened(self._settings, limit=MAX_WAITING_BYTES, fresh=False) as port:
             ready()
             self._component.say(State.OK, console_message(self._settings))
             self._show(port, console.greet())
@@ -118,16 +118,16 @@ class ConsolePublisher:
                     self._show(port, console.tick())
                     shown_ns = now_ns
                 if typed:
-                    await asyncio.sleep(PAUSE_S)
+                    await asyncio.sleep(READ_INTERVAL_S)
 
     async def _typed(self, port: Port, until_ns: float) -> bytes:
         """What is typed next; nothing when nothing is until then."""
         if until_ns == math.inf:
-            return await port.read(limit=TURN_BYTES)
+            return await port.read(limit=MAX_READ_BYTES)
         left_ns = max(until_ns - self._clock.monotonic_ns(), 0)
         pause = asyncio.ensure_future(self._clock.sleep(left_ns * 1e-9))
         try:
-            return await port.read(until=pause, limit=TURN_BYTES)
+            return await port.read(until=pause, limit=MAX_READ_BYTES)
         finally:
             pause.cancel()
 

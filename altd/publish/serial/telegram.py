@@ -19,7 +19,7 @@ from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number
 from altd.reasons import Reason
 from altd.records import Measurement
 
-LONGEST_SENTENCE = 82
+MAX_SENTENCE_BYTES = 82
 """Characters from ``$`` to LF that NMEA 0183 allows."""
 
 LINE_END = b"\r\n"
@@ -180,7 +180,7 @@ QUALITY = Sentence(
 )
 
 SENTENCES = (MEASUREMENT, QUALITY)
-LONGEST_TELEGRAM = LONGEST_SENTENCE * len(SENTENCES)
+MAX_TELEGRAM_BYTES = MAX_SENTENCE_BYTES * len(SENTENCES)
 
 
 def checksum(body: Iterable[int]) -> int:
@@ -215,7 +215,7 @@ def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
     for kept in range(len(codes), -1, -1):
         shown = codes[:kept] + (MORE,) * (kept < len(codes))
         telegram = replace(telegram, reasons=shown or None)
-        if len(QUALITY.encode(telegram)) <= LONGEST_SENTENCE:
+        if len(QUALITY.encode(telegram)) <= MAX_SENTENCE_BYTES:
             break
     MEASUREMENT.encode(telegram)
     return telegram

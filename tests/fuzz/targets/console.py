@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from altd.config import ConsolePortSettings
 from altd.publish.serial import publisher as serial_publisher
-from altd.publish.serial.keys import PASTE_S
+from altd.publish.serial.keys import PASTE_TIMEOUT_S
 from altd.publish.serial.publisher import ConsolePublisher
 from tools.pages.example import MEASURED
 
@@ -53,7 +53,9 @@ class _Line:
     """A pseudo terminal whose near end the console opens."""
 
     def __init__(self, faces: Faces) -> None:
-        serial_publisher.PAUSE_S = 0.0  # the rest after each turn: examples are tried one behind the other
+        serial_publisher.READ_INTERVAL_S = (
+            0.0  # the rest after each turn: examples are tried one behind the other
+        )
         self.far, near = os.openpty()
         os.set_blocking(self.far, False)
         tty.setraw(near)
@@ -99,7 +101,7 @@ async def _session(faces: Faces, line: _Line, keys: bytes) -> bytes:
     ended = b""
     async with asyncio.timeout(10.0):
         while b"no command 'is-it-over'" not in ended:  # again where the kernel hands keys over late
-            await faces.clock.advance(2.0 * PASTE_S)  # nobody types: every key that was begun is over
+            await faces.clock.advance(2.0 * PASTE_TIMEOUT_S)  # nobody types: every key that was begun is over
             os.write(line.far, b"q\x15\ris-it-over\r")
             for _ in range(20):
                 ended += await _heard(line.far, 0.001)

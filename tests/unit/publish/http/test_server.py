@@ -149,7 +149,7 @@ async def test_upgrades_and_bodies_are_ignored(served: Served) -> None:
 
 
 async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "REQUEST_S", 0.1)
+    monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.1)
     async with served() as unit:
         reader, writer = await unit.connect()
         started = time.perf_counter()
@@ -168,7 +168,7 @@ async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: 
 async def test_a_flood_of_connections_is_bounded_and_passes(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "CONNECTIONS", 10)
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 10)
     async with served() as unit:
         flood = [await unit.connect() for _ in range(40)]
         await asyncio.sleep(0.05)

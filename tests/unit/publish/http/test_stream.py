@@ -40,7 +40,7 @@ async def test_the_latest_comes_at_once_and_then_every_new_one(
 async def test_silence_is_told_by_a_comment(
     served: Served, board: Board, measured: Measurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "QUIET_S", 0.02)
+    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.02)
     async with served() as unit, unit.stream() as events:
         await events.head()
         assert (await events.block()).startswith("retry: ")
@@ -57,7 +57,7 @@ async def test_a_measurement_that_goes_stale_is_told_once(
     measured: Measurement,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(stream, "QUIET_S", 0.02)
+    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.02)
     board.publish(measured)
     async with served() as unit, unit.stream() as events:
         await events.head()
@@ -113,7 +113,7 @@ async def test_a_stalled_client_is_cut_off(
     measured: Measurement,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(server, "STALLED_S", 1)
+    monkeypatch.setattr(server, "SEND_TIMEOUT_S", 1)
     async with served() as unit:
         with socket.socket() as client:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -130,7 +130,7 @@ async def test_a_stalled_client_is_cut_off(
 async def test_only_so_many_streams_are_served(
     served: Served, component: Component, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "CLIENTS", 2)
+    monkeypatch.setattr(stream, "MAX_STREAMS", 2)
     async with served() as unit:
         async with unit.stream() as first, unit.stream() as second:
             await first.head()

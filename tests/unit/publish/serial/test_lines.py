@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from altd.publish.serial.keys import Key, KeyReader
-from altd.publish.serial.lines import KEPT_LINES, LONGEST_LINE, BadLine, LineEditor
+from altd.publish.serial.lines import MAX_LINE_CHARACTERS, MAX_RECALLED_LINES, BadLine, LineEditor
 
 UP, DOWN, RIGHT, LEFT = (b"\x1b[" + final for final in (b"A", b"B", b"C", b"D"))
 
@@ -50,7 +50,11 @@ def screen(data: bytes) -> tuple[str, int]:
         (b"stat\x15help\r", b"stat" + b"\b \b" * 4 + b"help", ["help"]),
         (b"stat\x03help\r", b"stat" + b"\b \b" * 4 + b"help", ["help"]),
         (b"\x1b[" + b"1" * 40 + b"\rhelp\r", b"help", ["", "help"]),
-        (b"a" * (LONGEST_LINE + 5) + b"\rhelp\r", b"a" * LONGEST_LINE + b"help", [BadLine.TOO_LONG, "help"]),
+        (
+            b"a" * (MAX_LINE_CHARACTERS + 5) + b"\rhelp\r",
+            b"a" * MAX_LINE_CHARACTERS + b"help",
+            [BadLine.TOO_LONG, "help"],
+        ),
         (b"\xff\xfe\x80\xe6\x80\rhelp\r", b"help", [BadLine.NO_TEXT, "help"]),
         (b"\xff\x15help\r", b"help", ["help"]),
         ("hölp\r".encode(), b"h?lp", ["hölp"]),
@@ -97,7 +101,9 @@ def test_earlier_lines_come_back_and_can_be_edited() -> None:
     assert typed(typed_before + UP * 9 + DOWN + b"\r")[1][-1] == "measure"
     assert typed(typed_before + b"wat" + UP * 2 + DOWN * 9 + b"ch\r")[1][-1] == "watch"
     assert typed(typed_before + b"\x10 x\r" + UP + b"\x15\r")[1][-2:] == ["measure x", ""]
-    assert typed(b"".join(b"%d\r" % n for n in range(99)) + UP * 99 + b"\r")[1][-1] == str(99 - KEPT_LINES)
+    assert typed(b"".join(b"%d\r" % n for n in range(99)) + UP * 99 + b"\r")[1][-1] == str(
+        99 - MAX_RECALLED_LINES
+    )
 
 
 SENT = {
@@ -224,7 +230,7 @@ def test_after_any_garbage_a_line_can_be_typed(garbage: bytes) -> None:
     lines = [piece for piece in taken if not isinstance(piece, bytes)]
     echo = b"".join(piece for piece in taken if isinstance(piece, bytes))
     assert lines[-1] == "help"
-    assert all(len(line) <= LONGEST_LINE for line in lines if isinstance(line, str))
+    assert all(len(line) <= MAX_LINE_CHARACTERS for line in lines if isinstance(line, str))
     assert re.fullmatch(rb"[ -~\b]*", echo)
 
 

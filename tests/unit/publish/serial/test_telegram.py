@@ -14,8 +14,8 @@ from support.measurements import beam_of, changed, measured
 from altd.instruments.beam.solver import Beam
 from altd.publish.serial.fields import Mode
 from altd.publish.serial.telegram import (
-    LONGEST_SENTENCE,
-    LONGEST_TELEGRAM,
+    MAX_SENTENCE_BYTES,
+    MAX_TELEGRAM_BYTES,
     SENTENCES,
     SIGMAS,
     Telegram,
@@ -153,7 +153,7 @@ def test_reasons_that_find_no_room_are_told_as_more() -> None:
     )
     telegram = parse(encode(crowd))
     assert telegram.reasons == ("stale", "target_0_spot_missing", "more")
-    assert len(encode(crowd)) <= LONGEST_TELEGRAM
+    assert len(encode(crowd)) <= MAX_TELEGRAM_BYTES
 
 
 def test_the_sequence_wraps_at_32_bits() -> None:
@@ -239,7 +239,7 @@ MEASUREMENTS = st.builds(
 @given(MEASUREMENTS)
 def test_any_measurement_survives_the_wire(measurement: Measurement) -> None:
     wire = encode(measurement)
-    assert all(len(line) <= LONGEST_SENTENCE for line in wire.splitlines(keepends=True))
+    assert all(len(line) <= MAX_SENTENCE_BYTES for line in wire.splitlines(keepends=True))
     telegram = parse(wire)
     assert telegram.encode() == wire
     if telegram.mode is Mode.INVALID:
