@@ -1,0 +1,51 @@
+"""``python -m tools.defects``: one defect after the other, in a copy of altd that the unit tests run on."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from tools.defects.catalogue import DEFECTS, Defect
+
+ROOT = Path(__file__).resolve().parents[2]
+_UNIT_TESTS = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--maxfail=3", "tests/unit"]
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+
+
+def main() -> int:
+    """Print what caught each defect; 1 when one was not caught."""
+    parser = argparse.ArgumentParser(prog="python -m tools.defects", description=__doc__)
+    parser.add_argument("rooms", nargs="*", help="only defects of these rooms; without: all")
+    rooms = parser.parse_args().rooms
+    missed = 0
+    for defect in DEFECTS:
+        if rooms and defect.room not in rooms:
+            continue
+        caught = _caught_by(defect)
+        missed += not caught
+        print(f"{defect.room}: {defect.what}\n    {', '.join(caught) or 'NOT CAUGHT'}", flush=True)
+    return int(bool(missed))
+
+
+def _caught_by(defect: Defect) -> list[str]:
+    """The unit tests that fail with the defect."""
+    with tempfile.TemporaryDirectory(prefix="altd-defect-", dir=ROOT.parent) as name:
+        copy = Path(name)  # beside the project: the tests' ../shared is there too
+        ignored = shutil.ignore_patterns(".*", "__pycache__", "build", "dist")
+        shutil.copytree(ROOT, copy, ignore=ignored, dirs_exist_ok=True)
+        file = copy / defect.file
+        text = file.read_text(encoding="utf-8")
+        if text.count(defect.old) != 1:
+            raise SystemExit(f"{defect.file}: the defect of {defect.room} has no place there any more")
+        file.write_text(text.replace(defect.old, defect.new), encoding="utf-8")
+        ran = subprocess.run(_UNIT_TESTS, cwd=copy, capture_output=True, text=True, check=False)  # noqa: S603
+        return _FAILED.findall(ran.stdout)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
