@@ -12,6 +12,7 @@ from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.spot_shape import shape_in_mm
 from altd.records import FloatArray, Frame, SpotShape
+from altd.statistics.robust import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile
 from altd.vision.misfit import misfit_of
@@ -20,7 +21,6 @@ from altd.vision.settings import SpotSettings
 
 _MIN_SPOTS = 8
 """Fewer say too little of what is usual."""
-_MAD_TO_SIGMA = 1.4826
 
 
 def spot_reference(
@@ -78,6 +78,6 @@ def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | N
     )
     if len(shapes) < _MIN_SPOTS:
         return None
-    mean = np.median(shapes, axis=0)
-    sigma = _MAD_TO_SIGMA * np.median(np.abs(shapes - mean), axis=0)
+    mean = median(shapes, axis=0)
+    sigma = MAD_TO_SIGMA * median(np.abs(shapes - mean), axis=0)
     return ShapeReference(cast("Four", tuple(mean.tolist())), cast("Four", tuple(sigma.tolist())))

@@ -19,6 +19,7 @@ from collections import deque
 import numpy as np
 
 from altd.records import Exposure, FloatArray, Spot
+from altd.statistics.robust import MAD_TO_SIGMA, median
 
 _WINDOW = 200
 """Exposures that are looked at: 10 s at 20 a second."""
@@ -32,7 +33,6 @@ _MIN_CHI = 9.0
 """The root of χ²: with four degrees of freedom a larger one has a probability of 1e-16."""
 _MIN_CHI_DIFFERENCE = 6.0
 _CLIP_SIGMAS = 4.0
-_MAD_TO_SIGMA = 1.4826
 _UNEVEN = 0.25
 _MAX_APART_PERIODS = 0.1
 """Between exposures further apart than this, vibration has moved on: no lag is that of the other's motion."""
@@ -126,8 +126,8 @@ def _filtered(steps: FloatArray, coefficients: FloatArray) -> FloatArray:
 
 def _normalised(series: FloatArray) -> FloatArray | None:
     """A series (m, 2), clipped, with zero mean and unit covariance; None: it does not move."""
-    centred = series - np.median(series, axis=0)
-    limit = _CLIP_SIGMAS * _MAD_TO_SIGMA * np.median(np.abs(centred), axis=0)
+    centred = series - median(series, axis=0)
+    limit = _CLIP_SIGMAS * MAD_TO_SIGMA * median(np.abs(centred), axis=0)
     clipped = np.clip(centred, -limit, limit)
     clipped -= clipped.mean(axis=0)
     try:

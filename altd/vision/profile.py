@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray
+from altd.statistics.robust import mad_sigma
 from altd.vision.blocks import Blocks, blocks_of
 from altd.vision.centre import Centre, Noise
 from altd.vision.flat import BLOCK_PX, Flat
 from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
-from altd.vision.robust import mad_sigma
 
 _ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4

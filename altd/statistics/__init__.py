@@ -1,0 +1,1 @@
+"""Statistics that several rooms use; pure, below vision and mapping, which do not know each other."""
