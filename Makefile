@@ -24,6 +24,7 @@ pages := \
     http:tools.pages.http \
     tables:tools.pages.tables \
     config:tools.pages.config \
+    decisions/README:tools.pages.decisions \
     licences:tools.licences.page
 
 help:

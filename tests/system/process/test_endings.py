@@ -40,7 +40,7 @@ class Command:
     module: str = "altd.cli"
 
 
-HW_SIM = "hw_sim.__main__"
+HW_SIM = "hw_sim"
 COMMANDS = {
     "run": Command(
         "run --config {config}",
@@ -75,7 +75,7 @@ COMMANDS = {
     ),
     "record before its first exposure": Command(
         "record --config {config} -o kept --seconds 60",
-        "altd.app.reader:cameras_of 1",
+        "altd.app.record:cameras_of 1",
         says="(altd record: interrupted before the first exposure\n)?",
     ),
     "scan": Command(
@@ -85,7 +85,7 @@ COMMANDS = {
         says="hw_sim: interrupted; the same command goes on from there\n",
         module=HW_SIM,
     ),
-    "lamps": Command("lamps off --config {lamps}", "altd.app.lamps_by_hand:LampsByHand.leave 1"),
+    "lamps": Command("lamps off --config {lamps}", "altd.app.lamps_by_hand:LampsByHand.leave_lit 1"),
     "locate": Command(
         "locate {beams}/front0000.png {beams}/rear0000.png", "altd.files.picture:read_picture 2"
     ),
