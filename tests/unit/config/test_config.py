@@ -295,3 +295,15 @@ def test_a_number_that_is_none_is_named_with_its_key_and_value(
     tmp_path: Path, more: str, message: str
 ) -> None:
     assert message in complaint(write(tmp_path, GOOD + more))
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["max_skew_ms", "max_lag_ms", "max_sigma_mm", "max_sigma_mm_per_m", "silent_after_s", "stale_after_s"],
+)
+def test_a_limit_of_the_measuring_is_above_zero(key: str) -> None:
+    """With zero nothing would be valid, or everything stale at once."""
+    with pytest.raises(ValidationError) as caught:
+        Measuring.model_validate({key: 0.0})
+    assert caught.value.errors()[0]["type"] == "greater_than"
+    assert getattr(Measuring.model_validate({key: 0.001}), key) == 0.001

@@ -52,6 +52,13 @@ def test_rows_and_frames_are_read_and_unknown_columns_ignored(recording: Path) -
     assert not first.pixels.flags.writeable
 
 
+def test_a_row_says_whether_the_frame_leds_were_on(recording: Path) -> None:
+    edit(recording, 3, ",off,", ",on,")
+    opened = open_recording(recording)
+    assert [row.leds_on for row in opened.rows] == [False, True, False, False]
+    assert [opened.frame(row).leds_on for row in opened.rows] == [False, True, False, False]
+
+
 @pytest.mark.parametrize(
     ("row", "old", "new", "message"),
     [
