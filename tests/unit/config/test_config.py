@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from support.places import ROOT
 from support.unit_toml import played_toml
 
-from altd.config import Config, Table, load_config
+from altd.config import Config, Measuring, Table, load_config
 from altd.errors import BadInputError
 
 GOOD = played_toml("cal.json", "rec")
