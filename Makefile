@@ -42,7 +42,7 @@ test: programs venv kernel ## the tests
 fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
 	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
-check: venv ## style, types, layers, licences, generated pages
+check: venv ## style, types, layers, licences, generated pages, width of pages
 	@$(python) -m ruff check
 	$(python) -m ruff format --check
 	$(python) -m mypy
@@ -53,6 +53,7 @@ check: venv ## style, types, layers, licences, generated pages
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
 	done
 	echo "generated pages are up to date"
+	$(python) -m tools.markdown CONTRIBUTING.md docs/*.md docs/decisions/*.md
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure

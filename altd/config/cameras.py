@@ -78,6 +78,8 @@ class ExposureSettings(Table):
 class LiveCameraSettings(Table):
     """What every camera that is no recording has."""
 
+    device: Path | str
+    """Which camera it is, in the words of its driver."""
     width: Annotated[int, Field(ge=64, le=16384)] = 752
     """Columns of a frame; the calibration must have been made with the same."""
     height: Annotated[int, Field(ge=64, le=16384)] = 480

@@ -9,9 +9,9 @@ from typing import Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
-from altd.config.cameras import AnyCameraSettings, LiveCameraSettings, RecordingCameraSettings
-from altd.config.faces import HttpSettings, ModbusTcpSettings, SerialPortSettings
-from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
+from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
+from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
+from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
 from altd.config.measuring import Measuring
 from altd.config.places import Keys
 from altd.config.stage import GrblStageSettings
@@ -24,12 +24,12 @@ class Draft:
     """The tables of a config that rules look at. None: not there, or faulty."""
 
     targets: tuple[Target | None, ...]
-    cameras: Mapping[str, RecordingCameraSettings | LiveCameraSettings | None]
+    cameras: Mapping[str, AnyCameraSettings | None]
     measuring: Measuring | None
     modbus_tcp: ModbusTcpSettings | None
     http: HttpSettings | None
-    serial: tuple[SerialPortSettings | None, ...]
-    lamps: GpiodLampsSettings | CameraLampsSettings | None
+    serial: tuple[AnySerialPortSettings | None, ...]
+    lamps: AnyLampsSettings | None
     indicators: IndicatorsSettings | None
     stage: GrblStageSettings | None
 

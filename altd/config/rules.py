@@ -9,9 +9,10 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from altd.config.addresses import overlap
-from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings, V4l2CameraSettings
+from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
 from altd.config.complaints import shown
 from altd.config.draft import Draft
 from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings
@@ -126,12 +127,7 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
     """No two tables are of one camera."""
     first: dict[tuple[str, str], str] = {}
     for name, camera in draft.live().items():
-        if isinstance(camera, V4l2CameraSettings):
-            device = os.path.normpath(camera.device)
-        elif isinstance(camera, AravisCameraSettings):
-            device = camera.device
-        else:
-            continue
+        device = os.path.normpath(camera.device) if isinstance(camera.device, Path) else camera.device
         for key, value in (("device", device), ("serial", camera.serial)):
             if value is not None and (other := first.setdefault((key, value), name)) != name:
                 text = f"{shown(value)} is the {key} of camera {shown(other)} too; possible: another camera"

@@ -10,6 +10,7 @@ from tools.licences.accepted import ACCEPTED, PARTS, POSITIONS, PURPOSES, STATED
 from tools.licences.check import licence_of
 from tools.licences.installed import NotAsLockedError, Package, run_time_packages
 from tools.licences.spdx import canonical, goes, is_own_text
+from tools.markdown import wrapped
 
 
 def page(packages: Iterable[Package]) -> str:
@@ -81,7 +82,7 @@ def _bullets(packages: list[Package], parts: list[Part]) -> str:
     for part in parts:
         if not goes(part.licence, ACCEPTED) and not is_own_text(part.licence):
             whys.setdefault(part.why, []).append(f"{part.name} in {part.package}")
-    return "".join(f"- **{', '.join(who)}**: {why}.\n" for why, who in whys.items())
+    return wrapped("".join(f"- **{', '.join(who)}**: {why}.\n" for why, who in whys.items()))
 
 
 def _read_by_hand(versions: dict[str, str]) -> list[tuple[str, ...]]:

@@ -34,6 +34,7 @@ from altd.config import (
 from altd.config.fields import expected
 from altd.config.loading import config_of
 from altd.errors import BadInputError
+from tools.markdown import wrapped
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
@@ -113,7 +114,7 @@ def page() -> str:
     """The page in Markdown."""
     covered = {model for _, model, _ in TABLES}
     assert covered >= {m for f in Config.model_fields.values() for m in _models(f.annotation)}  # noqa: S101
-    return "\n".join(_lines()) + "\n"
+    return wrapped("\n".join(_lines()) + "\n")
 
 
 def _lines() -> Iterator[str]:

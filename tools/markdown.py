@@ -1,0 +1,99 @@
+"""Lines of the documentation are no longer than 120 characters.
+
+``python -m tools.markdown FILE…`` names those that are, ``python -m tools.markdown --wrap FILE…`` wraps them.
+Tables, code and headings are left alone, and a link counts by its text.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+MAX_LETTERS = 120
+
+_ITEM = re.compile(r"\s*(?:[-*] |\d+\. )")
+_MARK = re.compile(rf"(?:{_ITEM.pattern})?\s*")
+_WORD = re.compile(r"(?:!?\[[^\]]*\]\([^)]*\)|`[^`]*`|\S)+")
+"""What is not broken: a link, code within a line, a word, and what hangs together with them."""
+_LINK_TARGET = re.compile(r"(?<=\])\([^)]*\)")
+_FENCE = "```"
+_LITERAL = ("|", "#", "<!--", ">", _FENCE)
+_INDENTED_CODE = "    "
+
+
+def wrapped(page: str) -> str:
+    """The page with those paragraphs and list items wrapped anew that have a line which is too long."""
+    lines: list[str] = []
+    for is_text, block in _blocks(page.split("\n")):
+        lines += _filled(block) if is_text and any(map(_is_too_long, block)) else block
+    return "\n".join(lines)
+
+
+def long_lines(page: str) -> Iterator[int]:
+    """The numbers, from 1, of the lines that are too long and could be broken."""
+    number = 0
+    for is_text, block in _blocks(page.split("\n")):
+        for line in block:
+            number += 1
+            if is_text and _is_too_long(line) and _filled(block) != block:
+                yield number
+
+
+def _blocks(lines: Iterable[str]) -> Iterator[tuple[bool, list[str]]]:
+    """Paragraphs and list items whole, every other line alone; whether it is text that can be wrapped."""
+    text: list[str] = []
+    is_fenced = False
+    for line in lines:
+        is_code = is_fenced or (line.startswith(_INDENTED_CODE) and not text)
+        if is_code or not line.strip() or line.startswith(_LITERAL):
+            if text:
+                yield True, text
+                text = []
+            yield False, [line]
+            is_fenced ^= line.startswith(_FENCE)
+        else:
+            if text and _ITEM.match(line):
+                yield True, text
+                text = []
+            text.append(line)
+    if text:
+        yield True, text
+
+
+def _filled(block: list[str]) -> list[str]:
+    mark = _MARK.match(block[0])
+    assert mark is not None  # noqa: S101  it matches nothing, too
+    lines, line = [], mark[0]
+    for word in _WORD.findall(" ".join(block)[mark.end() :]):
+        if line.strip() and len(line) + 1 + len(word) > MAX_LETTERS and line != mark[0]:
+            lines.append(line)
+            line = " " * len(mark[0]) + word
+        else:
+            line += word if line == mark[0] else f" {word}"
+    return [*lines, line]
+
+
+def _is_too_long(line: str) -> bool:
+    return len(_LINK_TARGET.sub("", line)) > MAX_LETTERS
+
+
+def main(arguments: list[str]) -> int:
+    """Wrap, or name each line that is too long; the exit status."""
+    if arguments[:1] == ["--wrap"]:
+        for path in map(Path, arguments[1:]):
+            path.write_text(wrapped(path.read_text()))
+        return 0
+    return _check(arguments)
+
+
+def _check(paths: Iterable[str]) -> int:
+    places = [f"{path}:{number}" for path in paths for number in long_lines(Path(path).read_text())]
+    for place in places:
+        print(f"{place}: longer than {MAX_LETTERS} characters", file=sys.stderr)
+    return int(bool(places))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
