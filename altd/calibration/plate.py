@@ -20,8 +20,8 @@ from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.light_centre import (
     disc_moment_mm2,
-    jacobian_px_per_mm,
     light_centre_shift_px,
+    px2_per_mm2,
     spot_moment_mm2,
 )
 from altd.measuring.calibration import TargetCalibration
@@ -114,7 +114,7 @@ def _target(
     fit = fitted.fit
     scatter_px, exposures = _scatter_px(frames(True), dark, tuple(leds.discs[row] for row in kept))
     distance_mm = residual_distances_mm(fit, nodes_mm[kept])
-    scale = np.sqrt(np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm[kept]))))
+    scale = np.sqrt(px2_per_mm2(fit.map.to_px, nodes_mm[kept]))
     pattern_px = LASER_SPOT_SIGMA_MM * float(np.median(scale))
     target = TargetCalibration(
         name=name,
@@ -209,7 +209,7 @@ def _fit(
             off_px = float(np.linalg.norm(nodes_px[row] - fit.map.to_px(nodes_mm[row : row + 1])[0]))
             complaints[row] = f"its disc lies {off_px:.1f} px from where the other LEDs put it"
         kept = [row for row in kept if row not in complaints]
-        areas_mm2 = areas_px / np.abs(np.linalg.det(jacobian_px_per_mm(fit.map.to_px, nodes_mm)))
+        areas_mm2 = areas_px / px2_per_mm2(fit.map.to_px, nodes_mm)
         usual_mm2 = float(np.median(areas_mm2[kept]))
         odd = [row for row in kept if not _SIZE_LIMITS[0] < areas_mm2[row] / usual_mm2 < _SIZE_LIMITS[1]]
         for row in odd[: most_dropped - len(complaints)]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -34,31 +34,14 @@ def check_replaceable(path: Path) -> None:
 
 def write_file(path: Path, content: bytes) -> None:
     """Make or replace a regular file; raises BadInputError, and then the old one is as it was."""
-    try:
-        replace_file(path, content)
-    except OSError as error:
-        raise BadInputError(path, error.strerror or "cannot be written") from error
+    with replacing(path) as file:
+        file.write(content)
 
 
 def replace_file(path: Path, content: bytes) -> None:
     """The same, with OSError when the disk refuses."""
-    temporary = write_beside(path, content)
-    try:
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink()
-        raise
-
-
-def write_beside(path: Path, content: bytes) -> Path:
-    """A new file in the same folder, on the disk, with the mode and the owner that ``path`` shall have.
-
-    Those of the file that it will replace, or what the umask leaves of 0666. Raises OSError, and
-    BadInputError for what cannot be replaced; nothing is left then.
-    """
-    with _opened_beside(path) as (file, temporary):
+    with _replaced(path) as file:
         file.write(content)
-    return temporary
 
 
 @contextmanager
@@ -69,20 +52,63 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     replaced, and in place of an OSError.
     """
     try:
-        with _opened_beside(path) as (file, temporary):
+        with _replaced(path) as file:
             yield file
-        try:
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink()
-            raise
     except OSError as error:
         raise BadInputError(path, error.strerror or "cannot be written") from error
 
 
+def write_files(files: Mapping[Path, bytes]) -> None:
+    """Make or replace regular files, all or none.
+
+    Raises OSError, and BadInputError for what cannot be replaced; then all are as they were.
+    """
+    written: dict[Path, Path] = {}
+    older: dict[Path, bytes | None] = {}
+    try:
+        for path, content in files.items():
+            written[path] = _write_beside(path, content)
+        for path, temporary in written.items():
+            older[path] = path.read_bytes() if path.exists() else None
+            temporary.replace(path)
+    except BaseException:
+        for path, content_before in older.items():
+            if content_before is None:
+                path.unlink(missing_ok=True)
+            else:
+                replace_file(path, content_before)
+        raise
+    finally:
+        for temporary in written.values():
+            temporary.unlink(missing_ok=True)
+
+
+def _write_beside(path: Path, content: bytes) -> Path:
+    """A new file in the same folder, on the disk; nothing is left of it when that fails."""
+    with _opened_beside(path) as (file, temporary):
+        file.write(content)
+    return temporary
+
+
+@contextmanager
+def _replaced(path: Path) -> Iterator[BinaryIO]:
+    """A file to write into that gets to its place when the block ends by itself; else nothing is left."""
+    with _opened_beside(path) as (file, temporary):
+        yield file
+    try:
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink()
+        raise
+
+
 @contextmanager
 def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
-    """The new file and its name; on the disk when the block ends, gone when it fails."""
+    """A new file in the same folder, and its name; on the disk when the block ends, gone when it fails.
+
+    With the mode and the owner that ``path`` shall have: those of the file that it will replace, or what the
+    umask leaves of 0666.
+    """
     old = _demand_replaceable(path)
     temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC

@@ -50,8 +50,3 @@ def gram_powers(nodes: int, degree: int) -> FloatArray:
 def _alpha(n: int, nodes: int) -> float:
     """Eq. 3.20, for n ≥ 1."""
     return nodes / n * math.sqrt((n * n - 0.25) / (nodes * nodes - n * n))
-
-
-def equidistant_nodes(nodes: int) -> FloatArray:
-    """The nodes of Eq. 3.22."""
-    return -1 + (2 * np.arange(1, nodes + 1) - 1) / nodes

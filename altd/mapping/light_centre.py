@@ -15,24 +15,18 @@ that its localiser uses.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from altd.mapping.differences import ToPx, jacobian_px_per_mm
 from altd.records import FloatArray
 
 _STEP_MM = 0.5
-
-ToPx = Callable[[FloatArray], FloatArray]
-"""Points (n, 2) mm to (n, 2) px."""
+"""Of all derivatives: second ones want so long a step, and first ones stand beside them."""
 
 
-def jacobian_px_per_mm(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
-    """d(u, v)/d(x, y) of a map at points (n, 2), as (n, 2, 2), by central differences."""
-    along = [
-        (to_px(points_mm + step) - to_px(points_mm - step)) / (2 * _STEP_MM) for step in _STEP_MM * np.eye(2)
-    ]
-    return np.stack(along, axis=-1)
+def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
+    """By how much a map enlarges areas at points (n, 2), (n,)."""
+    return np.asarray(np.abs(np.linalg.det(jacobian_px_per_mm(to_px, points_mm, _STEP_MM))))
 
 
 def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float) -> FloatArray:
@@ -44,7 +38,7 @@ def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float)
         ahead, behind = points_mm + step, points_mm - step
         laplacian += (to_px(ahead) + to_px(behind) - 2 * here) / _STEP_MM**2
         log_gradient[:, axis] = (_log_area(to_px, ahead) - _log_area(to_px, behind)) / (2 * _STEP_MM)
-    tilt = np.einsum("nij,nj->ni", jacobian_px_per_mm(to_px, points_mm), log_gradient)
+    tilt = np.einsum("nij,nj->ni", jacobian_px_per_mm(to_px, points_mm, _STEP_MM), log_gradient)
     return np.asarray(moment_mm2 * (laplacian / 2 + tilt))
 
 
@@ -65,4 +59,4 @@ def spot_moment_mm2(diameter_mm: float, threshold: float, power: float) -> float
 
 
 def _log_area(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
-    return np.asarray(np.log(np.abs(np.linalg.det(jacobian_px_per_mm(to_px, points_mm)))))
+    return np.asarray(np.log(px2_per_mm2(to_px, points_mm)))

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from altd.mapping.camera import Camera
+from altd.mapping.differences import jacobian_px_per_mm
 from altd.records import FloatArray
 
 _NEWTON_STEPS = 3
@@ -55,8 +56,4 @@ class Marks:
     @staticmethod
     def _unprojected(camera: Camera, mm: FloatArray, px: FloatArray) -> FloatArray:
         """Small changes (n, 2, k) px at points mm, as changes in mm."""
-        steps = [np.array([_DIFFERENCE_MM, 0.0]), np.array([0.0, _DIFFERENCE_MM])]
-        columns = [
-            (camera.to_px(mm + step) - camera.to_px(mm - step)) / (2 * _DIFFERENCE_MM) for step in steps
-        ]
-        return np.asarray(np.linalg.solve(np.stack(columns, axis=-1), px))
+        return np.asarray(np.linalg.solve(jacobian_px_per_mm(camera.to_px, mm, _DIFFERENCE_MM), px))

@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from altd.errors import BadInputError
-from altd.files.writing import check_replaceable, write_beside
+from altd.files.writing import check_replaceable, write_files
 
 PAGE, SHEETS = "calibration.html", "calibration.pdf"
 
@@ -57,33 +57,14 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
 
     Raises BadInputError when one cannot be written; then all are as they were.
     """
-    written: dict[str, Path] = {}
-    kept: dict[str, bytes | None] = {}
     try:
         is_new = _made(folder)
         try:
-            for name, content in files.items():
-                written[name] = write_beside(folder / name, content)
-            for name, temporary in written.items():
-                place = folder / name
-                kept[name] = place.read_bytes() if place.exists() else None
-                temporary.replace(place)
+            write_files({folder / name: content for name, content in files.items()})
         except BaseException:
-            _put_back(folder, kept)
-            raise
-        finally:
-            for temporary in written.values():
-                temporary.unlink(missing_ok=True)
             if is_new:
-                with suppress(OSError):  # it holds the report
+                with suppress(OSError):  # somebody else has put something there
                     folder.rmdir()
+            raise
     except OSError as error:
         raise BadInputError(folder, error.strerror or "cannot be written") from error
-
-
-def _put_back(folder: Path, kept: Mapping[str, bytes | None]) -> None:
-    for name, content in kept.items():
-        if content is None:
-            (folder / name).unlink(missing_ok=True)
-        else:
-            write_beside(folder / name, content).replace(folder / name)

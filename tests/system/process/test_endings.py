@@ -49,10 +49,10 @@ COMMANDS = {
         says="(altd: .*\n)+",
     ),
     "calibrate": Command("calibrate {scan} -o cal.json", FRAME),
-    "calibrate's file": Command("calibrate {scan} -o cal.json", "altd.files.writing:write_beside 1"),
+    "calibrate's file": Command("calibrate {scan} -o cal.json", "altd.files.writing:_opened_beside 1"),
     "calibrate's report": Command(
         "calibrate {scan} -o cal.json --report rep",
-        "altd.calibration.report.write:write_beside 2",
+        "altd.files.writing:_opened_beside 3",
         frozenset({"cal.json"}),
     ),
     "replay": Command("replay {beams} --calibration {cal}", FRAME),

@@ -12,7 +12,7 @@ import pytest
 from support.devices import full_device
 
 from altd.errors import BadInputError
-from altd.files.writing import check_replaceable, replacing, write_file
+from altd.files.writing import check_replaceable, replacing, write_file, write_files
 
 
 @pytest.fixture(params=[0o022, 0o027, 0o077])
@@ -82,6 +82,21 @@ def test_what_names_no_place_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(BadInputError, match=why):
             check_replaceable(path)
+
+
+def test_several_files_are_written_all_or_none(tmp_path: Path) -> None:
+    first, second, folder = tmp_path / "a", tmp_path / "b", tmp_path / "folder"
+    first.write_bytes(b"older")
+    first.chmod(0o640)
+    write_files({first: b"1", second: b"2"})
+    assert (first.read_bytes(), second.read_bytes()) == (b"1", b"2")
+    second.unlink()
+    folder.mkdir()
+    with pytest.raises(BadInputError, match="is a folder"):
+        write_files({first: b"new", second: b"new", folder: b"new"})
+    assert first.read_bytes() == b"1"
+    assert stat.S_IMODE(first.stat().st_mode) == 0o640
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "folder"]
 
 
 FILLING = """

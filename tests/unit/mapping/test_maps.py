@@ -3,8 +3,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from support.gram import equidistant_nodes
 
-from altd.mapping.gram import equidistant_nodes, gram_basis
+from altd.mapping.gram import gram_basis
 from altd.mapping.hull import convex_hull_mm, edge_lines
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import Fit, fit_tensor_map
