@@ -130,10 +130,10 @@ def _held_against(
     excess_px = 0.0
     if reference is not None:
         excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))
-        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.freedom)
+        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.degrees_of_freedom)
         limit_px = _DISTORTED_FROM_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
         if sigmas > _DISTORTED_FROM_SIGMAS and excess_px > limit_px:
-            times = misfit.chi2 / reference.misfit_ratio / misfit.freedom
+            times = misfit.chi2 / reference.misfit_ratio / misfit.degrees_of_freedom
             return NoSpot(
                 Reason.DISTORTED, f"its light misses that of one spot by {times:.0f} times the usual"
             )
@@ -149,7 +149,7 @@ def _held_against(
 
 def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
     """By how much the chi-square lies above what good spots make of it."""
-    usual = misfit.freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.freedom)
+    usual = misfit.degrees_of_freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.degrees_of_freedom)
     return max(misfit.chi2 / reference.misfit_ratio - usual, 0.0)
 
 
