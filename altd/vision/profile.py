@@ -130,7 +130,7 @@ def fit_profile(
             return None
         solution = refined
     peak, u, v, a, b, c, offset, _, _, order = solution.state
-    max_offset_diameters = _MAX_OFFSET_DIAMETERS_CUT if patch.cut else _MAX_OFFSET_DIAMETERS
+    max_offset_diameters = _MAX_OFFSET_DIAMETERS_CUT if patch.is_cut else _MAX_OFFSET_DIAMETERS
     if math.hypot(u, v) * sigma_px > max_offset_diameters * diameter_px:
         return None
     return Profile(
