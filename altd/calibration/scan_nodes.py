@@ -169,7 +169,7 @@ def look(job: Job, progress: Progress) -> Seen:
         elif dark is not None and dark[0] == seen_in.number:  # LED reference pairs: off, then on
             leds = locate_leds(frame, dark[1])
             seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
-            seen.leds_dropped = leds.dropped
+            seen.leds_dropped = leds.rejected
         progress(done, total)
     return seen
 

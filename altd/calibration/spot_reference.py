@@ -15,7 +15,7 @@ from altd.records import FloatArray, Frame, SpotShape
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile
 from altd.vision.misfit import misfit_of
-from altd.vision.reference import Four, ShapeReference, SpotReference
+from altd.vision.reference import ShapeReference, ShapeVector, SpotReference
 from altd.vision.settings import SpotSettings
 
 _MIN_SPOTS = 8
@@ -82,4 +82,6 @@ def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | N
         return None
     mean = np.median(shapes, axis=0)
     sigma = _MAD_TO_SIGMA * np.median(np.abs(shapes - mean), axis=0)
-    return ShapeReference(cast("Four", tuple(mean.tolist())), cast("Four", tuple(sigma.tolist())))
+    return ShapeReference(
+        cast("ShapeVector", tuple(mean.tolist())), cast("ShapeVector", tuple(sigma.tolist()))
+    )

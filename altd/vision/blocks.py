@@ -89,7 +89,7 @@ def _sums(
     """Σ F·I over the patch's blocks and the sums of F, cut out of the flat's own sums where possible."""
     height, width = patch.excess.shape
     if flat is None and clipped is None:
-        return block_sum(patch.excess, size), _plain_sums(height, width, size).moved(patch.left, patch.top)
+        return block_sum(patch.excess, size), _plain_sums(height, width, size).shifted(patch.left, patch.top)
     if flat is None:
         response = np.ones((height, width), np.float32)
     else:
