@@ -172,7 +172,7 @@ def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
     for (j, i), row in np.ndenumerate(match.rows_of):
         if row < 0:
             missing[i, j] = "dark"
-        elif seen.found[row].cut:
+        elif seen.found[row].is_cut:
             missing[i, j] = "cut by the edge of the picture"
         else:
             cells.append((i, j))

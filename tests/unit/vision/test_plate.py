@@ -71,7 +71,7 @@ def test_a_disc_that_the_edge_cuts_is_told_as_such() -> None:
     for x in (-118.0, 0.0, 118.0):
         add_disc(scene, View(1333.0, 420.0, distortion=(0.0,) * 5), np.array([x, 0.0]), 5.0, 150.0)
     seen = find_discs(scene.astype(np.float32)).found
-    assert sorted((int(disc.u_px), disc.cut) for disc in seen) == [(3, True), (375, False), (747, True)]
+    assert sorted((int(disc.u_px), disc.is_cut) for disc in seen) == [(3, True), (375, False), (747, True)]
 
 
 def test_an_unlit_plate_shows_nothing() -> None:
