@@ -28,8 +28,8 @@ from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Frame
 from altd.vision.background import Image
-from altd.vision.plate import Disc, disc_centres_px, find_discs
-from altd.vision.plate_grid import match_grid
+from altd.vision.led_discs import Disc, disc_centres_px, find_discs
+from altd.vision.led_grid import match_grid
 from altd.vision.settings import SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015

@@ -10,7 +10,7 @@ import numpy as np
 
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import FloatArray, Frame, NoSpot, PixelArray, Spot
-from altd.vision.disc import fit_disc
+from altd.vision.disc_fit import fit_disc
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import spot_in
 from altd.vision.search import Region, Search
