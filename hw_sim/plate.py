@@ -15,9 +15,9 @@ from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
 from hw_sim.assembly import filling_the_picture
 from hw_sim.beam import BeamPose
-from hw_sim.eye import Eye
 from hw_sim.faults import Fault
 from hw_sim.fisheye import FisheyeLens
+from hw_sim.imager import Imager
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
 from hw_sim.recording import Progress, recording
 from hw_sim.targets import Image, soft_disc
@@ -76,18 +76,21 @@ class Plate:
 def with_plate(unit: Unit, plate: Plate) -> Unit:
     """Let the unit's cameras see the plate instead of their targets, and no laser; the same unit."""
     rng = np.random.default_rng([unit.config.seed, PLATE_STREAM])
-    eyes = {}
+    imagers = {}
     for camera in CAMERAS:
-        eye = unit.eyes[camera]
-        view = eye.view
+        imager = unit.imagers[camera]
+        view = imager.view
         if plate.tilt_deg is not None or plate.fisheye:
             focal_mm = unit.config.front_focal_mm if camera == FRONT else unit.config.rear_focal_mm
             lens = _plate_lens(view.lens, plate, focal_mm, rng)
             view = make_view(lens, None, unit.config.speckle_contrast, unit.config.hot_pixels, rng)
-        eyes[camera] = Eye(
-            replace(view, lamps=_lamps(view, plate.lit_mm(), rng)), eye.sensor, eye.settings, unit.config.lux
+        imagers[camera] = Imager(
+            replace(view, lamps=_lamps(view, plate.lit_mm(), rng)),
+            imager.sensor,
+            imager.settings,
+            unit.config.lux,
         )
-    unit.eyes = eyes
+    unit.imagers = imagers
     unit.inject(Fault.NO_LASER)
     return unit
 

@@ -66,7 +66,7 @@ class DotPrint:
         return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
 
 
-def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
+def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
     """Share of lit LED, 0 to 1, in a small cell at points of the frame around a target."""
     cover = np.zeros_like(x_mm)
     for led_x, led_y in LED_POSITIONS_MM:

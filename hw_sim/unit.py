@@ -13,7 +13,6 @@ from altd.records import Frame, PixelArray
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, SEEN_HALF_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, settle
-from hw_sim.eye import Eye, Settings
 from hw_sim.faults import (
     ALL_PIXELS,
     DROPPED_SHARE,
@@ -22,6 +21,7 @@ from hw_sim.faults import (
     SECOND_SPOT_MM,
     Fault,
 )
+from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, driving, vibrating
 from hw_sim.sensor import NoisePool, Sensor
@@ -103,8 +103,8 @@ class Unit:
             FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.seen_half_mm),
             REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.seen_half_mm),
         }
-        self.eyes: Mapping[str, Eye] = {
-            name: Eye(
+        self.imagers: Mapping[str, Imager] = {
+            name: Imager(
                 make_view(
                     lens,
                     dots if name == FRONT and self.config.dots else None,
@@ -175,13 +175,13 @@ class Unit:
         bits: int | None = None,
     ) -> None:
         """Set exposure, gain or the bits of a pixel of one camera, from its next exposure on."""
-        eye = self.eyes[camera]
+        imager = self.imagers[camera]
         if exposure_ms is not None:
-            eye.settings = replace(eye.settings, exposure_ms=exposure_ms)
+            imager.settings = replace(imager.settings, exposure_ms=exposure_ms)
         if gain is not None:
-            eye.settings = replace(eye.settings, gain=gain)
+            imager.settings = replace(imager.settings, gain=gain)
         if bits is not None:
-            eye.sensor = Sensor(bits)
+            imager.sensor = Sensor(bits)
 
     def set_dust(self, amount: float) -> None:
         """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next exposure on.
@@ -193,8 +193,8 @@ class Unit:
             for camera, seed in zip(CAMERAS, self._dust_seeds, strict=True)
         }
         with self._lock:
-            for camera, eye in self.eyes.items():
-                eye.lay(dust[camera] if amount else None)
+            for camera, imager in self.imagers.items():
+                imager.set_dust(dust[camera] if amount else None)
             self._window_dust = dust[FRONT].washed_out(SHADOW_SIGMA_MM) if amount else None
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
@@ -231,25 +231,25 @@ class Unit:
         ``exact`` draws every photon (a recording, 20 times slower); otherwise noise comes from a pool.
         The same unit, beam, sequence and time give the same frame, bit for bit.
         """
-        faults, leds_on, eye = self._faults, camera in self._lit, self.eyes[camera]
-        settings = eye.settings
+        faults, leds_on, imager = self._faults, camera in self._lit, self.imagers[camera]
+        settings = imager.settings
         if faults & ALL_PIXELS:
             pixels = self._without_picture(faults, camera, sequence)
         else:
             spots = self._spots(camera, self.truth(t_ns), faults)
             lit = leds_on or Fault.LEDS_ON in faults
             if exact:
-                pixels = eye.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
+                pixels = imager.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
             else:
                 key = sequence * len(CAMERAS) + CAMERAS.index(camera)
-                pixels = eye.sketch(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
+                pixels = imager.expose_from_pool(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
         pixels.flags.writeable = False
         return Frame(
             camera,
             sequence,
             t_ns,
             pixels,
-            eye.sensor.bits,
+            imager.sensor.bits,
             leds_on,
             exposure_ms=settings.exposure_ms,
             gain_db=20.0 * math.log10(settings.gain),
@@ -258,7 +258,7 @@ class Unit:
     def _displaced(self, t_ns: int) -> BeamPose:
         """The beam of the laser, unless a fault takes it elsewhere."""
         if Fault.CUT_BY_EDGE in self._faults:
-            x_mm, y_mm = self.eyes[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
+            x_mm, y_mm = self.imagers[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
             return BeamPose(float(x_mm), float(y_mm))
         if Fault.OUT_OF_AREA in self._faults:
             return BeamPose(*OUT_OF_AREA_MM)
@@ -283,7 +283,7 @@ class Unit:
         return [spot, replace(spot, x_mm=spot.x_mm + aside)]
 
     def _without_picture(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
-        sensor = self.eyes[camera].sensor
+        sensor = self.imagers[camera].sensor
         counts = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         if Fault.WHITE in faults:
             counts += sensor.full_scale

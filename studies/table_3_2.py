@@ -145,7 +145,7 @@ def _photographed(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, Floa
         match = match_grid(points_px, COLUMNS, ROWS, mirrored=camera == FRONT)
         cells = np.argwhere(match.rows_of >= 0)
         leds_mm = np.array(plate.origin_mm) + cells[:, ::-1] * plate.pitch_mm
-        yield leds_mm, points_px[match.rows_of[match.rows_of >= 0]], unit.eyes[camera].view.lens
+        yield leds_mm, points_px[match.rows_of[match.rows_of >= 0]], unit.imagers[camera].view.lens
 
 
 def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random.Generator) -> _Errors:

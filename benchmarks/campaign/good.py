@@ -163,10 +163,10 @@ class _GoodUnit:
 
     def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
         """One exposure, with light, spot size and power as they are then."""
-        eye, t_s = self.unit.eyes[camera], t_ns * 1e-9
-        electrons = eye.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
+        imager, t_s = self.unit.imagers[camera], t_ns * 1e-9
+        electrons = imager.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
         spots = [self._drifted(spot, t_s) for spot in self.unit.spots(camera, t_ns)]
-        region, beam_e = eye.view.beam_e(spots, self.exposure_ms)
+        region, beam_e = imager.view.beam_e(spots, self.exposure_ms)
         electrons[region] += beam_e
         noise = self.noise.picture(electrons.shape, rng)
         pixels = snapshot(exposing(electrons, self.sensor), noise, self.sensor.bits)

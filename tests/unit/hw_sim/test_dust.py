@@ -57,16 +57,16 @@ def test_a_speck_on_the_window_casts_its_shadow_along_the_beam() -> None:
         pose = BeamPose(0.0, 0.0, slope, 0.0)
         for each in (clean, unit):
             each.place(pose)
-        view = unit.eyes[REAR].view
+        view = unit.imagers[REAR].view
         dirty_e, clean_e = (
-            each.eyes[REAR].mean_e(
+            each.imagers[REAR].mean_e(
                 each._spots(REAR, pose, frozenset()),
                 leds_on=False,
                 exposure_ms=1.6,
             )
             for each in (unit, clean)
         )
-        plate = view.response / clean.eyes[REAR].view.response  # what the plate's own dust takes
+        plate = view.response / clean.imagers[REAR].view.response  # what the plate's own dust takes
         shadow = 1.0 - dirty_e / (clean_e * plate + 1e-9)
         near = np.hypot(view.x_mm - 280.0 * slope, view.y_mm) < 5.0
         where.append((view.x_mm[near] - 280.0 * slope, view.y_mm[near], shadow[near]))
