@@ -13,7 +13,7 @@ import numpy as np
 
 from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
-from hw_sim.assembly import filling_the_picture
+from hw_sim.assembly import at_framing_distance
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
 from hw_sim.fisheye import FisheyeLens
@@ -135,7 +135,7 @@ def _plate_lens(
         )
     else:
         tilted = replace(lens, focal_mm=float(focal_mm), rotation=turned, translation_mm=ahead_mm)
-    return filling_the_picture(tilted, plate.half_mm, (20.0, 120.0))
+    return at_framing_distance(tilted, plate.half_mm, (20.0, 120.0))
 
 
 def _lamps(view: View, lit_mm: Sequence[tuple[float, float]], rng: np.random.Generator) -> Image:

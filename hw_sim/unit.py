@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.records import Frame, PixelArray
-from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, SEEN_HALF_MM, make_dots, make_lens
+from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
-from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, settle
+from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
     ALL_PIXELS,
     DROPPED_SHARE,
@@ -49,7 +49,7 @@ class UnitConfig:
 
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
     ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
-    given, and the cameras stand where their pictures hold ``seen_half_mm`` to each side of the middle.
+    given, and the cameras stand where their pictures hold ``field_half_mm`` to each side of the middle.
     ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
     the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on window and
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
@@ -68,7 +68,7 @@ class UnitConfig:
     dots: DotPattern | None = field(default_factory=DotPattern)
     front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
     rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
-    seen_half_mm: tuple[float, float] = SEEN_HALF_MM
+    field_half_mm: tuple[float, float] = FIELD_HALF_MM
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
@@ -100,8 +100,8 @@ class Unit:
         rngs = (np.random.default_rng(stream) for stream in streams)
         dots = make_dots(self._pattern, next(rngs))
         lenses = {
-            FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.seen_half_mm),
-            REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.seen_half_mm),
+            FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
+            REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.field_half_mm),
         }
         self.imagers: Mapping[str, Imager] = {
             name: Imager(
@@ -189,13 +189,13 @@ class Unit:
         Where a speck lies is the unit's; a larger amount adds to a smaller one. Raises ValueError.
         """
         dust = {
-            camera: settle(amount, np.random.default_rng(seed))
+            camera: make_dust(amount, np.random.default_rng(seed))
             for camera, seed in zip(CAMERAS, self._dust_seeds, strict=True)
         }
         with self._lock:
             for camera, imager in self.imagers.items():
                 imager.set_dust(dust[camera] if amount else None)
-            self._window_dust = dust[FRONT].washed_out(SHADOW_SIGMA_MM) if amount else None
+            self._window_dust = dust[FRONT].blurred(SHADOW_SIGMA_MM) if amount else None
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
