@@ -59,7 +59,7 @@ def make_lens(
 
 
 def at_framing_distance(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:
-    """The lens at the smallest distance, in its focal lengths, at which all of a rectangle is in the image."""
+    """The lens at the smallest distance, in its focal lengths, whose image holds all of a rectangle."""
     lower_mm, upper_mm = (lengths * lens.focal_mm for lengths in focal_lengths)
     while upper_mm - lower_mm > PIXEL_MM:
         middle = 0.5 * (lower_mm + upper_mm)

@@ -17,7 +17,7 @@ from hw_sim.faults import (
     ALL_PIXELS,
     DROPPED_SHARE,
     OUT_OF_AREA_MM,
-    OVERLOAD,
+    OVERLOAD_RATIO,
     SECOND_SPOT_MM,
     Fault,
 )
@@ -34,7 +34,7 @@ CAMERAS = (FRONT, REAR)
 EXPOSURES_MS: Mapping[str, float] = {FRONT: 1.6, REAR: 1.6}
 """Bring 3 mW in a spot of 12 × 11 mm to about three quarters of full scale."""
 
-INK_GRAIN = 0.6
+INK_SPECKLE_RATIO = 0.6
 """Speckle of the window's ink relative to the plate's: light that diffuses through ink loses contrast. With
 it a node of a scan scatters about the map as on the recorded unit (../shared/data/unit-a): 0.04 px."""
 
@@ -93,7 +93,7 @@ class Unit:
         self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
-        self._path: Callable[[int], BeamPose] = _resting(BeamPose(0.0, 0.0))
+        self._pose_at: Callable[[int], BeamPose] = _constant_path(BeamPose(0.0, 0.0))
         self._faults = self.config.faults
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(8))
@@ -108,7 +108,7 @@ class Unit:
                 make_view(
                     lens,
                     dots if name == FRONT and self.config.dots else None,
-                    self.config.speckle_contrast * (INK_GRAIN if name == FRONT else 1.0),
+                    self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
                     self.config.hot_pixels,
                     next(rngs),
                 ),
@@ -154,17 +154,17 @@ class Unit:
             self._faults |= set(faults)
 
     def clear(self, *faults: Fault) -> None:
-        """Mend these faults; without an argument, all."""
+        """Remove these faults; without an argument, all."""
         with self._lock:
             self._faults = self._faults - set(faults) if faults else frozenset()
 
     def place(self, pose: BeamPose) -> None:
         """Point the reference laser; drive and vibration come on top."""
-        self._path = _resting(pose)
+        self._pose_at = _constant_path(pose)
 
     def follow(self, path: Callable[[int], BeamPose]) -> None:
-        """Let something carry the reference laser: where it points at ``t_ns``."""
-        self._path = path
+        """Let the reference laser follow a path: its pose at ``t_ns``."""
+        self._pose_at = path
 
     def set_camera(
         self,
@@ -199,7 +199,7 @@ class Unit:
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
-        pose = self._displaced(t_ns)
+        pose = self._nominal_pose(t_ns)
         if self._drive is not None:
             pose = self._drive.moved(pose, t_ns)
         if vibration and self._vibration is not None:
@@ -234,7 +234,7 @@ class Unit:
         faults, leds_on, imager = self._faults, camera in self._lit, self.imagers[camera]
         settings = imager.settings
         if faults & ALL_PIXELS:
-            pixels = self._without_picture(faults, camera, sequence)
+            pixels = self._faulty_pixels(faults, camera, sequence)
         else:
             spots = self._spots(camera, self.truth(t_ns), faults)
             lit = leds_on or Fault.LEDS_ON in faults
@@ -255,20 +255,20 @@ class Unit:
             gain_db=20.0 * math.log10(settings.gain),
         )
 
-    def _displaced(self, t_ns: int) -> BeamPose:
+    def _nominal_pose(self, t_ns: int) -> BeamPose:
         """The beam of the laser, unless a fault takes it elsewhere."""
         if Fault.CUT_BY_EDGE in self._faults:
             x_mm, y_mm = self.imagers[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
             return BeamPose(float(x_mm), float(y_mm))
         if Fault.OUT_OF_AREA in self._faults:
             return BeamPose(*OUT_OF_AREA_MM)
-        return self._path(t_ns)
+        return self._pose_at(t_ns)
 
     def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
         """The spots on one target."""
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
-        share = OVERLOAD if Fault.SATURATED in faults else 1.0
+        share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
         z_mm = 0.0
         if camera == REAR:
             share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
@@ -282,7 +282,7 @@ class Unit:
         aside = -SECOND_SPOT_MM if spot.x_mm > 0.0 else SECOND_SPOT_MM
         return [spot, replace(spot, x_mm=spot.x_mm + aside)]
 
-    def _without_picture(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
+    def _faulty_pixels(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
         sensor = self.imagers[camera].sensor
         counts = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         if Fault.WHITE in faults:
@@ -297,8 +297,8 @@ class Unit:
         return np.random.default_rng([self.config.seed, CAMERAS.index(camera), sequence, purpose])
 
 
-def _resting(pose: BeamPose) -> Callable[[int], BeamPose]:
-    """A beam that stays where it is."""
+def _constant_path(pose: BeamPose) -> Callable[[int], BeamPose]:
+    """The path of a beam that stays where it is."""
 
     def path(_t_ns: int) -> BeamPose:
         return pose
