@@ -31,7 +31,7 @@ from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
 from hw_sim.measure import HALF_AREA_MM, random_poses
-from hw_sim.scan import PITCH_MM, STAGE_STREAM, record_scan
+from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
@@ -50,7 +50,7 @@ class Case:
 
     name: str
     flat: bool = False
-    pitch_mm: float = PITCH_MM
+    pitch_mm: float = USUAL.pitch_mm
     field_half_mm: tuple[float, float] = FIELD_HALF_MM
     speckle_contrast: float = 0.16
 
@@ -113,7 +113,7 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
     if case.flat:
         record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
     stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
-    record_scan(folder / "scan", unit, stage, 2, quiet, case.pitch_mm)
+    record_scan(folder / "scan", unit, stage, 2, quiet, Grid(case.pitch_mm))
     flat = open_recording(folder / "flat") if case.flat else None
     unit.leds_on = False
     unit.even_mw_per_mm2 = 0.0

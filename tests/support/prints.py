@@ -13,12 +13,12 @@ from altd.records import Frame
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.beam import BeamPose, Laser, footprint
 from hw_sim.imager import Imager, Settings
-from hw_sim.scan import grid_mm
+from hw_sim.scan import Grid
 from hw_sim.sensor import Sensor
 from hw_sim.targets import soft_disc
 from hw_sim.view import View, make_view
 
-NODES_MM = np.array(grid_mm())
+NODES_MM = np.array(Grid().nodes_mm())
 
 
 @dataclass(frozen=True)
