@@ -76,7 +76,8 @@ def run(progress: Progress) -> Result:
             "themselves."
         ),
         text=f"""
-The beam stands normal to the targets on 6 × 5 nodes 25 mm apart; the table's own error is 2 µm. *Repeated
+The beam stands normal to the targets on {USUAL.columns} × {USUAL.rows} nodes
+{USUAL.pitch_mm:g} mm apart; the table's own error is 2 µm. *Repeated
 σ* is of single exposures at the same node ({EXPOSURES} each, pooled), eᵢ = √(Δx² + Δy²) the distance
 between the known place and the mapped spot (Eq. 3.1). The first four columns are what `altd calibrate`
 writes into the calibration file. The residuals at the nodes flatter any map, as it was fitted to them; so
