@@ -27,11 +27,11 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.recording.reader import open_recording
 from altd.records import Measurement
-from hw_sim.assembly import SEEN_HALF_MM
+from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
 from hw_sim.measure import HALF_AREA_MM, random_poses
-from hw_sim.scan import PITCH_MM, STAGE_STREAM, record_scan
+from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
@@ -50,8 +50,8 @@ class Case:
 
     name: str
     flat: bool = False
-    pitch_mm: float = PITCH_MM
-    seen_half_mm: tuple[float, float] = SEEN_HALF_MM
+    pitch_mm: float = USUAL.pitch_mm
+    field_half_mm: tuple[float, float] = FIELD_HALF_MM
     speckle_contrast: float = 0.16
 
 
@@ -63,8 +63,8 @@ CASES = (
     Case("coarse", speckle_contrast=0.2),
     Case("coarse, flat", flat=True, speckle_contrast=0.2),
     Case("narrow", pitch_mm=NARROW_PITCH_MM),
-    Case("tight", seen_half_mm=TIGHT_HALF_MM),
-    Case("tight, flat", flat=True, seen_half_mm=TIGHT_HALF_MM),
+    Case("tight", field_half_mm=TIGHT_HALF_MM),
+    Case("tight, flat", flat=True, field_half_mm=TIGHT_HALF_MM),
 )
 
 
@@ -85,7 +85,7 @@ class Held:
 
 def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
     """The beams of one unit, after its calibration."""
-    of_unit = UnitConfig(seed=seed, seen_half_mm=case.seen_half_mm, speckle_contrast=case.speckle_contrast)
+    of_unit = UnitConfig(seed=seed, field_half_mm=case.field_half_mm, speckle_contrast=case.speckle_contrast)
     unit = Unit(of_unit)
     calibration, measuring = _calibrated(case, unit, folder), Measuring(window=WINDOW, every=WINDOW)
     chain = MeasuringChain(
@@ -113,7 +113,7 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
     if case.flat:
         record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
     stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))
-    record_scan(folder / "scan", unit, stage, 2, quiet, case.pitch_mm)
+    record_scan(folder / "scan", unit, stage, 2, quiet, Grid(case.pitch_mm))
     flat = open_recording(folder / "flat") if case.flat else None
     unit.leds_on = False
     unit.even_mw_per_mm2 = 0.0

@@ -96,7 +96,7 @@ def make_samples(units: int, poses: int) -> Iterator[Sample]:
 def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[Sample]:
     unit = Unit(config)
     rng = np.random.default_rng([config.seed, 1])
-    flats = {camera: _flat(unit.eyes[camera].view, EXPOSURES_MS[camera], rng) for camera in CAMERAS}
+    flats = {camera: _flat(unit.imagers[camera].view, EXPOSURES_MS[camera], rng) for camera in CAMERAS}
     for sequence in range(poses):
         at_front, at_rear = rng.uniform(-1.0, 1.0, (2, 2)) * _HALF_AREA_MM
         slopes = (at_rear - at_front) / config.target_distance_mm
@@ -104,7 +104,7 @@ def _of_unit(config: UnitConfig, kinds: dict[str, str], poses: int) -> Iterator[
         unit.place(pose)
         for camera in CAMERAS:
             frame = unit.expose(camera, sequence, sequence * config.period_ns, exact=True)
-            view = unit.eyes[camera].view
+            view = unit.imagers[camera].view
             u, v = view.lens.project(*pose.at(0.0 if camera == FRONT else config.target_distance_mm))
             yield _sample(config.seed, kinds[camera], frame, (float(u), float(v)), view, flats[camera])
 

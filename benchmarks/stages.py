@@ -43,9 +43,9 @@ _SEARCH_PARTS: Sequence[_Part] = (
 )
 _SPOT_PARTS: Sequence[_Part] = (
     (analysis_room, "patch_around", "patch"),
-    (localise_room, "_judge", "judging"),
+    (localise_room, "_classify", "judging"),
     (analysis_room, "noise_of", "noise"),
-    (localise_room, "is_printed", "print or not"),
+    (localise_room, "is_patterned", "print or not"),
     (localise_room, "_profile", "profile"),
     (localise_room, "misfit_of", "misfit"),
     (localise_room, "moment", "moment"),

@@ -1,4 +1,4 @@
-"""How one unit comes to differ from the next: lenses, tilts and print, drawn from the unit's seed."""
+"""What differs from unit to unit: lenses, tilts and print, drawn from the unit's seed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens, rotation
 from hw_sim.targets import DotPattern, DotPrint
 
-SEEN_HALF_MM = (77.5, 62.5)
-"""What the picture must hold: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1), so 155 × 125 mm of the
+FIELD_HALF_MM = (77.5, 62.5)
+"""Half the field of view: a spot of 15 mm anywhere on the 140 × 110 mm (App. A.1), so 155 × 125 mm of the
 plate's 160 × 130 (App. A.3). It is what the thesis' lens of 5.7 mm sees from 250 mm (Sec. 3.3.2): 126 mm
 across the 480 rows of 6 µm."""
 
@@ -19,11 +19,11 @@ MARGIN_PX = 3.0
 
 FRONT_FOCAL_MM = (7.7, 8.2)
 REAR_FOCAL_MM = (5.6, 6.0)
-"""The micro lenses of App. A.3, f = 8 and 5.7 mm, with their spread."""
+"""The micro lenses of App. A.3, f = 8 and 5.7 mm, with their tolerances."""
 
 
 def make_dots(pattern: DotPattern, rng: np.random.Generator) -> DotPrint:
-    """A print that lies anyhow on the window and is turned by up to 2°."""
+    """A print at a random place on the window, turned by up to 2°."""
     phase_x, phase_y = rng.uniform(0.0, pattern.pitch_mm, size=2)
     return DotPrint((float(phase_x), float(phase_y)), math.radians(rng.uniform(-2.0, 2.0)), pattern)
 
@@ -32,9 +32,9 @@ def make_lens(
     focal_range_mm: tuple[float, float],
     mirrored: bool,
     rng: np.random.Generator,
-    seen_half_mm: tuple[float, float] = SEEN_HALF_MM,
+    field_half_mm: tuple[float, float] = FIELD_HALF_MM,
 ) -> Lens:
-    """A barrel lens beside the beam, as near to its target as what it must see allows."""
+    """A barrel lens beside the beam, as near to its target as the field of view allows."""
     side = rng.choice([-1.0, 1.0])
     turned = rotation(
         math.radians(side * rng.uniform(8.0, 13.0)),
@@ -55,26 +55,26 @@ def make_lens(
         translation_mm=np.array([aim_x, aim_y, 0.0]),
         mirrored=mirrored,
     )
-    return filling_the_picture(lens, seen_half_mm, (30.0, 60.0))
+    return at_framing_distance(lens, field_half_mm, (30.0, 60.0))
 
 
-def filling_the_picture(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:
-    """The lens at the smallest distance, in its focal lengths, from which it sees all of a rectangle."""
-    too_near, far_enough = (lengths * lens.focal_mm for lengths in focal_lengths)
-    while far_enough - too_near > PIXEL_MM:
-        middle = 0.5 * (too_near + far_enough)
-        if _sees(_at_distance(lens, middle), half_mm):
-            far_enough = middle
+def at_framing_distance(lens: Lens, half_mm: tuple[float, float], focal_lengths: tuple[float, float]) -> Lens:
+    """The lens at the smallest distance, in its focal lengths, whose image holds all of a rectangle."""
+    lower_mm, upper_mm = (lengths * lens.focal_mm for lengths in focal_lengths)
+    while upper_mm - lower_mm > PIXEL_MM:
+        middle = 0.5 * (lower_mm + upper_mm)
+        if _holds(_at_distance(lens, middle), half_mm):
+            upper_mm = middle
         else:
-            too_near = middle
-    return _at_distance(lens, far_enough)
+            lower_mm = middle
+    return _at_distance(lens, upper_mm)
 
 
 def _at_distance(lens: Lens, distance_mm: float) -> Lens:
     return replace(lens, translation_mm=np.array([*lens.translation_mm[:2], distance_mm]))
 
 
-def _sees(lens: Lens, half_mm: tuple[float, float]) -> bool:
+def _holds(lens: Lens, half_mm: tuple[float, float]) -> bool:
     along = np.linspace(-1.0, 1.0, 17)
     border = np.concatenate(
         [np.stack([along, np.full_like(along, end)]) for end in (-1.0, 1.0)]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from hw_sim.dust import Shadow
 
-DEPTH_OF_TAIL = 1e-6
-"""Below this share of the peak the beam is not drawn: 0.02 counts of 16 bits."""
+TAIL_CUTOFF = 1e-6
+"""Below this share of the peak the beam is not rendered: 0.02 counts of 16 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class Footprint:
     def half_box_mm(self) -> tuple[float, float]:
         """Half width and half height of the box that holds all but the last of the tail."""
         xx, xy, yy = self.form
-        rho2 = (-0.5 * math.log(DEPTH_OF_TAIL)) ** (1.0 / self.order)
+        rho2 = (-0.5 * math.log(TAIL_CUTOFF)) ** (1.0 / self.order)
         determinant = xx * yy - xy * xy
         return math.sqrt(rho2 * yy / determinant), math.sqrt(rho2 * xx / determinant)
 

@@ -39,8 +39,8 @@ from hw_sim.demo_view import CLEAR_KEY, FAULT_KEYS, QUIT_KEY, Faces, View
 from hw_sim.gige.command import add_addresses, make_unit
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit
 
-REDRAW_S = 0.2
-LINE_S = 1.0
+REDRAW_INTERVAL_S = 0.2
+LINE_INTERVAL_S = 1.0
 
 LOCALHOST = "127.0.0.1"
 
@@ -129,9 +129,9 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             await _together(
                 daemon.run(),
                 figures.follow(),
-                telegram.carry(),
-                console.carry(),
-                modbus_rtu.carry(),
+                telegram.forward(),
+                console.forward(),
+                modbus_rtu.forward(),
                 show(view, unit, stop),
                 *([hardware.follow(unit)] if hardware else []),
             )
@@ -169,7 +169,7 @@ async def _on_screen(view: View, unit: Unit, stop: Callable[[], None]) -> None:
     with screen.open(), keys(pressed) as there_are_keys:
         while True:
             await screen.draw(view.screen(there_are_keys))
-            await asyncio.sleep(REDRAW_S)
+            await asyncio.sleep(REDRAW_INTERVAL_S)
 
 
 async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> None:
@@ -179,7 +179,7 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
     while True:
         # in a thread: a pipe that nobody empties must not hold up the unit
         await asyncio.to_thread(print, text, flush=True)
-        await asyncio.sleep(LINE_S)
+        await asyncio.sleep(LINE_INTERVAL_S)
         text = view.line()
 
 

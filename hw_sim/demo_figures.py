@@ -1,4 +1,4 @@
-"""What the demo keeps an account of: measurements against the truth, exposures, and the process itself."""
+"""The statistics of a demo: measurements against the truth, exposures, and the process itself."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from altd.records import Measurement
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit
 
-EARLY_S = 10.0
-"""When the memory has settled; what it grows by from then on is a leak."""
+MEMORY_SETTLED_S = 10.0
+"""By then the memory has settled; what it grows by from then on is a leak."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,19 +64,19 @@ class _Squares:
 
 
 def truth_of(unit: Unit, measurement: Measurement) -> BeamPose:
-    """What a measurement ought to say: the machine's way at its time, without the drive's shaking.
+    """The true value of a measurement: the machine's path at its time, without the drive's vibration.
 
-    A controller steers by where the machine is, not by where it shook to. The measurement is the mean over
-    its window's exposures, and its time is their middle: on a way that is straight for a second that mean is
-    the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the way at that time is
-    the fair truth. What shaking the mean has left is an error of the measurement, and its sigma, taken from
-    the scatter of the exposures, answers for it.
+    A controller steers by where the machine is, not by where it vibrates to. The measurement is the mean over
+    its window's exposures, and its time is their middle: on a path that is straight for a second that mean is
+    the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the path at that time is
+    the truth. The vibration left in the mean is an error of the measurement, and its sigma, taken from the
+    scatter of the exposures, must cover it.
     """
     return unit.truth(measurement.t_ns, vibration=False)
 
 
 class Figures:
-    """The account of one run. It sees each measurement once, through a cursor of its own."""
+    """The statistics of one run. They take each measurement once, through a cursor of their own."""
 
     def __init__(self, daemon: Daemon, unit: Unit, runs_here: str = "daemon and simulator together") -> None:
         self._daemon = daemon
@@ -88,9 +88,9 @@ class Figures:
         self._in_sigmas = {quantity: _Squares() for quantity in QUANTITIES}
         self._last_sequence = -1
         self.exposures = 0
-        """Exposures that led to a word on the board, a valid one or not."""
+        """Frame sets that led to a measurement on the board, valid or not."""
         self.valid = 0
-        self.early_mib = math.nan
+        self.settled_mib = math.nan
 
     async def follow(self) -> None:
         """Take every measurement until cancelled."""
@@ -104,7 +104,7 @@ class Figures:
     def take(self, measurement: Measurement, skipped: int) -> None:
         """Take one measurement; ``skipped`` are those that came before it and were not seen."""
         if measurement.sequence <= self._last_sequence:
-            return  # cameras that are silent make no exposure
+            return  # silent cameras expose no frame set
         self._last_sequence = measurement.sequence
         self.exposures += 1 + skipped
         if not measurement.valid:
@@ -134,11 +134,11 @@ class Figures:
 
     @property
     def pairs_lost(self) -> int:
-        """Exposures, counted by their sequence from 0 on, of which not both frames were measured.
+        """Frame sets, counted by their sequence from 0 on, of which not both frames were measured.
 
         A frame that is missing at one camera makes a pair that is lost; one missing at both is in both
-        counts, and only there is the exposure without a word on the board: taken off once. A frame that is
-        on its way is ahead of the board and would make the number negative for a moment.
+        counts, and only there is the frame set without a measurement on the board: taken off once. A frame
+        that is on its way is ahead of the board and would make the number negative for a moment.
         """
         made = self._last_sequence + 1
         arrived = [self._counters(f"camera {name}").get("frames", 0) for name in CAMERAS]
@@ -146,13 +146,17 @@ class Figures:
         return max(lost - (made - self.exposures), 0)
 
     def note_memory(self) -> None:
-        """Keep what the memory is once it has settled; to be called now and then."""
-        if math.isnan(self.early_mib) and self.seconds >= EARLY_S:
-            self.early_mib = memory_mib()
+        """Note the memory once it has settled; to be called now and then."""
+        if math.isnan(self.settled_mib) and self.seconds >= MEMORY_SETTLED_S:
+            self.settled_mib = memory_mib()
 
     def summary(self) -> Iterator[str]:
         """The run in a few lines for people."""
-        early = "" if math.isnan(self.early_mib) else f"{self.early_mib:.1f} MiB after {EARLY_S:g} s, "
+        settled = (
+            ""
+            if math.isnan(self.settled_mib)
+            else f"{self.settled_mib:.1f} MiB after {MEMORY_SETTLED_S:g} s, "
+        )
         share = f"{self.valid / self.exposures:.1%}" if self.exposures else "none"
         yield (
             f"{self.seconds:.1f} s, {self.exposures} exposures measured, {self.pairs_lost} pairs lost, "
@@ -160,7 +164,7 @@ class Figures:
         )
         yield f"valid: {self.valid} ({share}; the first half second only warms up)"
         yield (
-            f"memory: {early}{memory_mib():.1f} MiB at the end; "
+            f"memory: {settled}{memory_mib():.1f} MiB at the end; "
             f"CPU: {self.cpu_share:.0%} of one core, {self._runs_here}"
         )
         yield "rms of          difference   difference / sigma"

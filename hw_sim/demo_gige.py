@@ -13,7 +13,7 @@ from altd.errors import BadInputError
 from hw_sim.faults import Fault
 from hw_sim.unit import EXPOSURES_MS, Unit
 
-_LOOK_S = 0.05
+_POLL_INTERVAL_S = 0.05
 
 
 class Hardware:
@@ -38,12 +38,12 @@ class Hardware:
 
     async def follow(self, unit: Unit) -> None:
         """Let the cameras have the faults that ``unit`` has; raises BadInputError when the process ends."""
-        told: frozenset[Fault] = frozenset()
+        sent: frozenset[Fault] = frozenset()
         while self._process.returncode is None:
-            if (faults := unit.faults) != told and self._process.stdin is not None:
+            if (faults := unit.faults) != sent and self._process.stdin is not None:
                 self._process.stdin.write(f"{','.join(faults)}\n".encode())
-                told = faults
-            await asyncio.sleep(_LOOK_S)
+                sent = faults
+            await asyncio.sleep(_POLL_INTERVAL_S)
         raise BadInputError("hw_sim gige", f"ended with status {self._process.returncode}")
 
 
@@ -68,5 +68,5 @@ async def served(seed: int, addresses: Mapping[str, str]) -> AsyncIterator[Hardw
     finally:
         if process.returncode is None:
             process.terminate()
-        said, _ = await process.communicate()
-        print(f"Cameras: {said.decode().strip()}", flush=True)
+        output, _ = await process.communicate()
+        print(f"Cameras: {output.decode().strip()}", flush=True)

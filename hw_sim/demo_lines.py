@@ -14,10 +14,10 @@ import tty
 from pathlib import Path
 from typing import Self
 
-CHUNK = 4096
+READ_SIZE = 4096
 
-LOOK_S = 0.05
-"""How often a line looks whether somebody has opened its far end; what they send meanwhile waits."""
+POLL_INTERVAL_S = 0.05
+"""How often a line checks whether its far end is open; what is sent meanwhile waits."""
 
 
 class Line:
@@ -35,8 +35,8 @@ class Line:
         # The unit's end stays open here, so that it is there before and after the unit opens it. The far
         # end does not: the kernel then tells a hang-up for as long as nobody has it open.
         os.close(far_device)
-        self._hung_up = select.poll()
-        self._hung_up.register(self._far, 0)
+        self._hang_up = select.poll()
+        self._hang_up.register(self._far, 0)
 
     def __enter__(self) -> Self:
         return self
@@ -45,32 +45,32 @@ class Line:
         for descriptor in (self._unit, self._unit_device, self._far):
             os.close(descriptor)
 
-    async def carry(self) -> None:
-        """Carry bytes both ways until cancelled."""
+    async def forward(self) -> None:
+        """Forward bytes both ways until cancelled."""
         loop = asyncio.get_running_loop()
         loop.add_reader(self._unit, self._from_unit)
         try:
             while True:
-                if self._somebody_there():
+                if self._is_far_end_open():
                     gone = asyncio.Event()
                     loop.add_reader(self._far, self._from_far, gone)
                     await gone.wait()
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_INTERVAL_S)
         finally:
             loop.remove_reader(self._unit)
             loop.remove_reader(self._far)
 
-    def _somebody_there(self) -> bool:
-        return not self._hung_up.poll(0)
+    def _is_far_end_open(self) -> bool:
+        return not self._hang_up.poll(0)
 
     def _from_unit(self) -> None:
-        data = os.read(self._unit, CHUNK)
-        if self._somebody_there():
+        data = os.read(self._unit, READ_SIZE)
+        if self._is_far_end_open():
             _send(self._far, data)
 
     def _from_far(self, gone: asyncio.Event) -> None:
         try:
-            data = os.read(self._far, CHUNK)
+            data = os.read(self._far, READ_SIZE)
         except OSError:  # the last one has closed it
             asyncio.get_running_loop().remove_reader(self._far)
             tty.setraw(self._far)  # throws away what was not read, undoes what a terminal program has set

@@ -75,7 +75,7 @@ class Screen:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[None]:
-        """Take the screen; whatever happens inside, give it back as it was."""
+        """Use the alternate screen; whatever happens inside, restore the terminal."""
         self._write(_ENTER)
         try:
             yield
@@ -87,7 +87,7 @@ class Screen:
 
 @contextlib.contextmanager
 def keys(pressed: Callable[[str], None]) -> Iterator[bool]:
-    """Tell ``pressed`` every key at once; yields whether there is a keyboard that we may have.
+    """Call ``pressed`` with every key at once; yields whether there is a keyboard for it.
 
     Ctrl-C goes on working. Ctrl-S and Ctrl-Z, which would freeze a half-drawn screen, do nothing.
     """

@@ -1,4 +1,4 @@
-"""What the demo says: the table on a terminal, the line a second elsewhere, the commands to try."""
+"""The texts of the demo: the table on a terminal, the line a second elsewhere, the commands to try."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Faces:
 
 
 class View:
-    """Puts into words what the unit measures and what the simulator knows."""
+    """Formats what the unit measures beside what the simulator knows."""
 
     heading = (
         "each value ± its sigma, in brackets the difference from the simulator's truth; "
@@ -126,7 +126,7 @@ class View:
             *((row, Style.BOLD) for row in self._rows(measurement)),
             ("", Style.PLAIN),
             _verdict(measurement),
-            *((f"  {line}", Style.PLAIN) for line in self._account()),
+            *((f"  {line}", Style.PLAIN) for line in self._status_lines()),
             ("", Style.PLAIN),
             (
                 f"  {'faults present: ' + faults if faults else 'no faults'}",
@@ -153,24 +153,24 @@ class View:
             cells = f"{measured:>12}{sigma:>11}{true:>13}{difference:>13}{in_sigmas:>10}"
             yield f"  {q.name:<6}{q.unit:<4}{cells}"
 
-    def _account(self) -> Iterator[str]:
+    def _status_lines(self) -> Iterator[str]:
         figures = self._figures
         yield (
             f"{figures.exposures} exposures, {figures.pairs_lost} pairs lost, {figures.frames_dropped} "
             f"frames dropped, {memory_mib():.0f} MiB, {figures.cpu_share:.0%} of one core"
         )
-        words = []
+        parts = []
         for name, place in self._faces.components().items():
             component = self._daemon.health.component(place)
             count = component.counters.get
             answered = count("requests", 0) + count("telegrams_sent", 0) + count("commands", 0)
             skipped = count("events_skipped", 0) + count("telegrams_dropped", 0) + count("answers_dropped", 0)
-            words.append(
+            parts.append(
                 f"{name} {answered}"
                 + (f", skipped {skipped}" if skipped else "")
                 + ("" if component.state == "ok" else f" {component.state.upper()}")
             )
-        yield f"answers: {'; '.join(words)}"
+        yield f"answers: {'; '.join(parts)}"
 
 
 def _verdict(measurement: Measurement | None) -> StyledLine:

@@ -28,7 +28,7 @@ HALF_MM = (78.0, 63.0)
 CELL_MM = 0.1
 
 SHADOW_SIGMA_MM = 0.3
-"""How far diffraction washes out the shadow of a speck on the way to the rear target: about half of
+"""By how much diffraction blurs the shadow of a speck on the way to the rear target: about half of
 √(λ D), 0.43 mm."""
 
 
@@ -52,8 +52,8 @@ class Dust:
         )
         return share.astype(np.float32, copy=False)
 
-    def washed_out(self, sigma_mm: float) -> Dust:
-        """The same as its shadow has it, far behind."""
+    def blurred(self, sigma_mm: float) -> Dust:
+        """The transmission of its shadow far behind."""
         return Dust(cv2.GaussianBlur(self.transmission, (0, 0), sigma_mm / CELL_MM).astype(np.float32))
 
 
@@ -69,7 +69,7 @@ class Shadow:
         return self.dust.at(x_mm - np.float32(self.shift_mm[0]), y_mm - np.float32(self.shift_mm[1]))
 
 
-def settle(amount: float, rng: np.random.Generator) -> Dust:
+def make_dust(amount: float, rng: np.random.Generator) -> Dust:
     """Dust of an ``amount`` of 0 to 1 (heavy); of one generator's state more dust holds all of less.
 
     Raises ValueError for another amount.
@@ -79,8 +79,8 @@ def settle(amount: float, rng: np.random.Generator) -> Dust:
     size = (round(2.0 * HALF_MM[1] / CELL_MM), round(2.0 * HALF_MM[0] / CELL_MM))
     transmission = np.ones(size, dtype=np.float32)
     places = rng.uniform(-1.0, 1.0, (SPECKS + SMEARS, 2)) * HALF_MM
-    finest, coarsest = (math.log(diameter) for diameter in SPECK_DIAMETERS_MM)
-    diameters = np.exp(rng.uniform(finest, coarsest, SPECKS))
+    log_min, log_max = (math.log(diameter) for diameter in SPECK_DIAMETERS_MM)
+    diameters = np.exp(rng.uniform(log_min, log_max, SPECKS))
     sigmas = rng.uniform(*SMEAR_SIGMAS_MM, (SMEARS, 2))
     losses = rng.uniform(*SMEAR_LOSS, SMEARS)
     for place, diameter in zip(places[:SPECKS], diameters[: round(amount * SPECKS)], strict=False):
@@ -88,8 +88,8 @@ def settle(amount: float, rng: np.random.Generator) -> Dust:
         transmission[here] *= np.float32(1.0) - soft_disc(np.hypot(across, up), diameter / 2.0, CELL_MM)
     for place, sigma, loss in zip(places[SPECKS:], sigmas[: round(amount * SMEARS)], losses, strict=False):
         here, across, up = _around(place, 4.0 * sigma, size)
-        hump = np.exp(-0.5 * ((across / np.float32(sigma[0])) ** 2 + (up / np.float32(sigma[1])) ** 2))
-        transmission[here] *= np.float32(1.0) - np.float32(loss) * hump
+        gaussian = np.exp(-0.5 * ((across / np.float32(sigma[0])) ** 2 + (up / np.float32(sigma[1])) ** 2))
+        transmission[here] *= np.float32(1.0) - np.float32(loss) * gaussian
     return Dust(transmission)
 
 

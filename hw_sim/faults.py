@@ -41,7 +41,7 @@ class Fault(StrEnum):
 
 
 SECOND_SPOT_MM = 40.0
-OVERLOAD = 100.0
+OVERLOAD_RATIO = 100.0
 OUT_OF_AREA_MM = (90.0, 0.0)
 DROPPED_SHARE = 0.2
 ALL_PIXELS = frozenset({Fault.BLACK, Fault.WHITE, Fault.NOISE_ONLY})

@@ -1,4 +1,4 @@
-"""A lens whose picture is bent by the angle of the ray, as the micro lens of f = 3.6 mm (Table 3.2)."""
+"""A lens whose distortion follows the angle of the ray, as the micro lens of f = 3.6 mm (Table 3.2)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hw_sim.lens import NEWTON_END, NEWTON_STEPS, FloatArray, Lens
+from hw_sim.lens import MAX_NEWTON_STEPS, NEWTON_TOLERANCE, FloatArray, Lens
 
-_ON_AXIS = 1e-12
+_MIN_RADIUS = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,25 +20,25 @@ class FisheyeLens(Lens):
 
     def _distort(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         slope = np.hypot(x, y)
-        bent = self._bent(np.arctan(slope))[0]
-        share = np.where(slope > _ON_AXIS, bent / np.maximum(slope, _ON_AXIS), 1.0)
+        distorted = self._distorted_radius(np.arctan(slope))[0]
+        share = np.where(slope > _MIN_RADIUS, distorted / np.maximum(slope, _MIN_RADIUS), 1.0)
         return x * share, y * share
 
-    def _undistort(self, bent_x: FloatArray, bent_y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        bent = np.hypot(bent_x, bent_y)
-        angle = bent
-        for _ in range(NEWTON_STEPS):
-            at, slope = self._bent(angle)
-            angle = angle + (bent - at) / slope
-            if np.max(np.abs(bent - at)) < NEWTON_END:
+    def _undistort(self, distorted_x: FloatArray, distorted_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        distorted = np.hypot(distorted_x, distorted_y)
+        angle = distorted
+        for _ in range(MAX_NEWTON_STEPS):
+            at, slope = self._distorted_radius(angle)
+            angle = angle + (distorted - at) / slope
+            if np.max(np.abs(distorted - at)) < NEWTON_TOLERANCE:
                 break
-        share = np.where(bent > _ON_AXIS, np.tan(angle) / np.maximum(bent, _ON_AXIS), 1.0)
-        return bent_x * share, bent_y * share
+        share = np.where(distorted > _MIN_RADIUS, np.tan(angle) / np.maximum(distorted, _MIN_RADIUS), 1.0)
+        return distorted_x * share, distorted_y * share
 
-    def _bent(self, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _distorted_radius(self, angle_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Distance from the axis for an angle, in focal lengths, and its derivative."""
         t2 = angle_rad * angle_rad
         k1, k2, k3, k4, _ = self.distortion
-        bent = angle_rad * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+        distorted = angle_rad * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
         slope = 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
-        return bent, slope
+        return distorted, slope

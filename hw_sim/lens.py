@@ -15,8 +15,8 @@ WIDTH_PX, HEIGHT_PX = 752, 480
 PIXEL_MM = 0.006
 """Its pitch; 752 × 480 of 6 µm make the 1/3 inch chip."""
 
-NEWTON_STEPS = 20
-NEWTON_END = 1e-12
+MAX_NEWTON_STEPS = 20
+NEWTON_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,16 +39,16 @@ class Lens:
     def project(self, x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Pixel coordinates (u, v) of points of the target, any shape."""
         ray_x, ray_y, _ = self._rays(x_mm, y_mm)
-        bent_x, bent_y = self._distort(ray_x, ray_y)
+        distorted_x, distorted_y = self._distort(ray_x, ray_y)
         focal_px = self.focal_mm / PIXEL_MM
-        return self.principal_px[0] + focal_px * bent_x, self.principal_px[1] + focal_px * bent_y
+        return self.principal_px[0] + focal_px * distorted_x, self.principal_px[1] + focal_px * distorted_y
 
     def unproject(self, u_px: npt.ArrayLike, v_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Target coordinates (x, y) in mm that the pixel coordinates show, any shape."""
         focal_px = self.focal_mm / PIXEL_MM
-        bent_x = (np.asarray(u_px, dtype=np.float64) - self.principal_px[0]) / focal_px
-        bent_y = (np.asarray(v_px, dtype=np.float64) - self.principal_px[1]) / focal_px
-        ray_x, ray_y = self._undistort(bent_x, bent_y)
+        distorted_x = (np.asarray(u_px, dtype=np.float64) - self.principal_px[0]) / focal_px
+        distorted_y = (np.asarray(v_px, dtype=np.float64) - self.principal_px[1]) / focal_px
+        ray_x, ray_y = self._undistort(distorted_x, distorted_y)
         plane = np.column_stack([self.rotation[:, :2], self.translation_mm])
         back = np.linalg.inv(plane)
         scale = back[2, 0] * ray_x + back[2, 1] * ray_y + back[2, 2]
@@ -81,13 +81,13 @@ class Lens:
             y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
         )
 
-    def _undistort(self, bent_x: FloatArray, bent_y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _undistort(self, distorted_x: FloatArray, distorted_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The inverse of Brown's model by Newton steps from the bent ray itself."""
         k1, k2, p1, p2, k3 = self.distortion
-        x, y = bent_x, bent_y
-        for _ in range(NEWTON_STEPS):
+        x, y = distorted_x, distorted_y
+        for _ in range(MAX_NEWTON_STEPS):
             at_x, at_y = self._distort(x, y)
-            miss_x, miss_y = bent_x - at_x, bent_y - at_y
+            residual_x, residual_y = distorted_x - at_x, distorted_y - at_y
             r2 = x * x + y * y
             radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
             slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))
@@ -95,9 +95,9 @@ class Lens:
             xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
             yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
             determinant = xx * yy - xy * xy
-            x = x + (yy * miss_x - xy * miss_y) / determinant
-            y = y + (xx * miss_y - xy * miss_x) / determinant
-            if max(np.max(np.abs(miss_x)), np.max(np.abs(miss_y))) < NEWTON_END:
+            x = x + (yy * residual_x - xy * residual_y) / determinant
+            y = y + (xx * residual_y - xy * residual_x) / determinant
+            if max(np.max(np.abs(residual_x)), np.max(np.abs(residual_y))) < NEWTON_TOLERANCE:
                 break
         return x, y
 

@@ -16,7 +16,7 @@ from hw_sim.faults import parse_faults
 from hw_sim.recording import Progress, recording
 from hw_sim.unit import Unit, UnitConfig
 
-LARGEST_YAW, LARGEST_PITCH = 0.110, 0.250
+MAX_YAW_SLOPE, MAX_PITCH_SLOPE = 0.110, 0.250
 """The specified range of slopes (App. A.1)."""
 
 POSES_STREAM = 5
@@ -31,7 +31,7 @@ def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator
     poses: list[BeamPose] = []
     while len(poses) < count:
         x_mm, y_mm = rng.uniform(-1.0, 1.0, size=2) * HALF_AREA_MM
-        slope_x, slope_y = rng.uniform(-1.0, 1.0, size=2) * (LARGEST_YAW, LARGEST_PITCH)
+        slope_x, slope_y = rng.uniform(-1.0, 1.0, size=2) * (MAX_YAW_SLOPE, MAX_PITCH_SLOPE)
         pose = BeamPose(float(x_mm), float(y_mm), float(slope_x), float(slope_y))
         if np.all(np.abs(pose.at(target_distance_mm)) <= HALF_AREA_MM):
             poses.append(pose)

@@ -13,11 +13,11 @@ import numpy as np
 
 from altd.errors import BadInputError
 from hw_sim.arguments import add_common_arguments, at_least_one, terminal_progress
-from hw_sim.assembly import filling_the_picture
+from hw_sim.assembly import at_framing_distance
 from hw_sim.beam import BeamPose
-from hw_sim.eye import Eye
 from hw_sim.faults import Fault
 from hw_sim.fisheye import FisheyeLens
+from hw_sim.imager import Imager
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
 from hw_sim.recording import Progress, recording
 from hw_sim.targets import Image, soft_disc
@@ -32,11 +32,11 @@ which stand as near as the 140 × 110 mm target allows."""
 WIDE_PITCH_MM = 25.0
 """For cameras that are made for the plate, tilted or with a fisheye lens."""
 FISHEYE_FOCAL_MM = (3.5, 3.7)
-BORED_SIGMA_MM = 0.005
-"""How well the LEDs' holes are bored, per axis."""
-DIMMEST = 0.8
+LED_PLACE_SIGMA_MM = 0.005
+"""Standard deviation of the LEDs' places from the drawing, per axis."""
+MIN_BRIGHTNESS = 0.8
 SUBSAMPLES = 6
-LARGEST_TILT_DEG = 35.0
+MAX_TILT_DEG = 35.0
 PLATE_STREAM = 9
 """Keeps the plate's random numbers apart from those of the frames."""
 
@@ -64,7 +64,7 @@ class Plate:
         return (-self.origin_mm[0] + LED_DIAMETER_MM / 2.0, -self.origin_mm[1] + LED_DIAMETER_MM / 2.0)
 
     def lit_mm(self) -> list[tuple[float, float]]:
-        """Where the drawing has the LEDs that shine."""
+        """The places of the lit LEDs in the drawing."""
         return [
             (self.origin_mm[0] + column * self.pitch_mm, self.origin_mm[1] + row * self.pitch_mm)
             for row in range(ROWS)
@@ -74,20 +74,23 @@ class Plate:
 
 
 def with_plate(unit: Unit, plate: Plate) -> Unit:
-    """Let the unit's cameras see the plate instead of their targets, and no laser; the same unit."""
+    """The unit with its cameras on the plate instead of their targets, and without the laser."""
     rng = np.random.default_rng([unit.config.seed, PLATE_STREAM])
-    eyes = {}
+    imagers = {}
     for camera in CAMERAS:
-        eye = unit.eyes[camera]
-        view = eye.view
+        imager = unit.imagers[camera]
+        view = imager.view
         if plate.tilt_deg is not None or plate.fisheye:
             focal_mm = unit.config.front_focal_mm if camera == FRONT else unit.config.rear_focal_mm
             lens = _plate_lens(view.lens, plate, focal_mm, rng)
             view = make_view(lens, None, unit.config.speckle_contrast, unit.config.hot_pixels, rng)
-        eyes[camera] = Eye(
-            replace(view, lamps=_lamps(view, plate.lit_mm(), rng)), eye.sensor, eye.settings, unit.config.lux
+        imagers[camera] = Imager(
+            replace(view, lamps=_lamps(view, plate.lit_mm(), rng)),
+            imager.sensor,
+            imager.settings,
+            unit.config.lux,
         )
-    unit.eyes = eyes
+    unit.imagers = imagers
     unit.inject(Fault.NO_LASER)
     return unit
 
@@ -113,7 +116,7 @@ def record_plate(folder: Path, unit: Unit, plate: Plate, exposures: int, progres
 def _plate_lens(
     lens: Lens, plate: Plate, focal_range_mm: tuple[float, float], rng: np.random.Generator
 ) -> Lens:
-    """A lens that looks at the plate under its tilt, from where it sees all of it."""
+    """A lens tilted against the plate, at the distance at which its image holds all of it."""
     tilt, towards = math.radians(plate.tilt_deg or 0.0), rng.uniform(0.0, 2.0 * math.pi)
     turned = rotation(
         tilt * math.cos(towards), tilt * math.sin(towards), math.radians(rng.uniform(-2.0, 2.0))
@@ -132,15 +135,15 @@ def _plate_lens(
         )
     else:
         tilted = replace(lens, focal_mm=float(focal_mm), rotation=turned, translation_mm=ahead_mm)
-    return filling_the_picture(tilted, plate.half_mm, (20.0, 120.0))
+    return at_framing_distance(tilted, plate.half_mm, (20.0, 120.0))
 
 
 def _lamps(view: View, lit_mm: Sequence[tuple[float, float]], rng: np.random.Generator) -> Image:
-    """Electrons per ms of the plate's LEDs, each a bit off its place and of a brightness of its own."""
+    """Electrons per ms of the plate's LEDs, each with its own deviation in place and brightness."""
     lit = np.zeros_like(view.x_mm)
     for x_mm, y_mm in lit_mm:
-        off_x, off_y = rng.normal(0.0, BORED_SIGMA_MM, size=2)
-        _add_disc(lit, view, (x_mm + off_x, y_mm + off_y), float(rng.uniform(DIMMEST, 1.0)))
+        off_x, off_y = rng.normal(0.0, LED_PLACE_SIGMA_MM, size=2)
+        _add_disc(lit, view, (x_mm + off_x, y_mm + off_y), float(rng.uniform(MIN_BRIGHTNESS, 1.0)))
     columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
     falloff = view.lens.relative_illumination(*view.lens.unproject(columns, rows)).astype(np.float32)
     blurred = cv2.GaussianBlur(lit, (0, 0), PSF_SIGMA_PX).astype(np.float32)
@@ -200,8 +203,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Record a plate; raises BadInputError."""
-    if arguments.tilt is not None and not 0.0 <= arguments.tilt <= LARGEST_TILT_DEG:
-        raise BadInputError("--tilt", f"{arguments.tilt:g} is not between 0 and {LARGEST_TILT_DEG:g} degrees")
+    if arguments.tilt is not None and not 0.0 <= arguments.tilt <= MAX_TILT_DEG:
+        raise BadInputError("--tilt", f"{arguments.tilt:g} is not between 0 and {MAX_TILT_DEG:g} degrees")
     own_cameras = arguments.tilt is None and not arguments.fisheye
     plate = Plate(
         PITCH_MM if own_cameras else WIDE_PITCH_MM, tuple(arguments.dark), arguments.tilt, arguments.fisheye

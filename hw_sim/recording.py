@@ -18,19 +18,19 @@ from hw_sim.beam import BeamPose
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.unit import CAMERAS, Unit
 
-HEADER = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
+COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
 Progress = Callable[[int, int], None]
-"""Is told after each exposure how many of how many have been made."""
+"""Called after each exposure with the number made and the number planned."""
 
 
 class Recorder:
-    """Exposes both cameras of a unit at its rate and keeps the frames."""
+    """Exposes both cameras of a unit at its rate and writes the frames."""
 
     def __init__(self, folder: Path, table: TextIO, unit: Unit, planned: int, progress: Progress) -> None:
         self._folder = folder
         self._table = csv.writer(table, lineterminator="\n")
-        self._table.writerow(HEADER)
+        self._table.writerow(COLUMNS)
         self._unit = unit
         self._planned = planned
         self._progress = progress
@@ -49,7 +49,7 @@ class Recorder:
         stage_mm: tuple[float, float] | None = None,
         even_mw_per_mm2: float = 0.0,
     ) -> None:
-        """One exposure of both cameras; ``stage_mm`` is where the stage believes the beam to be.
+        """Record one frame of each camera, exposed at the same time; ``stage_mm`` is the stage's position.
 
         With even light on the targets, for a flat field, the row says ``leds`` on.
         """
@@ -77,11 +77,11 @@ def recording(
     kind: str,
     planned: int,
     progress: Progress,
-    about: Mapping[str, object] | None = None,
+    extra_header: Mapping[str, object] | None = None,
 ) -> Iterator[Recorder]:
     """A recorder whose frames become the recording ``folder`` at the end, or nothing at all.
 
-    ``about`` adds to the header or replaces what it has.
+    ``extra_header`` adds to the header or replaces what it has.
 
     Raises BadInputError for a folder that holds something or that cannot be made.
     """
@@ -95,7 +95,7 @@ def recording(
         with (draft / "frames.csv").open("w", newline="") as table:
             yield Recorder(draft, table, unit, planned, progress)
         (draft / "recording.json").write_text(
-            json.dumps({**_about(unit, kind), **(about or {})}, indent=1) + "\n"
+            json.dumps({**_header(unit, kind), **(extra_header or {})}, indent=1) + "\n"
         )
         draft.replace(folder)
     except OSError as error:
@@ -104,7 +104,7 @@ def recording(
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _about(unit: Unit, kind: str) -> dict[str, object]:
+def _header(unit: Unit, kind: str) -> dict[str, object]:
     config = unit.config
     note = f"hw_sim, seed {config.seed}"
     if unit.faults:

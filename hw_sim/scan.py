@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,31 @@ from hw_sim.recording import Progress, recording
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
-COLUMNS, ROWS, PITCH_MM = 6, 5, 28.0
-"""The grid of Fig. 3.24 over the area of App. A.1: 140 × 112 mm around the middle."""
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The nodes of a scan, around the middle of the targets; by default the grid of Fig. 3.24.
+
+    That covers 140 × 112 mm, the area of App. A.1.
+    """
+
+    pitch_mm: float = 28.0
+    columns: int = 6
+    rows: int = 5
+
+    def nodes_mm(self) -> list[tuple[float, float]]:
+        """The nodes (x, y) in mm, row by row from the smallest x and y."""
+        return [
+            (
+                (column - (self.columns - 1) / 2.0) * self.pitch_mm,
+                (row - (self.rows - 1) / 2.0) * self.pitch_mm,
+            )
+            for row in range(self.rows)
+            for column in range(self.columns)
+        ]
+
+
+USUAL = Grid()
 
 STAGE_STREAM = 6
 """Keeps the stage's random numbers apart from those of the frames."""
@@ -24,34 +48,17 @@ LED_REFERENCE = (False, True, False, True)
 """The frame LEDs in the exposures before the grid, with the beam in the middle."""
 
 
-def grid_mm(
-    pitch_mm: float = PITCH_MM, columns: int = COLUMNS, rows: int = ROWS
-) -> list[tuple[float, float]]:
-    """The nodes (x, y) of the scan in mm, row by row from the smallest x and y."""
-    return [
-        ((column - (columns - 1) / 2.0) * pitch_mm, (row - (rows - 1) / 2.0) * pitch_mm)
-        for row in range(rows)
-        for column in range(columns)
-    ]
-
-
-def dense_pitch_mm(columns: int, rows: int) -> float:
-    """The widest pitch with which a grid of so many nodes lies within the usual one."""
-    return PITCH_MM * min((COLUMNS - 1) / (columns - 1), (ROWS - 1) / (rows - 1))
+def dense_grid(columns: int, rows: int) -> Grid:
+    """A grid of so many nodes with the widest pitch at which it lies within the usual one."""
+    columns_share, rows_share = (USUAL.columns - 1) / (columns - 1), (USUAL.rows - 1) / (rows - 1)
+    return Grid(USUAL.pitch_mm * min(columns_share, rows_share), columns, rows)
 
 
 def record_scan(
-    folder: Path,
-    unit: Unit,
-    stage: Stage,
-    exposures: int,
-    progress: Progress,
-    pitch_mm: float = PITCH_MM,
-    columns: int = COLUMNS,
-    rows: int = ROWS,
+    folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress, grid: Grid = USUAL
 ) -> None:
     """Write the scan of a unit into ``folder``: LED reference pairs, then ``exposures`` a node."""
-    nodes = grid_mm(pitch_mm, columns, rows)
+    nodes = grid.nodes_mm()
     planned = len(LED_REFERENCE) + len(nodes) * exposures
     with recording(folder, unit, "scan", planned, progress) as recorder:
         for leds_on in LED_REFERENCE:
@@ -69,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grid",
         type=_grid,
-        default=(COLUMNS, ROWS),
+        default=USUAL,
         metavar="C,R",
         help="columns and rows of nodes, over the same area (default 6,5)",
     )
@@ -83,31 +90,22 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.stage:
         from hw_sim.staged_scan import staged_scan
 
-        if arguments.grid != (COLUMNS, ROWS):
+        if arguments.grid != USUAL:
             raise BadInputError("--grid", "goes without --stage: what altd scan makes is its own grid")
         return staged_scan(arguments.output, arguments.seed, arguments.exposures)
-    columns, rows = arguments.grid
     unit = Unit(UnitConfig(seed=arguments.seed))
     stage = Stage(np.random.default_rng([arguments.seed, STAGE_STREAM]))
-    record_scan(
-        arguments.output,
-        unit,
-        stage,
-        arguments.exposures,
-        terminal_progress("scan"),
-        dense_pitch_mm(columns, rows),
-        columns,
-        rows,
-    )
+    progress = terminal_progress("scan")
+    record_scan(arguments.output, unit, stage, arguments.exposures, progress, arguments.grid)
     return 0
 
 
-def _grid(text: str) -> tuple[int, int]:
-    """Columns and rows."""
+def _grid(text: str) -> Grid:
+    """The dense grid of these columns and rows."""
     try:
         columns, rows = (int(part) for part in text.split(","))
     except ValueError:
         columns = rows = 0
     if not 4 <= min(columns, rows) <= max(columns, rows) <= 200:
         raise argparse.ArgumentTypeError(f"{text!r} is no grid such as 6,5: 4 to 200 columns and rows")
-    return columns, rows
+    return dense_grid(columns, rows)

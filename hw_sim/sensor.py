@@ -1,7 +1,8 @@
 """The camera's chip: from mean electrons to grey values, with noise.
 
-Two ways to the same statistics: ``expose`` draws photons one pixel at a time (recordings), ``sketch``
-takes Gaussian noise from a pool that was drawn once (live, where a frame must cost about a millisecond).
+Two ways to the same statistics: ``expose`` draws photons one pixel at a time (recordings); in real time,
+where a frame must take about a millisecond, Gaussian noise comes from a pool that was drawn once
+(``NoisePool``).
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class DotPrint:
         return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
 
 
-def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
+def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
     """Share of lit LED, 0 to 1, in a small cell at points of the frame around a target."""
     cover = np.zeros_like(x_mm)
     for led_x, led_y in LED_POSITIONS_MM:
@@ -76,14 +76,14 @@ def led_cover(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
 
 
 def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:
-    """The fixed factor of mean 1 by which a surface's grain changes each pixel's share, (rows, columns).
+    """The fixed factor of mean 1 by which the surface texture changes each pixel's light, (rows, columns).
 
-    The grain is finer than a pixel, so its mean over one pixel's area differs from the next one's with
+    The texture is finer than a pixel, so its mean over one pixel's area differs from the next one's with
     ``contrast``, and the lens then blurs it with all else. Target and camera are fixed to each other: the
-    grain of the surface belongs to the pixels.
+    texture belongs to the pixels.
     """
-    grain = rng.standard_normal(shape, dtype=np.float32) * np.float32(contrast)
-    factor: Image = np.maximum(np.float32(1.0) + grain - grain.mean(), np.float32(0.0))
+    texture = rng.standard_normal(shape, dtype=np.float32) * np.float32(contrast)
+    factor: Image = np.maximum(np.float32(1.0) + texture - texture.mean(), np.float32(0.0))
     return factor
 
 

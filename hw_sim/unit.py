@@ -10,18 +10,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from altd.records import Frame, PixelArray
-from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, SEEN_HALF_MM, make_dots, make_lens
+from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
-from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, settle
-from hw_sim.eye import Eye, Settings
+from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
     ALL_PIXELS,
     DROPPED_SHARE,
     OUT_OF_AREA_MM,
-    OVERLOAD,
+    OVERLOAD_RATIO,
     SECOND_SPOT_MM,
     Fault,
 )
+from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, driving, vibrating
 from hw_sim.sensor import NoisePool, Sensor
@@ -34,7 +34,7 @@ CAMERAS = (FRONT, REAR)
 EXPOSURES_MS: Mapping[str, float] = {FRONT: 1.6, REAR: 1.6}
 """Bring 3 mW in a spot of 12 × 11 mm to about three quarters of full scale."""
 
-INK_GRAIN = 0.6
+INK_SPECKLE_RATIO = 0.6
 """Speckle of the window's ink relative to the plate's: light that diffuses through ink loses contrast. With
 it a node of a scan scatters about the map as on the recorded unit (../shared/data/unit-a): 0.04 px."""
 
@@ -49,7 +49,7 @@ class UnitConfig:
 
     ``lux`` is ambient light after the interference filter, 0 to 1000 (App. A.1); ``bits`` 8 to 16. Without
     ``dots`` the front target is a plain plate like the rear one. The focal lengths are drawn from the ranges
-    given, and the cameras stand where their pictures hold ``seen_half_mm`` to each side of the middle.
+    given, and the cameras stand where their pictures hold ``field_half_mm`` to each side of the middle.
     ``expansion`` is by how much of its length the frame between the targets has grown since it was adjusted:
     the rear target stands at (1 + expansion) times its distance. ``dust`` is what has settled on window and
     plate, 0 none to 1 heavy; ``Unit.set_dust`` changes it after the calibration.
@@ -68,7 +68,7 @@ class UnitConfig:
     dots: DotPattern | None = field(default_factory=DotPattern)
     front_focal_mm: tuple[float, float] = FRONT_FOCAL_MM
     rear_focal_mm: tuple[float, float] = REAR_FOCAL_MM
-    seen_half_mm: tuple[float, float] = SEEN_HALF_MM
+    field_half_mm: tuple[float, float] = FIELD_HALF_MM
     vibration: Vibration | None = None
     drive: Drive | None = None
     faults: frozenset[Fault] = frozenset()
@@ -93,22 +93,22 @@ class Unit:
         self._pattern = self.config.dots or DotPattern()
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
-        self._path: Callable[[int], BeamPose] = _resting(BeamPose(0.0, 0.0))
+        self._pose_at: Callable[[int], BeamPose] = _constant_path(BeamPose(0.0, 0.0))
         self._faults = self.config.faults
         self._lock = threading.Lock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(8))
         rngs = (np.random.default_rng(stream) for stream in streams)
         dots = make_dots(self._pattern, next(rngs))
         lenses = {
-            FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.seen_half_mm),
-            REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.seen_half_mm),
+            FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
+            REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.field_half_mm),
         }
-        self.eyes: Mapping[str, Eye] = {
-            name: Eye(
+        self.imagers: Mapping[str, Imager] = {
+            name: Imager(
                 make_view(
                     lens,
                     dots if name == FRONT and self.config.dots else None,
-                    self.config.speckle_contrast * (INK_GRAIN if name == FRONT else 1.0),
+                    self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
                     self.config.hot_pixels,
                     next(rngs),
                 ),
@@ -154,17 +154,17 @@ class Unit:
             self._faults |= set(faults)
 
     def clear(self, *faults: Fault) -> None:
-        """Mend these faults; without an argument, all."""
+        """Remove these faults; without an argument, all."""
         with self._lock:
             self._faults = self._faults - set(faults) if faults else frozenset()
 
     def place(self, pose: BeamPose) -> None:
         """Point the reference laser; drive and vibration come on top."""
-        self._path = _resting(pose)
+        self._pose_at = _constant_path(pose)
 
     def follow(self, path: Callable[[int], BeamPose]) -> None:
-        """Let something carry the reference laser: where it points at ``t_ns``."""
-        self._path = path
+        """Let the reference laser follow a path: its pose at ``t_ns``."""
+        self._pose_at = path
 
     def set_camera(
         self,
@@ -175,13 +175,13 @@ class Unit:
         bits: int | None = None,
     ) -> None:
         """Set exposure, gain or the bits of a pixel of one camera, from its next exposure on."""
-        eye = self.eyes[camera]
+        imager = self.imagers[camera]
         if exposure_ms is not None:
-            eye.settings = replace(eye.settings, exposure_ms=exposure_ms)
+            imager.settings = replace(imager.settings, exposure_ms=exposure_ms)
         if gain is not None:
-            eye.settings = replace(eye.settings, gain=gain)
+            imager.settings = replace(imager.settings, gain=gain)
         if bits is not None:
-            eye.sensor = Sensor(bits)
+            imager.sensor = Sensor(bits)
 
     def set_dust(self, amount: float) -> None:
         """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next exposure on.
@@ -189,17 +189,17 @@ class Unit:
         Where a speck lies is the unit's; a larger amount adds to a smaller one. Raises ValueError.
         """
         dust = {
-            camera: settle(amount, np.random.default_rng(seed))
+            camera: make_dust(amount, np.random.default_rng(seed))
             for camera, seed in zip(CAMERAS, self._dust_seeds, strict=True)
         }
         with self._lock:
-            for camera, eye in self.eyes.items():
-                eye.lay(dust[camera] if amount else None)
-            self._window_dust = dust[FRONT].washed_out(SHADOW_SIGMA_MM) if amount else None
+            for camera, imager in self.imagers.items():
+                imager.set_dust(dust[camera] if amount else None)
+            self._window_dust = dust[FRONT].blurred(SHADOW_SIGMA_MM) if amount else None
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
-        pose = self._displaced(t_ns)
+        pose = self._nominal_pose(t_ns)
         if self._drive is not None:
             pose = self._drive.moved(pose, t_ns)
         if vibration and self._vibration is not None:
@@ -231,44 +231,44 @@ class Unit:
         ``exact`` draws every photon (a recording, 20 times slower); otherwise noise comes from a pool.
         The same unit, beam, sequence and time give the same frame, bit for bit.
         """
-        faults, leds_on, eye = self._faults, camera in self._lit, self.eyes[camera]
-        settings = eye.settings
+        faults, leds_on, imager = self._faults, camera in self._lit, self.imagers[camera]
+        settings = imager.settings
         if faults & ALL_PIXELS:
-            pixels = self._without_picture(faults, camera, sequence)
+            pixels = self._faulty_pixels(faults, camera, sequence)
         else:
             spots = self._spots(camera, self.truth(t_ns), faults)
             lit = leds_on or Fault.LEDS_ON in faults
             if exact:
-                pixels = eye.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
+                pixels = imager.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
             else:
                 key = sequence * len(CAMERAS) + CAMERAS.index(camera)
-                pixels = eye.sketch(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
+                pixels = imager.expose_from_pool(spots, lit, self._pool.stretch(key, (HEIGHT_PX, WIDTH_PX)))
         pixels.flags.writeable = False
         return Frame(
             camera,
             sequence,
             t_ns,
             pixels,
-            eye.sensor.bits,
+            imager.sensor.bits,
             leds_on,
             exposure_ms=settings.exposure_ms,
             gain_db=20.0 * math.log10(settings.gain),
         )
 
-    def _displaced(self, t_ns: int) -> BeamPose:
+    def _nominal_pose(self, t_ns: int) -> BeamPose:
         """The beam of the laser, unless a fault takes it elsewhere."""
         if Fault.CUT_BY_EDGE in self._faults:
-            x_mm, y_mm = self.eyes[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
+            x_mm, y_mm = self.imagers[FRONT].view.lens.unproject(WIDTH_PX / 2.0, -0.5)
             return BeamPose(float(x_mm), float(y_mm))
         if Fault.OUT_OF_AREA in self._faults:
             return BeamPose(*OUT_OF_AREA_MM)
-        return self._path(t_ns)
+        return self._pose_at(t_ns)
 
     def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
         """The spots on one target."""
         if faults & {Fault.NO_LASER, _MISSING[camera]}:
             return []
-        share = OVERLOAD if Fault.SATURATED in faults else 1.0
+        share = OVERLOAD_RATIO if Fault.SATURATED in faults else 1.0
         z_mm = 0.0
         if camera == REAR:
             share *= (1.0 - self._pattern.coverage) * WINDOW_TRANSMISSION
@@ -282,8 +282,8 @@ class Unit:
         aside = -SECOND_SPOT_MM if spot.x_mm > 0.0 else SECOND_SPOT_MM
         return [spot, replace(spot, x_mm=spot.x_mm + aside)]
 
-    def _without_picture(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
-        sensor = self.eyes[camera].sensor
+    def _faulty_pixels(self, faults: frozenset[Fault], camera: str, sequence: int) -> PixelArray:
+        sensor = self.imagers[camera].sensor
         counts = np.zeros((HEIGHT_PX, WIDTH_PX), dtype=np.float32)
         if Fault.WHITE in faults:
             counts += sensor.full_scale
@@ -297,8 +297,8 @@ class Unit:
         return np.random.default_rng([self.config.seed, CAMERAS.index(camera), sequence, purpose])
 
 
-def _resting(pose: BeamPose) -> Callable[[int], BeamPose]:
-    """A beam that stays where it is."""
+def _constant_path(pose: BeamPose) -> Callable[[int], BeamPose]:
+    """The path of a beam that stays where it is."""
 
     def path(_t_ns: int) -> BeamPose:
         return pose

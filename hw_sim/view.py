@@ -19,7 +19,7 @@ from hw_sim.beam import Footprint
 from hw_sim.dust import Dust
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, FloatArray, Lens
 from hw_sim.sensor import FULL_WELL_E
-from hw_sim.targets import DotPrint, Image, led_cover, speckle
+from hw_sim.targets import DotPrint, Image, led_coverage, speckle
 
 SUBSAMPLES = 4
 """Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""
@@ -46,7 +46,7 @@ ELECTRONS_PER_EXPOSURE = (
 """Electrons per pixel for 1 mW/mm² on a white (Lambertian) target during 1 ms, on the lens axis."""
 
 MW_PER_MM2_PER_LUX = 1e-3 / (683.0 * 0.107)
-"""Irradiance of 1 lux of 650 nm light, where the eye's V(λ) is 0.107."""
+"""Irradiance of 1 lux of 650 nm light, where the human eye's V(λ) is 0.107."""
 
 PLATE_REFLECTANCE = 0.3
 INK_REFLECTANCE = 0.5
@@ -69,10 +69,10 @@ class View:
     hot_e: Image
     """Electrons that leak into a pixel's storage at every read-out, whatever the exposure."""
 
-    def behind(self, dust: Dust) -> View:
+    def with_dust(self, dust: Dust) -> View:
         """The same with dust on what it shows; lamps and chip are beside it."""
-        passed = _blurred(dust.at(self.x_mm, self.y_mm))
-        return replace(self, response=self.response * passed, ambient=self.ambient * passed)
+        transmission = _blurred(dust.at(self.x_mm, self.y_mm))
+        return replace(self, response=self.response * transmission, ambient=self.ambient * transmission)
 
     def background_e(self, exposure_ms: float, lux: float, leds_on: bool) -> Image:
         """Mean electrons of an exposure without the beam."""
@@ -110,8 +110,8 @@ def make_view(
     """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None."""
     columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
     x_mm, y_mm = lens.unproject(columns, rows)
-    grain = speckle(rng, (HEIGHT_PX, WIDTH_PX), contrast)
-    reflectance, lit = _covered(x_mm.astype(np.float32), y_mm.astype(np.float32), dots, grain)
+    texture = speckle(rng, (HEIGHT_PX, WIDTH_PX), contrast)
+    reflectance, lit = _reflectance_and_lamps(x_mm.astype(np.float32), y_mm.astype(np.float32), dots, texture)
     falloff = lens.relative_illumination(x_mm, y_mm).astype(np.float32)
     slope_u, slope_v = rng.uniform(-0.4, 0.4, size=2)
     gradient = 1.0 + slope_u * (2.0 * columns / WIDTH_PX - 1.0) + slope_v * (2.0 * rows / HEIGHT_PX - 1.0)
@@ -130,7 +130,9 @@ def make_view(
     )
 
 
-def _covered(x_mm: Image, y_mm: Image, dots: DotPrint | None, grain: Image) -> tuple[Image, Image]:
+def _reflectance_and_lamps(
+    x_mm: Image, y_mm: Image, dots: DotPrint | None, texture: Image
+) -> tuple[Image, Image]:
     """Mean reflectance and share of lit LED over each pixel's area, seen through the lens's blur."""
     by_u = (np.gradient(x_mm, axis=1), np.gradient(y_mm, axis=1))
     by_v = (np.gradient(x_mm, axis=0), np.gradient(y_mm, axis=0))
@@ -142,13 +144,13 @@ def _covered(x_mm: Image, y_mm: Image, dots: DotPrint | None, grain: Image) -> t
         for right in offsets:
             x = x_mm + right * by_u[0] + down * by_v[0]
             y = y_mm + right * by_u[1] + down * by_v[1]
-            lit += led_cover(x, y, cell_mm)
+            lit += led_coverage(x, y, cell_mm)
             if dots is not None:
                 ink += dots.cover(x, y, cell_mm)
     lit = _blurred(lit / np.float32(SUBSAMPLES**2))
     if dots is None:
-        return _blurred(grain) * np.float32(PLATE_REFLECTANCE), lit
-    return _blurred(ink * grain / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
+        return _blurred(texture) * np.float32(PLATE_REFLECTANCE), lit
+    return _blurred(ink * texture / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
 
 
 def _blurred(image: Image) -> Image:

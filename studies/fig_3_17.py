@@ -22,7 +22,7 @@ EXPANSION_PER_K = {"aluminium": 23.6e-6, "Kevlar 49": -4.0e-6}
 """Linear expansion of aluminium 6061, and of Kevlar 49 in epoxy along its fibres, which shrink (Callister,
 Materials Science and Engineering, Table B.6). The weave of the thesis will lie nearer to 0."""
 
-LARGEST_YAW, LARGEST_PITCH = 0.110, 0.250
+MAX_YAW_SLOPE, MAX_PITCH_SLOPE = 0.110, 0.250
 REQUIRED_DEG = 0.05
 POSES, EXPOSURES, SEED = 11, 8, 71
 
@@ -41,10 +41,10 @@ def run(progress: Progress) -> Result:
     slopes = np.linspace(-1.0, 1.0, POSES)
     poses = [
         BeamPose(
-            -s * LARGEST_YAW * DISTANCE_MM / 2,
-            -s * LARGEST_PITCH * DISTANCE_MM / 2,
-            s * LARGEST_YAW,
-            s * LARGEST_PITCH,
+            -s * MAX_YAW_SLOPE * DISTANCE_MM / 2,
+            -s * MAX_PITCH_SLOPE * DISTANCE_MM / 2,
+            s * MAX_YAW_SLOPE,
+            s * MAX_PITCH_SLOPE,
         )
         for s in slopes.tolist()
     ]
@@ -61,7 +61,7 @@ def run(progress: Progress) -> Result:
     colours = {"aluminium": THESIS, "Kevlar 49": OURS}
     dense = np.linspace(-1.0, 1.0, 101)
     for axis, column, largest, angle in zip(
-        axes, (0, 1), (LARGEST_YAW, LARGEST_PITCH), ("yaw", "pitch"), strict=True
+        axes, (0, 1), (MAX_YAW_SLOPE, MAX_PITCH_SLOPE), ("yaw", "pitch"), strict=True
     ):
         for material, per_k in EXPANSION_PER_K.items():
             axis.plot(
@@ -96,9 +96,9 @@ def run(progress: Progress) -> Result:
             (
                 1e6 * per_k,
                 DISTANCE_MM * per_k * WARMER_K,
-                float(angle_error_deg(LARGEST_YAW, per_k * WARMER_K)),
+                float(angle_error_deg(MAX_YAW_SLOPE, per_k * WARMER_K)),
                 float(changes[material][-1, 0] - changes[material][0, 0]) / 2.0,
-                float(angle_error_deg(LARGEST_PITCH, per_k * WARMER_K)),
+                float(angle_error_deg(MAX_PITCH_SLOPE, per_k * WARMER_K)),
                 float(changes[material][-1, 1] - changes[material][0, 1]) / 2.0,
             ),
         )

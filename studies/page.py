@@ -20,7 +20,7 @@ INDEX = """\
 
 Each study does with simulated parts (`hw_sim`) and altd's own commands what the thesis did in its
 laboratory, and shows its figures beside ours. `make studies` runs them all and writes these pages;
-`python -m hw_sim study NAME` runs one and prints its table. All seeds are fixed: the same code gives the
+`python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the
 same pages.
 
 What they are worth: the parts are simulated, and a simulator holds only what its authors thought of.
@@ -53,7 +53,7 @@ def page(name: str, title: str, question: str, result: Result) -> str:
         f"![{title}]({name}.svg)",
         f"*{result.caption}*",
         _even(result.text),
-        f"Made by `python -m hw_sim study {name}`; all studies: [index](README.md).",
+        f"Made by `python -m studies {name}`; all studies: [index](README.md).",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

@@ -68,10 +68,10 @@ def displaced_poses(rng: np.random.Generator) -> list[BeamPose]:
 
 def set_exposure(unit: Unit) -> None:
     """Expose the front camera as one would: the brightest dots at three quarters of full scale."""
-    eye = unit.eyes[FRONT]
+    imager = unit.imagers[FRONT]
     places = [BeamPose(x, y) for x in (-50.0, 0.0, 50.0) for y in (-40.0, 0.0, 40.0)]
     spots = [footprint(unit.config.laser, pose, 0.0) for pose in places]
-    brightest_e = max(float(eye.view.beam_e([spot], 1.0)[1].max()) for spot in spots)
+    brightest_e = max(float(imager.view.beam_e([spot], 1.0)[1].max()) for spot in spots)
     unit.set_camera(FRONT, exposure_ms=0.75 * FULL_WELL_E / brightest_e)
 
 

@@ -14,8 +14,8 @@ from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
-from altd.vision.plate import find_discs
-from altd.vision.plate_grid import match_grid
+from altd.vision.led_discs import find_discs
+from altd.vision.led_grid import match_grid
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.plate import COLUMNS, LED_DIAMETER_MM, ROWS, WIDE_PITCH_MM, Plate, with_plate
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
@@ -111,7 +111,7 @@ The thesis photographs a plate of 7 × 5 LEDs, {WIDE_PITCH_MM:g} mm apart, fits 
 the distance eᵢ between each LED's known place and its mapped one (Eq. 3.1). Here {2 * len(SEEDS)}
 simulated lenses of each focal length look at such a plate from as near as the picture allows, tilted by
 {TILT_DEG:g}°: barrel distortion by Brown's model, at 3.6 mm a fisheye. The LEDs are bored to 0.005 mm;
-they are found as discs by `altd.vision.plate` in {EXPOSURES} exposures with and without light. The first
+they are found as discs by `altd.vision.led_discs` in {EXPOSURES} exposures with and without light. The first
 six columns are at the LEDs, as in the thesis, whose tensor polynomial stands beside both of ours.
 
 A map through few points follows their noise, and errors at the LEDs do not show it: the last four columns
@@ -145,7 +145,7 @@ def _photographed(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, Floa
         match = match_grid(points_px, COLUMNS, ROWS, mirrored=camera == FRONT)
         cells = np.argwhere(match.rows_of >= 0)
         leds_mm = np.array(plate.origin_mm) + cells[:, ::-1] * plate.pitch_mm
-        yield leds_mm, points_px[match.rows_of[match.rows_of >= 0]], unit.eyes[camera].view.lens
+        yield leds_mm, points_px[match.rows_of[match.rows_of >= 0]], unit.imagers[camera].view.lens
 
 
 def _errors(leds_mm: FloatArray, leds_px: FloatArray, lens: Lens, rng: np.random.Generator) -> _Errors:

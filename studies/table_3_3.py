@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hw_sim.beam import BeamPose
-from hw_sim.scan import COLUMNS, PITCH_MM, ROWS
+from hw_sim.scan import USUAL
 from hw_sim.unit import Unit, UnitConfig
 from studies.bench import FloatArray, bench
 from studies.plot import OURS, THESIS, draw_arrows, panels
@@ -30,9 +30,11 @@ TARGETS = (
 def between_nodes() -> list[BeamPose]:
     """Beams along the axis in the middle of each of the 5 × 4 meshes of the scan."""
     return [
-        BeamPose((column - COLUMNS / 2 + 1) * PITCH_MM, (row - ROWS / 2 + 1) * PITCH_MM)
-        for row in range(ROWS - 1)
-        for column in range(COLUMNS - 1)
+        BeamPose(
+            (column - USUAL.columns / 2 + 1) * USUAL.pitch_mm, (row - USUAL.rows / 2 + 1) * USUAL.pitch_mm
+        )
+        for row in range(USUAL.rows - 1)
+        for column in range(USUAL.columns - 1)
     ]
 
 
@@ -74,7 +76,8 @@ def run(progress: Progress) -> Result:
             "themselves."
         ),
         text=f"""
-The beam stands normal to the targets on 6 × 5 nodes 25 mm apart; the table's own error is 2 µm. *Repeated
+The beam stands normal to the targets on {USUAL.columns} × {USUAL.rows} nodes
+{USUAL.pitch_mm:g} mm apart; the table's own error is 2 µm. *Repeated
 σ* is of single exposures at the same node ({EXPOSURES} each, pooled), eᵢ = √(Δx² + Δy²) the distance
 between the known place and the mapped spot (Eq. 3.1). The first four columns are what `altd calibrate`
 writes into the calibration file. The residuals at the nodes flatter any map, as it was fitted to them; so

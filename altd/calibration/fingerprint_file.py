@@ -51,8 +51,8 @@ def as_document(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
         picture = np.clip(levels, 0, 255).astype(np.uint8)
         png = base64.b64encode(cv2.imencode(".png", picture)[1].tobytes()).decode("ascii")
     return {
-        "hot_px": fingerprint.hot.always.tolist(),
-        "sometimes_hot_px": fingerprint.hot.sometimes.tolist(),
+        "hot_px": fingerprint.hot.permanent.tolist(),
+        "sometimes_hot_px": fingerprint.hot.intermittent.tolist(),
         "texture": fingerprint.source,
         "png": png,
         "doubled_px": fingerprint.usual_doubled_px,
@@ -68,7 +68,7 @@ def from_table(
     if (table.texture == "scan") != (table.png is not None):
         raise ValueError(f"{place}.png: belongs to texture 'scan' and to no other")
     hot = HotPixels(places_of(table.hot_px), places_of(table.sometimes_hot_px))
-    for key, pixels in (("hot_px", hot.always), ("sometimes_hot_px", hot.sometimes)):
+    for key, pixels in (("hot_px", hot.permanent), ("sometimes_hot_px", hot.intermittent)):
         if (pixels >= (width, height)).any():
             raise ValueError(f"{place}.{key}: a pixel lies outside {width} × {height}")
     texture = None

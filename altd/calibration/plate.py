@@ -28,8 +28,8 @@ from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Frame
 from altd.vision.background import Image
-from altd.vision.plate import Disc, disc_centres_px, find_discs
-from altd.vision.plate_grid import match_grid
+from altd.vision.led_discs import Disc, disc_centres_px, find_discs
+from altd.vision.led_grid import match_grid
 from altd.vision.settings import SpotSettings
 
 LASER_SPOT_SIGMA_MM = 0.015
@@ -172,7 +172,7 @@ def _find(difference: Image, plate: PlateHeader, mirrored: bool) -> _Leds:
     for (j, i), row in np.ndenumerate(match.rows_of):
         if row < 0:
             missing[i, j] = "dark"
-        elif seen.found[row].cut:
+        elif seen.found[row].is_cut:
             missing[i, j] = "cut by the edge of the picture"
         else:
             cells.append((i, j))

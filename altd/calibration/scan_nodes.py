@@ -14,7 +14,7 @@ from altd.reasons import Reason
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
 from altd.vision.leds import locate_leds
-from altd.vision.localise import locate, shows_print
+from altd.vision.localise import is_patterned_spot, locate
 from altd.vision.settings import SpotSettings
 
 _SAME_NODE_MM = 0.5
@@ -169,7 +169,7 @@ def look(job: Job, progress: Progress) -> Seen:
         elif dark is not None and dark[0] == seen_in.number:  # LED reference pairs: off, then on
             leds = locate_leds(frame, dark[1])
             seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
-            seen.leds_dropped = leds.dropped
+            seen.leds_dropped = leds.rejected
         progress(done, total)
     return seen
 
@@ -190,7 +190,7 @@ def first_frames(job: Job) -> Iterator[Frame]:
 
 def printed_nodes(job: Job) -> tuple[int, int]:
     """At how many of how many nodes the first exposure shows a spot on print."""
-    shown = [shows_print(frame, job.localiser) for frame in first_frames(job)]
+    shown = [is_patterned_spot(frame, job.localiser) for frame in first_frames(job)]
     return sum(shown), len(shown)
 
 

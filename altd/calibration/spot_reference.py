@@ -16,7 +16,7 @@ from altd.statistics.robust import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile
 from altd.vision.misfit import misfit_of
-from altd.vision.reference import Four, ShapeReference, SpotReference
+from altd.vision.reference import ShapeReference, ShapeVector, SpotReference
 from altd.vision.settings import SpotSettings
 
 _MIN_SPOTS = 8
@@ -45,15 +45,17 @@ def spot_reference(
         return None
     grains, spots = [], []
     for profile in profiles:
-        grains.append(profile.residuals.grain)
+        grains.append(profile.residuals.texture_contrast)
         spots.append((profile.centre.u_px, profile.centre.v_px, *profile.form, profile.order))
     grain = float(np.median(grains))
     misfits = [misfit for p in profiles if (misfit := misfit_of(p.residuals, grain)) is not None]
     if len(misfits) < _MIN_SPOTS:
         return None
     chi2 = np.array([misfit.chi2 for misfit in misfits])
-    freedom = np.array([misfit.freedom for misfit in misfits])
-    medians = freedom * (1 - 2 / (9 * freedom)) ** 3  # of chi-square, by Wilson and Hilferty
+    degrees_of_freedom = np.array([misfit.degrees_of_freedom for misfit in misfits])
+    medians = (
+        degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
+    )  # of chi-square, by Wilson and Hilferty
     return SpotReference(
         grain=grain,
         misfit_ratio=max(float(np.median(chi2 / medians)), 1.0),
@@ -80,4 +82,6 @@ def _shape_reference(spots: FloatArray, fitted: TensorMap) -> ShapeReference | N
         return None
     mean = median(shapes, axis=0)
     sigma = MAD_TO_SIGMA * median(np.abs(shapes - mean), axis=0)
-    return ShapeReference(cast("Four", tuple(mean.tolist())), cast("Four", tuple(sigma.tolist())))
+    return ShapeReference(
+        cast("ShapeVector", tuple(mean.tolist())), cast("ShapeVector", tuple(sigma.tolist()))
+    )

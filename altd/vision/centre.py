@@ -1,4 +1,4 @@
-"""What every fine localiser is told of the noise, and what it answers."""
+"""The input of every fine localiser on noise, and its result."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What disturbs a pixel: ``read_counts`` of the dark camera, shot noise at ``electrons_per_count``."""
+    """The noise of a pixel: ``read_counts`` of the dark camera, shot noise at ``electrons_per_count``."""
 
     read_counts: float
     electrons_per_count: float
@@ -15,7 +15,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """A spot's centre, px, and what read and shot noise do to it: root mean square of both axes."""
+    """A spot's centre and its sigma by read and shot noise, root mean square of both axes, px."""
 
     u_px: float
     v_px: float

@@ -11,15 +11,15 @@ from altd.records import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conic:
-    """The centre (x, y) of an ellipse, in the unit of its points, and how points move it.
+    """The centre (x, y) of an ellipse, in the unit of its points, and its sensitivity to each point.
 
-    ``levers`` (2, n): by how much x and y rise when a point goes outwards, along the ellipse's normal, by
-    one; to first order in the points' distances from the ellipse.
+    ``sensitivities`` (2, n): by how much x and y rise when a point goes outwards, along the ellipse's normal,
+    by one; to first order in the points' distances from the ellipse.
     """
 
     x: float
     y: float
-    levers: FloatArray
+    sensitivities: FloatArray
 
 
 def fit_conic(x: FloatArray, y: FloatArray) -> Conic | None:
@@ -29,7 +29,7 @@ def fit_conic(x: FloatArray, y: FloatArray) -> Conic | None:
     eliminated by orthogonal residualisation of D2 against (D1, D0); under the constraint C1, b² − 4ac = −1,
     z2 is then an eigenvector of a 3 × 3 matrix, the one that is an ellipse. (D2's columns are x², xy, y²,
     in the order of Eq. 2.2; Eq. 2.4 and 2.6 have them in two orders.) C1 makes the ellipse of noisy points
-    too small, which is nothing to its centre when they go all around. On a spot whose contours are similar
+    too small, which does not affect its centre when they go all around. On a spot whose contours are similar
     ellipses, the algebraic distance of a point is proportional to the irradiance by which it is wrong, so
     that the distances deserve equal weights.
     """
@@ -66,10 +66,10 @@ def _centre(coefficients: FloatArray, design: FloatArray) -> Conic:
     hessian = np.array([[2 * a, b], [b, 2 * c]])
     u, v = -np.linalg.solve(hessian, (d, e))
     of_coefficients = -np.linalg.solve(hessian, [[2 * u, v, 0, 1, 0, 0], [0, u, 2 * v, 0, 1, 0]])
-    # the scale of the coefficients is nothing to the centre: it is held fixed
+    # the scale of the coefficients does not affect the centre: it is held fixed
     scale_only = np.outer(coefficients, coefficients) / (coefficients @ coefficients)
     keep = np.eye(6) - scale_only
     inverse = np.linalg.inv(keep @ design.T @ design @ keep + len(x) * scale_only)
     slope = np.hypot(2 * a * x + b * y + d, b * x + 2 * c * y + e)
-    levers: FloatArray = -(of_coefficients @ inverse @ design.T) * slope
-    return Conic(float(u), float(v), levers)
+    sensitivities: FloatArray = -(of_coefficients @ inverse @ design.T) * slope
+    return Conic(float(u), float(v), sensitivities)

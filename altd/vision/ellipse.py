@@ -1,8 +1,8 @@
 """The second localiser: an ellipse through the contour of the smoothed spot (thesis 2.1.2, Eq. 2.2-2.6).
 
-It shares the patch with the profile and nothing else: it looks at the place of one contour instead of the
-heights of all pixels. Where a spot is not what the profile takes it for (a comet, a reflection beside it, a
-finger print on the window) the two move apart. It serves as a witness; it is not part of the measuring chain.
+It shares the patch with the profile and nothing else: it uses the place of one contour instead of the heights
+of all pixels. Where a spot is not what the profile takes it for (a comet, a reflection beside it, a finger
+print on the window) the two centres differ. It is an independent check, no part of the measuring chain.
 """
 
 from __future__ import annotations
@@ -21,71 +21,75 @@ from altd.vision.flat import Flat
 from altd.vision.patch import Mask, Patch
 from altd.vision.settings import SpotSettings
 
-LEVEL = 0.5
-"""Of the smoothed spot's peak. The contour of a Gaussian tells most of its centre at 47 % of the peak
-(r² = 1.5 sigma²) where read noise disturbs it, and at 22 % where shot noise does. Half the peak is near the
-one, costs a sixth of sigma for the other, and is far from clipped pixels as well as from what the background
-leaves."""
+CONTOUR_LEVEL = 0.5
+"""Of the smoothed spot's peak. The contour of a Gaussian carries most information on its centre at 47 % of
+the peak (r² = 1.5 sigma²) where read noise disturbs it, and at 22 % where shot noise does. Half the peak is
+near the one, costs a sixth of sigma for the other, and is far from clipped pixels as well as from what the
+background leaves."""
 
-_LEAST_POINTS = 16
-_LEAST_LIT = 0.01
+_MIN_POINTS = 16
+_MIN_RESPONSE2 = 0.01
 """Where the smoothed F² is below this, nothing is known of the light; F has the mean 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contour:
-    """Where the level lies between two neighbouring pixels of a picture of irradiance, n places.
+    """Where the level lies between two neighbouring pixels of an irradiance image, n places.
 
-    ``inside`` and ``outside`` are the flat indices of the two, ``share`` (0 … 1) how far from the one inside
-    to the one outside the level lies; ``x`` and ``y`` px from the picture's first pixel.
+    ``inside`` and ``outside`` are the flat indices of the two, ``fraction`` (0 … 1) how far from the one
+    inside to the one outside the level lies; ``x`` and ``y`` px from the image's first pixel.
     """
 
     inside: np.ndarray[tuple[int], np.dtype[np.intp]]
     outside: np.ndarray[tuple[int], np.dtype[np.intp]]
-    share: FloatArray
+    fraction: FloatArray
     x: FloatArray
     y: FloatArray
 
-    def at(self, picture: Image) -> FloatArray:
-        """A picture (rows, columns) at the places, (n,), interpolated as the contour was."""
-        values = picture.ravel()
-        between: FloatArray = (1 - self.share) * values[self.inside] + self.share * values[self.outside]
+    def interpolated(self, image: Image) -> FloatArray:
+        """An image (rows, columns) at the places, (n,), interpolated linearly as the contour was."""
+        values = image.ravel()
+        between: FloatArray = (1 - self.fraction) * values[self.inside] + self.fraction * values[self.outside]
         return between
 
-    def onto(self, values: FloatArray, shape: tuple[int, int]) -> Image:
-        """The transpose of ``at``: values (n,) laid down on the pixels that they were read from."""
-        laid = np.bincount(self.inside, values * (1 - self.share), shape[0] * shape[1])
-        laid += np.bincount(self.outside, values * self.share, shape[0] * shape[1])
-        return laid.reshape(shape).astype(np.float32)
+    def adjoint(self, values: FloatArray, shape: tuple[int, int]) -> Image:
+        """The transpose of ``interpolated``: values (n,) spread onto the pixels that they were read from."""
+        image = np.bincount(self.inside, values * (1 - self.fraction), shape[0] * shape[1])
+        image += np.bincount(self.outside, values * self.fraction, shape[0] * shape[1])
+        return image.reshape(shape).astype(np.float32)
 
 
 def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | None = None) -> Centre | None:
-    """The centre of the ellipse through the contour at LEVEL; None when there is no such contour.
+    """The centre of the ellipse through the contour at CONTOUR_LEVEL; None when there is no such contour.
 
-    With a ``flat`` F the contour is that of the normalised picture G ⊛ (F·I) / G ⊛ F², G the smoothing.
+    With a ``flat`` F the contour is that of the normalised image G ⊛ (F·I) / G ⊛ F², G the smoothing.
     What read and shot noise do to the centre goes through smoothing, contour and fit to first order; that the
-    level hangs on the noisy peak moves the contour outwards, not sideways.
+    level depends on the noisy peak moves the contour outwards, not sideways.
     """
-    response, lit, irradiance = _irradiance(patch, settings, flat)
+    response, response2, irradiance = _irradiance(patch, settings, flat)
     peak = float(irradiance[patch.mask > 0].max())
-    contour = _contour(irradiance, LEVEL * peak, patch.mask) if peak > 0 else None
+    contour = _contour(irradiance, CONTOUR_LEVEL * peak, patch.mask) if peak > 0 else None
     if contour is None:
         return None
-    # G ⊛ F²·u over G ⊛ F² is where the normalised picture measures: where F is brighter, off the middle of G
-    off_y, off_x = (settings.smoothing_px**2 * slope for slope in _slopes(np.log(lit)))
-    x, y = contour.x + contour.at(off_x), contour.y + contour.at(off_y)
+    # G ⊛ F²·u over G ⊛ F² is where the normalised image measures: where F is brighter, off the middle of G
+    off_y, off_x = (settings.smoothing_px**2 * slope for slope in _gradient(np.log(response2)))
+    x, y = contour.x + contour.interpolated(off_x), contour.y + contour.interpolated(off_y)
     middle_x, middle_y = float(x.mean()), float(y.mean())
     scale = math.sqrt(float(np.mean((x - middle_x) ** 2 + (y - middle_y) ** 2)))
     fitted = fit_conic((x - middle_x) / scale, (y - middle_y) / scale)
     if fitted is None:
         return None
-    by_y, by_x = _slopes(irradiance)
+    by_y, by_x = _gradient(irradiance)
     # a rise of the irradiance displaces the contour outwards by one over the slope
-    levers = fitted.levers / np.maximum(np.hypot(contour.at(by_x), contour.at(by_y)), 1e-6 * peak)
+    sensitivities = fitted.sensitivities / np.maximum(
+        np.hypot(contour.interpolated(by_x), contour.interpolated(by_y)), 1e-6 * peak
+    )
     variance = noise.read_counts**2 + np.maximum(irradiance, 0) * response / noise.electrons_per_count
     squares = 0.0
-    for lever in levers:
-        by_pixel = response * _blurred(contour.onto(lever, irradiance.shape) / lit, settings.smoothing_px)
+    for sensitivity in sensitivities:
+        by_pixel = response * _blurred(
+            contour.adjoint(sensitivity, irradiance.shape) / response2, settings.smoothing_px
+        )
         squares += float((np.square(by_pixel, dtype=np.float64) * variance).sum())
     return Centre(
         patch.left + middle_x + scale * fitted.x,
@@ -97,21 +101,21 @@ def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | Non
 def _irradiance(patch: Patch, settings: SpotSettings, flat: Flat | None) -> tuple[Image, Image, Image]:
     """F, the smoothed F² and the smoothed irradiance in a patch, which is 0 where F is too dark."""
     if flat is None:
-        even = np.ones_like(patch.smooth)
-        return even, even, patch.smooth
+        ones = np.ones_like(patch.smooth)
+        return ones, ones, patch.smooth
     height, width = patch.smooth.shape
     response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
-    lit = _blurred(response * response, settings.smoothing_px)
-    dark = lit < _LEAST_LIT
-    lit[dark] = _LEAST_LIT
-    irradiance = _blurred(patch.excess * response, settings.smoothing_px) / lit
+    response2 = _blurred(response * response, settings.smoothing_px)
+    dark = response2 < _MIN_RESPONSE2
+    response2[dark] = _MIN_RESPONSE2
+    irradiance = _blurred(patch.excess * response, settings.smoothing_px) / response2
     irradiance[dark] = 0
-    return response, lit, irradiance
+    return response, response2, irradiance
 
 
-def _slopes(picture: Image) -> tuple[Image, Image]:
+def _gradient(image: Image) -> tuple[Image, Image]:
     """Derivatives along v and u, per px."""
-    by_v, by_u = np.gradient(picture)
+    by_v, by_u = np.gradient(image)
     return np.asarray(by_v, dtype=np.float32), np.asarray(by_u, dtype=np.float32)
 
 
@@ -143,14 +147,14 @@ def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:
     # an outer neighbour is not above the level unless the spot's mask ends there
     usable = (values[outside] <= level) & (values[inside] > level)
     inside, outside = inside[usable], outside[usable]
-    if len(inside) < _LEAST_POINTS:
+    if len(inside) < _MIN_POINTS:
         return None
-    share = (values[inside] - level) / (values[inside] - values[outside])
+    fraction = (values[inside] - level) / (values[inside] - values[outside])
     width = irradiance.shape[1]
     return _Contour(
         inside,
         outside,
-        share,
-        x=(1 - share) * (inside % width) + share * (outside % width),
-        y=(1 - share) * (inside // width) + share * (outside // width),
+        fraction,
+        x=(1 - fraction) * (inside % width) + fraction * (outside % width),
+        y=(1 - fraction) * (inside // width) + fraction * (outside // width),
     )

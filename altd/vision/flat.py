@@ -1,4 +1,4 @@
-"""How much of the light each pixel shows: the flat field of one target (printed dots, grain, fall-off)."""
+"""The flat field of one target: the share of the light that each pixel shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Source = Literal["recording", "print"]
 BLOCK_PX = 4
 """Side of the blocks into which a spot is summed before it is fitted."""
 
-_FULL = 255
+_FULL_SCALE = 255
 _BRIGHTEST_PERCENT = 99.99
 
 
@@ -27,8 +27,8 @@ class Flat:
     """A target's response F to even light, mean 1: what a pixel shows of an irradiance E is E · F.
 
     Kept as ``levels`` (rows, columns), uint8 from 0 to the brightest pixel, as a calibration file keeps it:
-    the steps are far below what grain does. A pixel of 0 does not count. ``source`` says where it comes from:
-    a recording of the evenly lit target, or a model of its print; ``origin`` is that of their frames.
+    the steps are far below the surface texture. A pixel of 0 is not used. ``source`` says where it comes
+    from: a recording of the evenly lit target, or a model of its print; ``origin`` is that of their frames.
     """
 
     levels: npt.NDArray[np.uint8]
@@ -39,7 +39,7 @@ class Flat:
     def of(cls, response: npt.NDArray[np.floating], source: Source, origin: Origin = Origin.CAMERA) -> Self:
         """The flat of a response (rows, columns) in any unit; negative values are 0."""
         brightest = max(float(np.percentile(response, _BRIGHTEST_PERCENT)), 1e-12)
-        levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL).astype(np.uint8)
+        levels = np.rint(np.clip(response / brightest, 0, 1) * _FULL_SCALE).astype(np.uint8)
         return cls(levels, source, origin)
 
     @cached_property
@@ -61,7 +61,7 @@ class BlockSums:
 
     ΣF, ΣF², ΣF³, ΣF⁴, then u and v in px: a block's centroid weighted with F², so that ΣF·(E·F) is E there
     times ΣF² for an irradiance that is linear over the block; then uu, uv and vv in px², the moments about
-    it, for one that is bent. One array, since a spot's part is cut out of it for every frame.
+    it, for one that is curved. One array, since a spot's part is cut out of it for every frame.
     """
 
     planes: FloatArray
@@ -70,7 +70,7 @@ class BlockSums:
         """Some of the blocks."""
         return BlockSums(self.planes[:, rows, columns])
 
-    def moved(self, left: int, top: int) -> BlockSums:
+    def shifted(self, left: int, top: int) -> BlockSums:
         """The same blocks at another place."""
         planes = self.planes.copy()
         planes[4] += left

@@ -1,6 +1,6 @@
-"""The hot pixels of a sensor: single pixels that shine in every frame, and so tell one sensor from another.
+"""The hot pixels of a sensor: single pixels that are bright in every frame, and so identify the sensor.
 
-What a lens images is wider than a pixel, so light does not look like this. A mirrored picture, one of another
+What a lens images is wider than a pixel, so light is not taken for them. A mirrored image, one of another
 part of the sensor and one of another sensor have them elsewhere; what stands before the lens changes nothing.
 """
 
@@ -19,30 +19,31 @@ Places = npt.NDArray[np.int64]
 """Pixels (n, 2) as u, v."""
 
 MAX_PIXELS = 500
-"""A sensor with more is kept with that many; of a picture with more it is not asked where they lie."""
+"""Of a sensor with more, that many are kept; in an image with more, no offset is searched."""
 
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
-_RATIO = 5
+_MIN_RISE_RATIO = 5
 """A hot pixel rises over the dimmest of its eight neighbours so many times as far as the brightest: in an
 image as sharp as 0.5 px a glint does not. In even light the neighbours lie 2.8 sigma apart, so noise would
 need 7 sigma."""
 _ROUNDING_COUNTS = 3
 _SPARSE = 9
-"""The distance, in rows and columns, of the pixels that tell what is usual."""
+"""The distance, in rows and columns, of the pixels whose neighbourhoods are sampled."""
 _STRIP_PIXELS = 1 << 16
-"""A frame is worked through in strips of about so many pixels: what is made of them stays cached. Memory
-for the whole frame the kernel would hand out anew, page by page, for each frame: twice the time."""
-_ALWAYS_SHARE = 0.9
-_MIN_SOMETIMES_FRAMES = 2
+"""A frame is processed in strips of about so many pixels, whose intermediate images stay cached. For those of
+the whole frame the kernel would provide memory anew, page by page, for each frame: twice the time."""
+_MIN_PERMANENT_SHARE = 0.9
+_MIN_INTERMITTENT_FRAMES = 2
 
 _MIN_PRESENT = 3
 """That many in place by chance, of 20 at as many places in another sensor: once in 10^9."""
 _MIN_EXPECTED = 4
-_PRESENT_SHARE = 0.5
-_ABSENT_SHARE = 0.15
+_MIN_PRESENT_SHARE = 0.5
+_CHANCE_SHARE = 0.15
+"""Of the hot pixels of a calibration: so many may lie in a place by chance."""
 _MAX_OFFSET_PX = 12
-_MAX_LOST_PX = 400
-_MIN_ASIDE = 3
+_MAX_DISPLACEMENT_PX = 400
+_MIN_DISPLACED = 3
 """By chance, of ten missing and ten foreign ones: once in 10^7."""
 
 
@@ -50,22 +51,23 @@ def hot_pixels(pixels: PixelArray) -> Places:
     """The hot pixels of a frame, row by row; those at its border are not looked for."""
     rows, columns = pixels.shape
     strip_rows = _SPARSE * max(_STRIP_PIXELS // columns // _SPARSE, 1)
-    found, spreads = [], []
+    found, ranges = [], []
     for top in range(0, rows, strip_rows):
         first = max(top - 1, 0)  # with the neighbours above and below
         strip = pixels[first : top + strip_rows + 1]
         own = slice(top - first, top - first + strip_rows)
         brightest, dimmest = cv2.dilate(strip, _RING), cv2.erode(strip, _RING)
-        spread = cv2.subtract(brightest[own][::_SPARSE, ::_SPARSE], dimmest[own][::_SPARSE, ::_SPARSE])
-        spreads.append(np.asarray(spread))
-        above = np.flatnonzero(cv2.subtract(strip, brightest)[own] > _ROUNDING_COUNTS)
-        above += own.start * columns  # a few: the rest is cheap
-        grey = (image.ravel()[above].astype(np.int64) for image in (strip, brightest, dimmest))
-        found.append((above + first * columns, *grey))
-    usual = int(np.median(np.concatenate(spreads)))
-    above, here, high, low = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    above = above[here - low > _RATIO * np.maximum(high - low, usual) + _ROUNDING_COUNTS]
-    v, u = np.divmod(above, columns)
+        sampled = cv2.subtract(brightest[own][::_SPARSE, ::_SPARSE], dimmest[own][::_SPARSE, ::_SPARSE])
+        ranges.append(np.asarray(sampled))
+        # few pixels are candidates, so what follows costs little
+        candidates = np.flatnonzero(cv2.subtract(strip, brightest)[own] > _ROUNDING_COUNTS)
+        candidates += own.start * columns
+        grey = (image.ravel()[candidates].astype(np.int64) for image in (strip, brightest, dimmest))
+        found.append((candidates + first * columns, *grey))
+    median_range = int(np.median(np.concatenate(ranges)))
+    candidates, here, high, low = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    is_hot = here - low > _MIN_RISE_RATIO * np.maximum(high - low, median_range) + _ROUNDING_COUNTS
+    v, u = np.divmod(candidates[is_hot], columns)
     inside = (u > 0) & (v > 0) & (u < columns - 1) & (v < rows - 1)
     return np.asarray(np.stack([u, v], axis=1)[inside], dtype=np.int64)
 
@@ -76,19 +78,19 @@ class SensorMatch:
 
     ``expected`` of the calibration's could be seen, ``present`` of them are there, ``foreign`` are where the
     calibration has none. ``offset_px`` (u, v) is by how much the whole set lies elsewhere, where it does;
-    ``aside`` of them lie the same number of pixels further on, and not in their places.
+    ``displaced`` of them lie the same number of pixels further on, and not in their places.
     """
 
     expected: int
     present: int
     foreign: int
     offset_px: tuple[int, int] | None
-    aside: int = 0
+    displaced: int = 0
 
     @property
     def is_same(self) -> bool:
         """Whether this is the sensor, read as it was."""
-        return self.present >= max(_MIN_PRESENT, _PRESENT_SHARE * self.expected)
+        return self.present >= max(_MIN_PRESENT, _MIN_PRESENT_SHARE * self.expected)
 
     @property
     def is_other(self) -> bool:
@@ -96,64 +98,65 @@ class SensorMatch:
 
         Hot pixels fade in the cold, so that they are missing is not enough: others must be there instead.
         """
-        absent = self.expected >= _MIN_EXPECTED and self.present <= _ABSENT_SHARE * self.expected
+        absent = self.expected >= _MIN_EXPECTED and self.present <= _CHANCE_SHARE * self.expected
         return (absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)) or self.is_shifted_partly
 
     @property
     def is_shifted_partly(self) -> bool:
-        """Whether a part of the picture lies aside, as where bytes were lost on the way."""
-        most = self.present + self.aside >= _PRESENT_SHARE * self.expected
-        return most and self.aside >= max(_MIN_ASIDE, _ABSENT_SHARE * self.expected)
+        """Whether a part of the image is displaced, as where bytes were lost on the way."""
+        most = self.present + self.displaced >= _MIN_PRESENT_SHARE * self.expected
+        return most and self.displaced >= max(_MIN_DISPLACED, _CHANCE_SHARE * self.expected)
 
 
 @dataclass(frozen=True, eq=False)
 class HotPixels:
-    """A sensor's hot pixels: ``always`` (n, 2) in every frame, ``sometimes`` (m, 2) in some."""
+    """A sensor's hot pixels: ``permanent`` (n, 2) in every frame, ``intermittent`` (m, 2) in some."""
 
-    always: Places
-    sometimes: Places
+    permanent: Places
+    intermittent: Places
 
     def compare(self, pixels: PixelArray) -> SensorMatch:
-        """Hold a frame against them."""
+        """Compare the hot pixels of a frame with these."""
         seen = hot_pixels(pixels)
-        known, now = self._always_set, _as_set(seen)
+        known, now = self._permanent_set, _as_set(seen)
         present = len(known & now)
-        foreign = len(now - known - self._sometimes_set)
-        expected = len(known) - self._hidden(pixels, known - now)
-        aside = _aside(known - now, now - known, pixels.shape[1])
-        return SensorMatch(expected, present, foreign, self._offset_px(seen, present), aside)
+        foreign = len(now - known - self._intermittent_set)
+        expected = len(known) - self._count_hidden(pixels, known - now)
+        displaced = _displaced_along_rows(known - now, now - known, pixels.shape[1])
+        return SensorMatch(expected, present, foreign, self._offset_px(seen, present), displaced)
 
     @cached_property
-    def _always_set(self) -> set[tuple[int, int]]:
-        return _as_set(self.always)
+    def _permanent_set(self) -> set[tuple[int, int]]:
+        return _as_set(self.permanent)
 
     @cached_property
-    def _sometimes_set(self) -> set[tuple[int, int]]:
-        return _as_set(self.sometimes)
+    def _intermittent_set(self) -> set[tuple[int, int]]:
+        return _as_set(self.intermittent)
 
-    def _hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
-        """How many of the missing ones light drowns: their neighbours are brighter than most of the frame."""
+    def _count_hidden(self, pixels: PixelArray, missing: set[tuple[int, int]]) -> int:
+        """How many of the missing ones light hides: their neighbours are brighter than most of the frame."""
         if not missing:
             return 0
-        ordinary = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
+        background = float(np.percentile(pixels[::9, ::9], 90)) + _ROUNDING_COUNTS
         rows, columns = pixels.shape
         return sum(
             not (1 <= u < columns - 1 and 1 <= v < rows - 1)
-            or float(np.median(pixels[v - 1 : v + 2, u - 1 : u + 2])) > ordinary
+            or float(np.median(pixels[v - 1 : v + 2, u - 1 : u + 2])) > background
             for u, v in missing
         )
 
     def _offset_px(self, seen: Places, present: int) -> tuple[int, int] | None:
-        """Where most of the hot pixels lie the same way beside their places, if not in them."""
-        if not 0 < len(seen) <= MAX_PIXELS or present == len(self.always):
+        """The offset at which most of the hot pixels lie, where it is not 0; None where there is none."""
+        if not 0 < len(seen) <= MAX_PIXELS or present == len(self.permanent):
             return None
-        offsets = (seen[:, None, :] - self.always[None, :, :]).reshape(-1, 2)
+        offsets = (seen[:, None, :] - self.permanent[None, :, :]).reshape(-1, 2)
         near = offsets[np.abs(offsets).max(axis=1) <= _MAX_OFFSET_PX]
         if not len(near):
             return None
         steps, counts = np.unique(near, axis=0, return_counts=True)
         best = int(counts.argmax())
-        if counts[best] < max(_MIN_PRESENT, _PRESENT_SHARE * len(self.always)) or counts[best] <= present:
+        at_least = max(_MIN_PRESENT, _MIN_PRESENT_SHARE * len(self.permanent), present + 1)
+        if counts[best] < at_least:
             return None
         return int(steps[best, 0]), int(steps[best, 1])
 
@@ -172,11 +175,13 @@ class HotPixelCount:
             self._hot[place] = self._hot.get(place, 0) + 1
 
     def result(self) -> HotPixels:
-        """What was counted so far; single flashes are left out."""
-        often = sorted(self._hot.items(), key=lambda item: -item[1])[:MAX_PIXELS]
-        always = [place for place, count in often if count >= _ALWAYS_SHARE * self._frames]
-        sometimes = [place for place, count in often[len(always) :] if count >= _MIN_SOMETIMES_FRAMES]
-        return HotPixels(places_of(always), places_of(sometimes))
+        """The hot pixels counted so far, without those of a single frame."""
+        by_count = sorted(self._hot.items(), key=lambda item: -item[1])[:MAX_PIXELS]
+        permanent = [place for place, count in by_count if count >= _MIN_PERMANENT_SHARE * self._frames]
+        intermittent = [
+            place for place, count in by_count[len(permanent) :] if count >= _MIN_INTERMITTENT_FRAMES
+        ]
+        return HotPixels(places_of(permanent), places_of(intermittent))
 
 
 def places_of(places: list[tuple[int, int]]) -> Places:
@@ -184,13 +189,13 @@ def places_of(places: list[tuple[int, int]]) -> Places:
     return np.array(sorted(places), dtype=np.int64).reshape(-1, 2)
 
 
-def _aside(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
+def _displaced_along_rows(missing: set[tuple[int, int]], foreign: set[tuple[int, int]], width_px: int) -> int:
     """How many of the missing ones lie the same number of pixels further on, or back, as rows follow."""
     if not missing or not 0 < len(foreign) <= MAX_PIXELS:
         return 0
     here, there = (np.array([v * width_px + u for u, v in places]) for places in (missing, foreign))
     offsets = (there[:, None] - here[None, :]).ravel()
-    near = offsets[np.abs(offsets) <= _MAX_LOST_PX] + _MAX_LOST_PX
+    near = offsets[np.abs(offsets) <= _MAX_DISPLACEMENT_PX] + _MAX_DISPLACEMENT_PX
     return int(np.bincount(near).max()) if near.size else 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,19 +27,27 @@ SATURATED_FROM = 0.995
 """Share of full scale from which a pixel counts as saturated."""
 
 _EXPLAINED_SIGMAS = 1.5
-"""A chi-square that lies no higher above its mean adds nothing to a spot's sigma."""
+"""Up to so many sigmas above its mean a chi-square adds nothing to a spot's sigma."""
 _BIAS_PER_EXCESS = 1.2
 """What unexplained light may do to a centre, one sigma, in sigmas of the fit per root of the chi-square it
 makes. Dust displaces a spot by half of that, grease by as much, weak reflections by two to four times: those
 that come near to five stretch the spot too, which the comparison of the targets adds."""
-_DISTORTED_FROM_SIGMAS = 5.5
-"""Of spots whose residuals are those of noise and grain alone, one in fifty million lies farther out."""
-_DISTORTED_FROM_DIAMETERS = 0.015
-"""What may displace a spot by less only adds to its sigma: dust on the window does."""
+_MIN_DISTORTION_SIGMAS = 5.5
+"""Of spots whose residuals are those of noise and texture alone, one in fifty million lies farther out."""
+_MIN_DISTORTION_DIAMETERS = 0.015
+"""What may displace a spot by less only adds to its sigma, as dust on the window does."""
 
-_E2 = math.exp(-2.0)
-_PRINTED_CONTRAST = 0.35
-"""Relative scatter of a spot's pixels above which it lies on print; speckle stays below 0.2."""
+_E_MINUS_2 = math.exp(-2.0)
+_MIN_PRINT_CONTRAST = 0.35
+"""Relative scatter of a spot's pixels from which it lies on print; speckle stays below 0.2."""
+
+
+@dataclass(frozen=True, slots=True)
+class _SpotSize:
+    """A spot's 1/e² diameter by its contour, and its peak over the background in counts."""
+
+    diameter_px: float
+    peak: float
 
 
 def locate(
@@ -52,10 +60,10 @@ def locate(
 
     ``flat`` is the target's response, of the frame's size; without it the target is taken for plain, unless
     the spot shows that it is printed. The centre is in px, (0, 0) the middle of the top-left pixel.
-    ``sigma_px`` is what read and shot noise do to it; it does not hold the fixed pattern of print and speckle
-    that is not in the flat, which the calibration knows. With a ``reference`` the spot is held against what
-    the target's spots usually are: what is not explained adds to ``excess_px``, and from a certain size on
-    the spot is ``distorted``.
+    ``sigma_px`` is its standard deviation by read and shot noise, without the fixed pattern of print and
+    speckle that is not in the flat; the calibration knows that. With a ``reference`` the spot is compared
+    with the target's usual spots: what is not explained adds to ``excess_px``, and from a certain size on the
+    spot is ``distorted``.
     """
     return locate_in(FrameAnalysis(frame, settings or SpotSettings()), flat, reference)
 
@@ -63,17 +71,17 @@ def locate(
 def locate_in(
     analysis: FrameAnalysis, flat: Flat | None = None, reference: SpotReference | None = None
 ) -> Spot | NoSpot:
-    """``locate`` for a frame of which others want to know the same background and regions."""
+    """``locate`` for a frame whose analysis is shared with other steps."""
     frame, found = analysis.frame, analysis.found
     if found.background.level >= SATURATED_FROM * frame.full_scale:
         return NoSpot(Reason.SATURATED, "the whole frame is saturated")
     if not found.regions:
         return NoSpot(Reason.SPOT_MISSING, "nothing stands out of the background")
     first, *others = found.regions
-    rival = max((other.light for other in others), default=0.0)
-    if rival >= analysis.settings.like_size * first.light:
+    second = max((other.light for other in others), default=0.0)
+    if second >= analysis.settings.like_size * first.light:
         return NoSpot(
-            Reason.AMBIGUOUS, f"a second spot has {rival / first.light:.0%} of the first one's light"
+            Reason.AMBIGUOUS, f"a second spot has {second / first.light:.0%} of the first one's light"
         )
     return spot_in(analysis, first, flat, reference)
 
@@ -89,19 +97,18 @@ def spot_in(
     patch = analysis.patch(region)
     if isinstance(patch, NoSpot):
         return patch
-    judged = _judge(frame, patch, settings)
-    if isinstance(judged, NoSpot):
-        return judged
-    diameter_px, peak = judged
+    size = _classify(frame, patch, settings)
+    if isinstance(size, NoSpot):
+        return size
     noise = analysis.noise
     by_moment = settings.method == "moment" or (
-        settings.method == "auto" and flat is None and is_printed(patch, noise)
+        settings.method == "auto" and flat is None and is_patterned(patch, noise)
     )
-    if by_moment and patch.cut:
+    if by_moment and patch.is_cut:
         return NoSpot(Reason.CUT_BY_EDGE, "the spot reaches the edge of the image")
     profile = None
     if not by_moment or reference is not None:
-        profile = _profile(frame, patch, diameter_px, noise, flat)
+        profile = _profile(frame, patch, size.diameter_px, noise, flat)
     if by_moment:
         centre = moment(patch, noise, settings)
     elif profile is not None:
@@ -110,19 +117,19 @@ def spot_in(
         return NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
     if centre.sigma_px > settings.max_sigma_px:
         return NoSpot(Reason.SPOT_MISSING, f"too dim: its place is uncertain by {centre.sigma_px:.1f} px")
-    spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, diameter_px, peak)
+    spot = Spot(centre.u_px, centre.v_px, centre.sigma_px, size.diameter_px, size.peak)
     if profile is None:
         return spot if reference is None else NoSpot(Reason.WRONG_SHAPE, "no elliptical profile fits it")
-    return _held_against(reference, analysis, patch, profile, spot)
+    return _compared_with_reference(reference, analysis, patch, profile, spot)
 
 
-def _held_against(
+def _compared_with_reference(
     reference: SpotReference | None, analysis: FrameAnalysis, patch: Patch, profile: Profile, spot: Spot
 ) -> Spot | NoSpot:
-    """The spot with its shape and what is not explained of it, or why it cannot be believed."""
+    """The spot with its shape and its unexplained excess, or why it is rejected."""
     settings = analysis.settings
     shape = SpotShape(*profile.form, profile.order)
-    if reference is None and not patch.cut:
+    if reference is None and not patch.is_cut:
         return replace(spot, shape=shape)
     misfit = misfit_of(profile.residuals, reference.grain if reference else None)
     if misfit is None:
@@ -130,31 +137,31 @@ def _held_against(
     excess_px = 0.0
     if reference is not None:
         excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))
-        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.freedom)
-        limit_px = _DISTORTED_FROM_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
-        if sigmas > _DISTORTED_FROM_SIGMAS and excess_px > limit_px:
-            times = misfit.chi2 / reference.misfit_ratio / misfit.freedom
+        sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.degrees_of_freedom)
+        limit_px = _MIN_DISTORTION_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
+        if sigmas > _MIN_DISTORTION_SIGMAS and excess_px > limit_px:
+            ratio = misfit.chi2 / reference.misfit_ratio / misfit.degrees_of_freedom
             return NoSpot(
-                Reason.DISTORTED, f"its light misses that of one spot by {times:.0f} times the usual"
+                Reason.DISTORTED, f"its light misses that of one spot by {ratio:.0f} times the usual"
             )
-    excess_px = math.hypot(excess_px, _coarser_pattern_px(misfit, reference, patch.cut))
-    if patch.cut:
+    excess_px = math.hypot(excess_px, _excess_texture_px(misfit, reference, patch.is_cut))
+    if patch.is_cut:
         rows, columns = analysis.frame.pixels.shape
-        inside = 0 <= spot.u_px <= columns - 1 and 0 <= spot.v_px <= rows - 1
-        if not inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
+        is_inside = 0 <= spot.u_px <= columns - 1 and 0 <= spot.v_px <= rows - 1
+        if not is_inside or math.hypot(spot.sigma_px, excess_px) > settings.max_sigma_px:
             return NoSpot(Reason.CUT_BY_EDGE, "too much of the spot lies beyond the edge of the image")
         spot = replace(spot, diameter_px=_profile_diameter_px(profile))
     return replace(spot, excess_px=excess_px, shape=shape)
 
 
 def _unexplained(misfit: Misfit, reference: SpotReference) -> float:
-    """By how much the chi-square lies above what good spots make of it."""
-    usual = misfit.freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.freedom)
+    """By how much the chi-square exceeds that of good spots."""
+    usual = misfit.degrees_of_freedom + _EXPLAINED_SIGMAS * math.sqrt(2 * misfit.degrees_of_freedom)
     return max(misfit.chi2 / reference.misfit_ratio - usual, 0.0)
 
 
-def _coarser_pattern_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
-    """What grain does to this spot beyond what it does to the target's usual ones, which the map knows."""
+def _excess_texture_px(misfit: Misfit, reference: SpotReference | None, cut: bool) -> float:
+    """Displacement by texture beyond that of the target's usual spots, which the map's covariance holds."""
     known_px = reference.pattern_px if reference else None
     if reference is None or not known_px:
         return misfit.worst_px if cut else 0.0
@@ -173,69 +180,71 @@ def fitted_profile(frame: Frame, settings: SpotSettings, flat: Flat | None) -> P
     """The profile of the spot that ``locate`` has found in a frame; None where none fits."""
     analysis = FrameAnalysis(frame, settings)
     patch = analysis.brightest_patch
-    judged = None if patch is None else _judge(frame, patch, settings)
-    if patch is None or not isinstance(judged, tuple) or patch.cut:
+    if patch is None or patch.is_cut:
         return None
-    return _profile(frame, patch, judged[0], analysis.noise, flat)
+    size = _classify(frame, patch, settings)
+    return (
+        None if isinstance(size, NoSpot) else _profile(frame, patch, size.diameter_px, analysis.noise, flat)
+    )
 
 
-def shows_print(frame: Frame, settings: SpotSettings) -> bool:
-    """Whether the spot of a frame lies on print; a frame without a spot shows none."""
+def is_patterned_spot(frame: Frame, settings: SpotSettings) -> bool:
+    """Whether the spot of a frame lies on print; False without a spot."""
     analysis = FrameAnalysis(frame, settings)
     patch = analysis.brightest_patch
-    return patch is not None and is_printed(patch, analysis.noise)
+    return patch is not None and is_patterned(patch, analysis.noise)
 
 
 def locate_ellipse(
     frame: Frame, settings: SpotSettings | None = None, flat: Flat | None = None
 ) -> Centre | None:
-    """Where the second localiser sees the spot that ``locate`` has found in a frame; None if it sees none."""
+    """The centre of the spot that ``locate`` has found, by the second localiser; None if it finds none."""
     analysis = FrameAnalysis(frame, settings or SpotSettings())
     patch = analysis.brightest_patch
     return None if patch is None else ellipse(patch, analysis.noise, analysis.settings, flat)
 
 
-def is_printed(patch: Patch, noise: Noise) -> bool:
-    """Whether the pixels of a spot scatter about the smoothed one as only print makes them."""
+def is_patterned(patch: Patch, noise: Noise) -> bool:
+    """Whether the pixels of a spot scatter about the smoothed one more than noise and speckle explain."""
     core = patch.smooth > 0.5 * patch.peak
     light, smooth = patch.excess[core], patch.smooth[core]
     scale = float(light @ smooth) / float(smooth @ smooth)  # smoothing lowers a peak
-    rest = light - np.float32(scale) * smooth
-    expected = len(rest) * noise.read_counts**2 + float(smooth.sum()) / noise.electrons_per_count
-    return float(rest @ rest) - expected > _PRINTED_CONTRAST**2 * float(light @ smooth) * scale
+    residual = light - np.float32(scale) * smooth
+    expected = len(residual) * noise.read_counts**2 + float(smooth.sum()) / noise.electrons_per_count
+    return float(residual @ residual) - expected > _MIN_PRINT_CONTRAST**2 * float(light @ smooth) * scale
 
 
 def _profile(
     frame: Frame, patch: Patch, diameter_px: float, noise: Noise, flat: Flat | None
 ) -> Profile | None:
-    """The fitted profile; clipped pixels do not count."""
+    """The profile fitted without the clipped pixels."""
     full = SATURATED_FROM * frame.full_scale
     clipped = patch.pixels >= full if patch.pixels.max() >= full else None
     return fit_profile(patch, flat, diameter_px, noise, clipped)
 
 
-def _judge(frame: Frame, patch: Patch, settings: SpotSettings) -> tuple[float, float] | NoSpot:
-    """Classify the contour by size and shape (2.1.1); diameter px and peak counts of what passes."""
+def _classify(frame: Frame, patch: Patch, settings: SpotSettings) -> _SpotSize | NoSpot:
+    """Classify the contour by size and shape (2.1.1): the spot's size, or why it is none."""
     core = (patch.smooth > 0.5 * patch.peak) & (patch.mask > 0)
     peak, clipped = _brightness(frame, patch, core)
     if clipped > settings.max_saturated:
         return NoSpot(Reason.SATURATED, f"{clipped:.0%} of the spot's bright pixels are saturated")
-    rival = _second_half_peak(core)
-    if rival >= settings.like_size:
+    second = _second_piece_share(core)
+    if second >= settings.like_size:
         return NoSpot(
-            Reason.AMBIGUOUS, f"two spots touch, the second has {rival:.0%} of the first one's area"
+            Reason.AMBIGUOUS, f"two spots touch, the second has {second:.0%} of the first one's area"
         )
     diameter_px = _diameter_px(patch, settings)
-    largest = settings.max_diameter_px or 0.6 * min(frame.pixels.shape)
-    if not settings.min_diameter_px <= diameter_px <= largest:
-        limits = f"{settings.min_diameter_px:.0f} to {largest:.0f} px"
+    max_diameter_px = settings.max_diameter_px or 0.6 * min(frame.pixels.shape)
+    if not settings.min_diameter_px <= diameter_px <= max_diameter_px:
+        limits = f"{settings.min_diameter_px:.0f} to {max_diameter_px:.0f} px"
         return NoSpot(Reason.WRONG_SIZE, f"diameter {diameter_px:.1f} px, expected {limits}")
     aspect, fill = shape_of(patch.outline)
-    if patch.cut:  # what the image shows of a spot has another shape
-        return diameter_px, peak
+    if patch.is_cut:  # what the image shows of a spot has another shape
+        return _SpotSize(diameter_px, peak)
     if aspect > settings.max_aspect or fill < settings.min_fill:
         return NoSpot(Reason.WRONG_SHAPE, f"aspect ratio {aspect:.1f}, fill {fill:.2f}")
-    return diameter_px, peak
+    return _SpotSize(diameter_px, peak)
 
 
 def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tuple[float, float]:
@@ -253,7 +262,7 @@ def _brightness(frame: Frame, patch: Patch, core: npt.NDArray[np.bool_]) -> tupl
     return peak, np.count_nonzero(saturated & bright) / np.count_nonzero(bright)
 
 
-def _second_half_peak(core: npt.NDArray[np.bool_]) -> float:
+def _second_piece_share(core: npt.NDArray[np.bool_]) -> float:
     """Area of the second largest piece of the core, relative to the largest."""
     count, labels = cv2.connectedComponents(core.view(np.uint8))
     if count <= 2:
@@ -263,8 +272,8 @@ def _second_half_peak(core: npt.NDArray[np.bool_]) -> float:
 
 
 def _diameter_px(patch: Patch, settings: SpotSettings) -> float:
-    """1/e² diameter of the circle of equal area, without what the smoothing added (a Gaussian's 4 sigma)."""
-    area = np.count_nonzero((patch.smooth > _E2 * patch.peak) & (patch.mask > 0))
+    """1/e² diameter of the circle of equal area, less what the smoothing added (a Gaussian's 4 sigma)."""
+    area = np.count_nonzero((patch.smooth > _E_MINUS_2 * patch.peak) & (patch.mask > 0))
     return math.sqrt(max(4 * area / math.pi - 16 * settings.smoothing_px**2, 0.0))
 
 
@@ -272,6 +281,6 @@ def shape_of(outline: Outline) -> tuple[float, float]:
     """Aspect ratio of the ellipse with the outline's second moments, and the area over that ellipse's."""
     # 1/12: the second moment of a pixel, so that a thin line has a width
     uu, vv, uv = outline.uu + 1 / 12, outline.vv + 1 / 12, outline.uv
-    mean, spread = (uu + vv) / 2, math.hypot((uu - vv) / 2, uv)
-    major, minor = mean + spread, max(mean - spread, 1e-9)
+    mean, difference = (uu + vv) / 2, math.hypot((uu - vv) / 2, uv)
+    major, minor = mean + difference, max(mean - difference, 1e-9)
     return math.sqrt(major / minor), outline.area / (4 * math.pi * math.sqrt(major * minor))

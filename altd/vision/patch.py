@@ -19,8 +19,8 @@ from altd.vision.settings import SpotSettings
 Mask = npt.NDArray[np.uint8]
 
 _MARGIN_SIGMAS = 3.0
-_HOT_RATIO = 3.0
-_FEW = 5
+_MIN_HOT_RATIO = 3.0
+_MAX_MENDED_SINGLY = 5
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 """The eight neighbours of a pixel."""
 
@@ -51,17 +51,17 @@ class Patch:
     excess: Image
     smooth: Image
     background_counts: float
-    """What was taken off in the middle."""
+    """The background in the middle."""
     peak: float
     """Of the smoothed excess."""
     mask: Mask
     outline: Outline
-    cut: bool
+    is_cut: bool
     """Whether the spot reaches the edge of the image."""
 
 
 def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSettings) -> Patch | NoSpot:
-    """Cut out and smooth the region, growing it until the spot's contour lies inside, or the image ends."""
+    """Cut out and smooth the region, with a margin that holds the spot's contour or ends with the image."""
     rows, columns = frame.pixels.shape
     margin = max(8, BLOCK_PX * math.ceil(_MARGIN_SIGMAS * settings.smoothing_px / BLOCK_PX))
     while True:
@@ -75,9 +75,9 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
         if peak <= 0:
             return NoSpot(Reason.SPOT_MISSING, "only single pixels shine")
-        mask = _connected(smooth > settings.threshold * peak, peak_u, peak_v)
-        own_borders = left == 0, top == 0, right == columns, bottom == rows
-        at_image_edge, at_patch_edge = _touches(mask, own_borders)
+        mask = _connected_component(smooth > settings.threshold * peak, peak_u, peak_v)
+        image_borders = left == 0, top == 0, right == columns, bottom == rows
+        at_image_edge, at_patch_edge = _touches(mask, image_borders)
         if not at_patch_edge:
             middle = float(background[len(background) // 2, background.shape[1] // 2])
             outline = outline_of(mask)
@@ -94,17 +94,17 @@ def _smoothed(image: Image, sigma_px: float) -> Image:
 def without_hot_pixels(window: PixelArray) -> Image:
     """A window of the frame as float, with single bright pixels replaced by their neighbours' median.
 
-    A pixel is hot when it stands out of the window's floor three times as far as the brightest of its eight
-    neighbours: the smallest printed dot spreads over more than one pixel, a hot pixel does not.
+    A pixel is hot when it exceeds the window's floor three times as far as the brightest of its eight
+    neighbours does: the smallest printed dot spreads over more than one pixel, a hot pixel does not.
     """
     image: Image = window.astype(np.float32)
     floor = float(np.partition(image.ravel(), image.size // 4)[image.size // 4])
     limit = cv2.dilate(window, _RING).astype(np.float32)
     np.maximum(limit, floor + 3, out=limit)
-    limit *= _HOT_RATIO
-    limit -= (_HOT_RATIO - 1) * floor  # all of it whole numbers, so nothing is rounded
+    limit *= _MIN_HOT_RATIO
+    limit -= (_MIN_HOT_RATIO - 1) * floor  # all of it whole numbers, so nothing is rounded
     hot = np.flatnonzero(image > limit).tolist()
-    if len(hot) > _FEW:
+    if len(hot) > _MAX_MENDED_SINGLY:
         image.ravel()[hot] = cv2.medianBlur(window, 5).ravel()[hot]
         return image
     for place in hot:  # a few µs each, against 20 µs for the whole window
@@ -114,24 +114,24 @@ def without_hot_pixels(window: PixelArray) -> Image:
     return image
 
 
-def _connected(mask: npt.NDArray[np.bool_], u: int, v: int) -> Mask:
-    """The part of a mask that hangs together with pixel (u, v)."""
+def _connected_component(mask: npt.NDArray[np.bool_], u: int, v: int) -> Mask:
+    """The part of a mask that is connected with pixel (u, v)."""
     _, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     mask_of_spot: Mask = np.equal(labels, labels[v, u]).view(np.uint8)
     return mask_of_spot
 
 
-def _touches(mask: Mask, own_borders: tuple[bool, bool, bool, bool]) -> tuple[bool, bool]:
-    """Whether the mask reaches a border that is the image's own, and whether it reaches another one.
+def _touches(mask: Mask, image_borders: tuple[bool, bool, bool, bool]) -> tuple[bool, bool]:
+    """Whether the mask reaches a border of the image, and whether it reaches another border of the patch.
 
-    Borders are left, top, right, bottom.
+    ``image_borders``: which borders of the patch are the image's, left, top, right, bottom.
     """
     left, top, width, height = cv2.boundingRect(mask)
     rows, columns = mask.shape
     reached = left == 0, top == 0, left + width == columns, top + height == rows
     return (
-        any(r and o for r, o in zip(reached, own_borders, strict=True)),
-        any(r and not o for r, o in zip(reached, own_borders, strict=True)),
+        any(r and o for r, o in zip(reached, image_borders, strict=True)),
+        any(r and not o for r, o in zip(reached, image_borders, strict=True)),
     )
 
 

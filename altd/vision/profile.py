@@ -1,4 +1,4 @@
-"""Fine localisation: a super-Gaussian fitted through the flat, with the weights that its noise deserves."""
+"""Fine localisation: a super-Gaussian fitted through the flat field, weighted by the inverse variance."""
 
 from __future__ import annotations
 
@@ -17,56 +17,55 @@ from altd.vision.flat import BLOCK_PX, Flat
 from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
 
-_ITERATIONS = 16
+_MAX_ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
 _CONVERGED_SHAPE = 0.02
-_CONVERGED_GRAIN2 = 1.0
-_LATE = 11
-_CONVERGED_LATE_SIGMAS = 3e-3
-_LONGEST_STEP = 0.5
-_FINE_BELOW_PX = 24.0
+_CONVERGED_CONTRAST2 = 1.0
+_LATE_ITERATION = 11
+_LATE_CONVERGED_SIGMAS = 3e-3
+_MAX_STEP = 0.5
+_MIN_BLOCK_DIAMETER_PX = 24.0
 """Spots below this 1/e² diameter are fitted pixel by pixel: a block would be too coarse."""
 
-_ORDER_FREE_FROM = 1
-_ORDERS = 0.6, 8.0
+_ORDER_FREE_ITERATION = 1
+_MIN_ORDER, _MAX_ORDER = 0.6, 8.0
 _ORDER_PRIOR_SIGMA = 0.5
 _ORDER_HELD_SIGMA = 1e-6
-_GRAIN_AT_FIRST = 0.04
-_GRAINS = 0.003, 1.0
-_GRAIN_SEEN_FROM = 0.1
-_SPECK_SIGMAS = 4.5
-"""Of 200 blocks of good grain one in 700 spots has one so far off."""
-_SPECK_SEEN_FROM = 0.05
+_INITIAL_CONTRAST = 0.04
+_MIN_CONTRAST, _MAX_CONTRAST = 0.003, 1.0
+_MIN_PEAK_SHARE_FOR_CONTRAST = 0.1
+_MIN_SPECK_SIGMAS = 4.5
+"""Of 200 blocks of ordinary surface texture one in 700 spots has one so far off."""
+_MIN_SPECK_PEAK_SHARE = 0.05
 _MAX_SPECK_SHARE = 0.12
-"""More is no dust: the spot is not what it is taken for, and the misfit shall show it."""
-_FARTHEST_DIAMETERS = 0.25
-_FARTHEST_DIAMETERS_CUT = 1.0
-"""The middle of what the image shows of a spot says less of its centre."""
+"""More is no dust: the spot has another profile, and the misfit shall show it."""
+_MAX_OFFSET_DIAMETERS = 0.25
+_MAX_OFFSET_DIAMETERS_CUT = 1.0
+"""For a spot cut by the image's edge, whose visible part lies off its centre."""
 
 _SLOPE_SHARE_PER_PX = 2e-5
-"""By how much of itself the background may rise or fall over a pixel beside what the whole frame shows of it.
-More freedom would cost: on speckle a slope looks much like a shift of the centre (1.5e-4: a tenth more
-scatter)."""
-_LEAST_SLOPE_COUNTS_PER_PX = 2e-5
+"""Prior standard deviation of the local background slope, as a share of the background. A wider prior costs
+precision: on speckle a slope is correlated with a shift of the centre (1.5e-4: a tenth more scatter)."""
+_MIN_SLOPE_COUNTS_PER_PX = 2e-5
 
-_PEAK, _U, _V, _A, _B, _C, _REST, _RISE_X, _RISE_Y, _ORDER, _RESIDUAL = range(11)
+_PEAK, _U, _V, _A, _B, _C, _OFFSET, _RISE_X, _RISE_Y, _ORDER, _RESIDUAL = range(11)
 _State = Sequence[float]
-"""The first ten of these, in units of the seed's sigma: plain numbers, which Python handles faster."""
+"""The first ten of these, in units of the initial estimate's sigma: plain numbers, faster in Python."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
     """A spot E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); order 1 is a Gaussian.
 
-    ``form`` holds a, b, c in 1/px², ``rest`` the counts by which the background was off, ``residuals`` what
-    the spot does not explain.
+    ``form`` holds a, b, c in 1/px², ``background_offset`` the counts by which the estimated background was
+    wrong, ``residuals`` what the spot does not explain.
     """
 
     centre: Centre
     peak: float
     form: tuple[float, float, float]
     order: float
-    rest: float
+    background_offset: float
     residuals: Residuals
 
     def irradiance(self, u_px: FloatArray, v_px: FloatArray) -> FloatArray:
@@ -80,7 +79,7 @@ class Profile:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solution:
-    """Where the iteration came to rest, and what it knew there.
+    """The converged state, and the matrices of the last iteration.
 
     ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes; ``rows``
     are the derivatives and the residual.
@@ -90,8 +89,8 @@ class _Solution:
     centre_variance: float
     rows: FloatArray
     noise_variance: FloatArray
-    grain_variance: FloatArray
-    grain2: float
+    texture_variance: FloatArray
+    contrast2: float
     spot: FloatArray
 
 
@@ -104,51 +103,52 @@ def fit_profile(
 ) -> Profile | None:
     """Fit the spot of a patch; None when no profile fits it.
 
-    ``diameter_px`` is about the spot's; pixels that are ``clipped``, as a mask of the patch, do not count.
-    Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and what is left of the
+    ``diameter_px`` is an estimate of the spot's; pixels that are ``clipped``, as a mask of the patch, are
+    left out. Weighted least squares over blocks of ΣF·I for peak, centre, form, order, and the error of the
     background: a constant, and a slope that is small against it. The variance of a block is read noise, shot
-    noise and grain: the relative scatter of the light (speckle, rest of the print), which the fit estimates
-    from its own residuals, so that a clean spot as well as a coarse one gets the weights that it deserves. On
-    blocks of one dot pitch the centre is as good as on pixels. A few blocks that lie far off are left out: a
-    speck of dust makes such.
+    noise and surface texture: the relative scatter of the light (speckle, residual print), which the fit
+    estimates from its own residuals. On blocks of one dot pitch the centre is as precise as on pixels. A few
+    outlier blocks are left out: a speck of dust makes such.
     """
-    seed = patch.outline
+    outline = patch.outline
     sigma_px = diameter_px / 4
-    data = blocks_of(patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _FINE_BELOW_PX else 1)
-    rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _LEAST_SLOPE_COUNTS_PER_PX) * sigma_px
-    # an even ellipse's second moments: those of the spot but for a factor
-    scale = 1 / math.sqrt(max(seed.uu * seed.vv - seed.uv**2, 1e-12))
-    form = scale * seed.vv, -scale * seed.uv, scale * seed.uu
+    data = blocks_of(
+        patch, flat, clipped, noise, sigma_px, BLOCK_PX if diameter_px >= _MIN_BLOCK_DIAMETER_PX else 1
+    )
+    rise = max(_SLOPE_SHARE_PER_PX * patch.background_counts, _MIN_SLOPE_COUNTS_PER_PX) * sigma_px
+    # second moments of a uniform ellipse: those of the spot but for a factor
+    scale = 1 / math.sqrt(max(outline.uu * outline.vv - outline.uv**2, 1e-12))
+    form = scale * outline.vv, -scale * outline.uv, scale * outline.uu
     solution = _solve(data, (patch.peak, 0.0, 0.0, *form, 0.0, 0.0, 0.0, 1.0), rise)
     if solution is None:
         return None
-    clean = _without_specks(solution)
+    clean = _clean_blocks(solution)
     if clean is not None:
         data = data.only(clean)
-        again = _solve(data, solution.state, rise, order_free_from=0)
-        if again is None:
+        refined = _solve(data, solution.state, rise, order_free_iteration=0)
+        if refined is None:
             return None
-        solution = again
-    peak, u, v, a, b, c, rest, _, _, order = solution.state
-    farthest = _FARTHEST_DIAMETERS_CUT if patch.cut else _FARTHEST_DIAMETERS
-    if math.hypot(u, v) * sigma_px > farthest * diameter_px:
+        solution = refined
+    peak, u, v, a, b, c, offset, _, _, order = solution.state
+    max_offset_diameters = _MAX_OFFSET_DIAMETERS_CUT if patch.is_cut else _MAX_OFFSET_DIAMETERS
+    if math.hypot(u, v) * sigma_px > max_offset_diameters * diameter_px:
         return None
     return Profile(
         Centre(
-            patch.left + seed.u + u * sigma_px,
-            patch.top + seed.v + v * sigma_px,
+            patch.left + outline.u + u * sigma_px,
+            patch.top + outline.v + v * sigma_px,
             sigma_px * math.sqrt(solution.centre_variance),
         ),
         peak,
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
-        rest,
+        offset,
         _residuals(data, solution, sigma_px, rise),
     )
 
 
 def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) -> Residuals:
-    """What the fit leaves over, its centre in px."""
+    """The residuals of the fit, with the derivatives by the centre in px."""
     peak, u, v, a, b, c, *_ = solution.state
     derivatives, light = solution.rows[:_RESIDUAL], solution.rows[_RESIDUAL]
     derivatives[_U : _V + 1] /= sigma_px
@@ -163,10 +163,10 @@ def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) 
         light=light,
         derivatives=derivatives,
         prior=prior,
-        pull=prior * (known - solution.state),
+        prior_gradient=prior * (known - solution.state),
         noise_variance=solution.noise_variance,
-        grain_variance=solution.grain_variance,
-        grain=math.sqrt(solution.grain2),
+        texture_variance=solution.texture_variance,
+        texture_contrast=math.sqrt(solution.contrast2),
         irradiance=solution.spot / peak,
         spot_light=solution.spot * data.f2,
         flat_light=peak * data.f1,
@@ -174,13 +174,15 @@ def _residuals(data: Blocks, solution: _Solution, sigma_px: float, rise: float) 
     )
 
 
-def _without_specks(solution: _Solution) -> npt.NDArray[np.bool_] | None:
-    """(n,) which blocks no dust hides, where a few are hidden; None where none is or nobody could tell."""
+def _clean_blocks(solution: _Solution) -> npt.NDArray[np.bool_] | None:
+    """The mask (n,) of blocks without dust, where dust hides a few; None where it hides none or too many."""
     residual = solution.rows[_RESIDUAL]
-    sigmas = np.abs(residual) / np.sqrt(solution.noise_variance + solution.grain2 * solution.grain_variance)
-    lit: npt.NDArray[np.bool_] = solution.spot > _SPECK_SEEN_FROM * solution.state[_PEAK]
-    usual = mad_sigma(sigmas[lit]) if lit.any() else 0.0
-    specks = lit & (sigmas > _SPECK_SIGMAS * usual)
+    sigmas = np.abs(residual) / np.sqrt(
+        solution.noise_variance + solution.contrast2 * solution.texture_variance
+    )
+    lit: npt.NDArray[np.bool_] = solution.spot > _MIN_SPECK_PEAK_SHARE * solution.state[_PEAK]
+    lit_sigma = mad_sigma(sigmas[lit]) if lit.any() else 0.0
+    specks = lit & (sigmas > _MIN_SPECK_SIGMAS * lit_sigma)
     if not 0 < np.count_nonzero(specks) <= _MAX_SPECK_SHARE * np.count_nonzero(lit):
         return None
     clean: npt.NDArray[np.bool_] = ~specks
@@ -188,36 +190,36 @@ def _without_specks(solution: _Solution) -> npt.NDArray[np.bool_] | None:
 
 
 def _solve(
-    data: Blocks, state: _State, rise: float, order_free_from: int = _ORDER_FREE_FROM
+    data: Blocks, state: _State, rise: float, order_free_iteration: int = _ORDER_FREE_ITERATION
 ) -> _Solution | None:
     """Gauss-Newton; None when it does not converge.
 
-    ``rise`` is the standard deviation of the background's slopes, counts per sigma of the seed. Some three
-    hundred blocks are so few that numpy's calls cost more than its sums: what belongs together is one array,
-    and one product gives the normal equations with their right-hand side.
+    ``rise`` is the prior standard deviation of the background's slopes, counts per sigma of the initial
+    estimate. With some three hundred blocks numpy's call overhead dominates: what belongs together is one
+    array, and one product gives the normal equations with their right-hand side.
     """
-    grain2 = grain2_before = _GRAIN_AT_FIRST**2
+    contrast2 = contrast2_before = _INITIAL_CONTRAST**2
     rows = np.empty((_RESIDUAL + 1, data.light.size))
-    rows[_REST : _RISE_Y + 1] = data.f1 * data.monomials[:3]
+    rows[_OFFSET : _RISE_Y + 1] = data.f1 * data.monomials[:3]
     bright = np.empty(data.light.size)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(_MAX_ITERATIONS):
         spot = _linearise(data, state, rows)
-        free = iteration >= order_free_from
+        is_order_free = iteration >= order_free_iteration
         noise_variance = data.read_variance + spot * data.shot_variance
-        grain_variance = spot * spot
-        grain_variance *= data.grain_variance
-        if free:
+        texture_variance = spot * spot
+        texture_variance *= data.texture_variance
+        if is_order_free:
             residual = rows[_RESIDUAL]
-            np.greater(spot, _GRAIN_SEEN_FROM * state[_PEAK], out=bright)  # 0 or 1
+            np.greater(spot, _MIN_PEAK_SHARE_FOR_CONTRAST * state[_PEAK], out=bright)  # 0 or 1
             unexplained = float((residual * bright) @ residual - noise_variance @ bright)
-            per_grain2 = float(grain_variance @ bright)
-            if per_grain2 <= 0:
-                return None  # no pixel that counts lies where the spot is
-            grain2_before = grain2
-            grain2 = min(max(unexplained / per_grain2, _GRAINS[0] ** 2), _GRAINS[1] ** 2)
-        weighted = rows[:_RESIDUAL] / (noise_variance + grain2 * grain_variance)
+            per_contrast2 = float(texture_variance @ bright)
+            if per_contrast2 <= 0:
+                return None  # no usable pixel lies within the spot
+            contrast2_before = contrast2
+            contrast2 = min(max(unexplained / per_contrast2, _MIN_CONTRAST**2), _MAX_CONTRAST**2)
+        weighted = rows[:_RESIDUAL] / (noise_variance + contrast2 * texture_variance)
         equations = weighted @ rows.T
-        order_sigma = _ORDER_PRIOR_SIGMA if free else _ORDER_HELD_SIGMA
+        order_sigma = _ORDER_PRIOR_SIGMA if is_order_free else _ORDER_HELD_SIGMA
         for index, known, sigma in ((_RISE_X, 0.0, rise), (_RISE_Y, 0.0, rise), (_ORDER, 1.0, order_sigma)):
             equations[index, index] += sigma**-2
             equations[index, _RESIDUAL] += (known - state[index]) * sigma**-2
@@ -225,35 +227,35 @@ def _solve(
             covariance = np.linalg.inv(equations[:, :_RESIDUAL])
         except np.linalg.LinAlgError:
             return None
-        moved = _moved(state, (covariance @ equations[:, _RESIDUAL]).tolist())
-        if moved is None:
+        stepped = _damped_step(state, (covariance @ equations[:, _RESIDUAL]).tolist())
+        if stepped is None:
             return None
-        change = [abs(after - before) for after, before in zip(moved, state, strict=True)]
-        state = moved
-        even = abs(grain2 - grain2_before) < _CONVERGED_GRAIN2 * grain2
-        if free and _is_settled(change, even, iteration >= _LATE):
-            levers = covariance[_U : _V + 1] @ weighted
-            centre_variance = float((np.square(levers) @ noise_variance).sum()) / 2
-            return _Solution(state, centre_variance, rows, noise_variance, grain_variance, grain2, spot)
+        change = [abs(after - before) for after, before in zip(stepped, state, strict=True)]
+        state = stepped
+        contrast_is_steady = abs(contrast2 - contrast2_before) < _CONVERGED_CONTRAST2 * contrast2
+        if is_order_free and _is_converged(change, contrast_is_steady, iteration >= _LATE_ITERATION):
+            sensitivities = covariance[_U : _V + 1] @ weighted
+            centre_variance = float((np.square(sensitivities) @ noise_variance).sum()) / 2
+            return _Solution(state, centre_variance, rows, noise_variance, texture_variance, contrast2, spot)
     return None
 
 
-def _is_settled(change: Sequence[float], even: bool, late: bool) -> bool:
-    """Whether the last step moved centre and shape by next to nothing; an order at its limit is at rest.
+def _is_converged(change: Sequence[float], contrast_is_steady: bool, is_late: bool) -> bool:
+    """Whether the last step changed centre and shape by less than the tolerances.
 
-    ``even``: so is the grain, which decides on the weights. A small spot with a hard edge may swing between
-    shapes for ever: late on, a centre at rest is enough.
+    ``contrast_is_steady``: so did the texture contrast, which decides on the weights. A small spot with a
+    hard edge may oscillate between shapes for ever: in late iterations a converged centre is enough.
     """
-    if late:
-        return max(change[_U], change[_V]) < _CONVERGED_LATE_SIGMAS
-    if not even or max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
+    if is_late:
+        return max(change[_U], change[_V]) < _LATE_CONVERGED_SIGMAS
+    if not contrast_is_steady or max(change[_U], change[_V]) > _CONVERGED_SIGMAS:
         return False
     return max(change[_A], change[_C], change[_ORDER]) < _CONVERGED_SHAPE
 
 
 def _linearise(data: Blocks, state: _State, rows: FloatArray) -> FloatArray:
-    """Irradiance at the blocks; fills in the derivatives of the blocks' light and what is left over of it."""
-    peak, u, v, a, b, c, rest, rise_x, rise_y, order = state
+    """Irradiance at the blocks; fills ``rows`` with the derivatives and residuals of the blocks' light."""
+    peak, u, v, a, b, c, offset, rise_x, rise_y, order = state
     pull_u, pull_v = a * u + b * v, b * u + c * v
     quadratics = np.array(
         (
@@ -263,7 +265,7 @@ def _linearise(data: Blocks, state: _State, rows: FloatArray) -> FloatArray:
             (-u * u / 2, u, 0.0, -0.5, 0.0, 0.0),  # −∂q/∂a
             (-u * v, v, u, 0.0, -1.0, 0.0),  # −∂q/∂b
             (-v * v / 2, 0.0, v, 0.0, 0.0, -0.5),  # −∂q/∂c
-            (rest, rise_x, rise_y, 0.0, 0.0, 0.0),
+            (offset, rise_x, rise_y, 0.0, 0.0, 0.0),
         )
     )
     polynomials = quadratics @ data.monomials
@@ -272,57 +274,61 @@ def _linearise(data: Blocks, state: _State, rows: FloatArray) -> FloatArray:
     logarithm = np.log(q)
     raised = np.exp(order * logarithm)
     shape: FloatArray = np.exp(-raised)
-    steep = raised / q
-    steep *= order
-    f2 = data.f2 if data.bends is None else data.f2 * _bent(data.bends, steep, polynomials[1:3], (a, b, c))
+    steepness = raised / q
+    steepness *= order
+    f2 = (
+        data.f2
+        if data.half_moments is None
+        else data.f2 * _block_mean_ratio(data.half_moments, steepness, polynomials[1:3], (a, b, c))
+    )
     np.multiply(shape, f2, out=rows[_PEAK])
-    fall = rows[_PEAK] * peak
-    np.subtract(data.light, fall, out=rows[_RESIDUAL])
+    spot_light = rows[_PEAK] * peak
+    np.subtract(data.light, spot_light, out=rows[_RESIDUAL])
     background *= data.f1
     rows[_RESIDUAL] -= background
     raised *= logarithm
-    np.multiply(fall, raised, out=rows[_ORDER])
+    np.multiply(spot_light, raised, out=rows[_ORDER])
     np.negative(rows[_ORDER], out=rows[_ORDER])
-    fall *= steep
-    np.multiply(polynomials[1:-1], fall, out=rows[_U : _C + 1])
+    spot_light *= steepness
+    np.multiply(polynomials[1:-1], spot_light, out=rows[_U : _C + 1])
     shape *= peak
     return shape
 
 
-def _bent(
-    bends: FloatArray, steep: FloatArray, along: FloatArray, form: tuple[float, float, float]
+def _block_mean_ratio(
+    half_moments: FloatArray, steepness: FloatArray, along: FloatArray, form: tuple[float, float, float]
 ) -> FloatArray:
-    """Mean of the spot over each block against its value where the block measures.
+    """Mean of the spot over each block relative to its value at the block's centroid.
 
-    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives that a Gaussian as steep as the spot
-    is there has; ``along`` (2, n) is the gradient of q. Where the rows of dots run along those of pixels, the
+    1 + ½ (m_xx E_xx + 2 m_xy E_xy + m_yy E_yy) / E, with the derivatives of a Gaussian that is as steep
+    there; ``along`` (2, n) is the gradient of q. Where the rows of dots run along those of pixels, the
     moments beat, and without this so does the centre: by 0.02 px.
     """
-    xx, xy, yy = bends
-    by_x, by_y = along * steep
-    bent: FloatArray = np.asarray(form) @ bends
-    bent *= steep
-    np.subtract(1.0, bent, out=bent)
-    bent += (xx * by_x + xy * by_y) * by_x
+    xx, xy, yy = half_moments
+    by_x, by_y = along * steepness
+    ratio: FloatArray = np.asarray(form) @ half_moments
+    ratio *= steepness
+    np.subtract(1.0, ratio, out=ratio)
+    ratio += (xx * by_x + xy * by_y) * by_x
     by_y *= by_y
     by_y *= yy
-    bent += by_y
-    return bent
+    ratio += by_y
+    return ratio
 
 
-def _moved(state: _State, step: Sequence[float]) -> _State | None:
-    """A step, shortened until the form stays an ellipse and nothing leaps; None when it cannot be."""
-    longest = max(
+def _damped_step(state: _State, step: Sequence[float]) -> _State | None:
+    """The state after a step, damped until the form is an ellipse and no parameter leaps; None if none is."""
+    largest = max(
         abs(step[_U]), abs(step[_V]), *(abs(step[index] / state[index]) for index in (_A, _C, _ORDER))
     )
-    if not math.isfinite(longest):
+    if not math.isfinite(largest):
         return None
-    scale = min(1.0, _LONGEST_STEP / max(longest, 1e-12))
+    scale = min(1.0, _MAX_STEP / max(largest, 1e-12))
     while scale > 1e-3:
-        moved = [s + scale * d for s, d in zip(state, step, strict=True)]
-        a, b, c = moved[_A : _C + 1]
-        if moved[_PEAK] > 0 and a > 0 and c > 0 and a * c > b * b:
-            moved[_ORDER] = min(max(moved[_ORDER], _ORDERS[0]), _ORDERS[1])
-            return moved
+        stepped = [s + scale * d for s, d in zip(state, step, strict=True)]
+        a, b, c = stepped[_A : _C + 1]
+        if stepped[_PEAK] > 0 and a > 0 and c > 0 and a * c > b * b:
+            stepped[_ORDER] = min(max(stepped[_ORDER], _MIN_ORDER), _MAX_ORDER)
+            return stepped
         scale /= 2
     return None

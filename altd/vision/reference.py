@@ -1,10 +1,10 @@
-"""What a target's spots were like when it was calibrated: what later spots are held against."""
+"""Statistics of a target's spots at its calibration, with which later spots are compared."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-Four = tuple[float, float, float, float]
+ShapeVector = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,18 +15,19 @@ class ShapeReference:
     ``altd.measuring.spot_shape.shape_in_mm`` gives them.
     """
 
-    mean: Four
-    sigma: Four
+    mean: ShapeVector
+    sigma: ShapeVector
 
 
 @dataclass(frozen=True, slots=True)
 class SpotReference:
     """Figures of a target's calibrated spots.
 
-    ``grain`` is the usual relative scatter of the light from pixel to pixel (None: not known, a spot is held
-    against its own); ``misfit_ratio`` how much of chi-square a good spot's residuals usually make, above 1
-    where grain is coarser than a block; ``pattern_px`` what the grain does to a centre, predicted from the
-    fit, while ``noise_px`` is what it really does about the map. None of both: the map's noise holds it.
+    ``grain`` is the usual texture contrast, the relative scatter of the light from pixel to pixel (None: not
+    known, each spot's own is taken); ``misfit_ratio`` the usual chi-square of a good spot's residuals over
+    its expectation, above 1 where the texture is coarser than a block; ``pattern_px`` the standard deviation
+    of a centre by the texture, predicted from the fit, ``noise_px`` the one observed about the map.
+    ``pattern_px`` None: not known, nothing is added to the map's noise. The names are the calibration file's.
     """
 
     grain: float | None

@@ -21,8 +21,8 @@ from altd.vision.background import (
 
 _DETECTION_SIGMAS = 8.0
 _DETECTION_COUNTS = 1.5
-_REGION_FRACTION = 0.1
-_EQUAL_PEAK = 0.4
+_REGION_PEAK_SHARE = 0.1
+_MIN_PEAK_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +42,16 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What the coarse search saw: the background and the bright regions, most light first."""
+    """Result of the coarse search: the background and the bright regions, most light first."""
 
     background: Background
     regions: tuple[Region, ...]
 
 
 def search(pixels: PixelArray) -> Search:
-    """Bright regions of a frame that no noise explains.
+    """Bright regions of a frame that noise does not explain.
 
-    A region must stand out of the coarse picture's own noise by eight sigma (among 5 640 cells, four are
+    A region must exceed the coarse image's own noise by eight sigma (among 5 640 cells, four are
     usual) and be no dimmer than a tenth of the brightest.
     """
     coarse = coarse_image(pixels)
@@ -61,13 +61,13 @@ def search(pixels: PixelArray) -> Search:
     brightest = float(excess.max())
     if brightest < detection:
         return Search(background, ())
-    regions = _regions(excess, max(detection / 2, _REGION_FRACTION * brightest))
-    worthy = [region for region in regions if region.peak >= max(detection, _EQUAL_PEAK * brightest)]
-    return Search(background, tuple(sorted(worthy, key=lambda region: -region.light)))
+    regions = _regions(excess, max(detection / 2, _REGION_PEAK_SHARE * brightest))
+    distinct = [region for region in regions if region.peak >= max(detection, _MIN_PEAK_SHARE * brightest)]
+    return Search(background, tuple(sorted(distinct, key=lambda region: -region.light)))
 
 
 def _regions(excess: Image, level: float) -> list[Region]:
-    # Grana's algorithm: on pictures so small three times as fast as OpenCV's choice. Its statistics would
+    # Grana's algorithm: on images so small three times as fast as OpenCV's choice. Its statistics would
     # take three times as long as the labels.
     count, labels = cv2.connectedComponentsWithAlgorithm(
         (excess > level).view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA

@@ -1,4 +1,4 @@
-"""What the localiser is told; a calibration file carries the settings it was made with."""
+"""The settings of the localiser; a calibration file carries those it was made with."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SpotSettings:
 
     method: Method = "auto"
     """``profile`` fits a super-Gaussian through the flat, ``moment`` takes the first moment, which a printed
-    pattern without a flat disturbs less; ``auto`` looks at the spot which of the two it needs."""
+    pattern without a flat disturbs less; ``auto`` decides by whether the spot lies on print."""
     smoothing_px: float = 4.0
     """Sigma of the Gaussian that bridges the printed dots: about one dot pitch. 0 switches it off."""
     threshold: float = 0.07
@@ -40,6 +40,6 @@ class SpotSettings:
     """Saturated fraction of the spot's bright pixels above which it is ``saturated``: a Gaussian reaches it
     when it is over-exposed twofold. Below that the fit leaves clipped pixels out and loses little."""
     max_sigma_px: float = 0.5
-    """A spot whose noise moves it by more than this is too dim to be one."""
+    """A spot whose centre is less certain than this is too dim."""
     full_well_electrons: float = 15_000.0
     """Electrons at full scale, for the shot noise in ``sigma_px``."""

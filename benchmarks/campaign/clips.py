@@ -87,7 +87,7 @@ class SimulatedRig:
         self.rest = {camera: self._rest(camera, spec.lux) for camera in CAMERAS}
 
     def _rest(self, camera: str, lux: float) -> Image:
-        return self.unit.eyes[camera].view.background_e(self.spec.exposure_ms, lux, False)
+        return self.unit.imagers[camera].view.background_e(self.spec.exposure_ms, lux, False)
 
     def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:
         """At any pose that meets both targets within the scanned area."""
@@ -102,17 +102,17 @@ class SimulatedRig:
 
     def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
         """The light of an exposure at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
-        eye, exposure_ms = self.unit.eyes[camera], self.spec.exposure_ms
+        imager, exposure_ms = self.unit.imagers[camera], self.spec.exposure_ms
         rest = self.rest[camera]
         if self.spec.lux_of is not None:
             rest = self._rest(camera, self.spec.lux_of(since_s))
         (spot,) = spots = self.unit.spots(camera, t_ns)
-        region, beam_e = eye.view.beam_e(spots, exposure_ms)
+        region, beam_e = imager.view.beam_e(spots, exposure_ms)
         beam = np.zeros_like(rest)
         beam[region] = beam_e
-        u, v = (float(value) for value in eye.view.lens.project(spot.x_mm, spot.y_mm))
+        u, v = (float(value) for value in imager.view.lens.project(spot.x_mm, spot.y_mm))
         ends = np.array(
-            [eye.view.lens.project(spot.x_mm + dx, spot.y_mm + dy) for dx, dy in ((1, 0), (0, 1))]
+            [imager.view.lens.project(spot.x_mm + dx, spot.y_mm + dy) for dx, dy in ((1, 0), (0, 1))]
         )
         to_px = (ends - (u, v)).T
         to_mm = np.linalg.inv(to_px)
@@ -126,7 +126,7 @@ class SimulatedRig:
             spot.peak_mw_per_mm2 * exposure_ms,
         )
         return Scene(
-            camera, beam, rest, eye.view.response, shape, math.sqrt(abs(float(np.linalg.det(to_px))))
+            camera, beam, rest, imager.view.response, shape, math.sqrt(abs(float(np.linalg.det(to_px))))
         )
 
 

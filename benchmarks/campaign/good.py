@@ -25,7 +25,7 @@ from benchmarks.campaign.scene import Noise, exposing, snapshot
 from benchmarks.campaign.units import SIMULATED
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose, Footprint
-from hw_sim.measure import HALF_AREA_MM, LARGEST_PITCH, LARGEST_YAW
+from hw_sim.measure import HALF_AREA_MM, MAX_PITCH_SLOPE, MAX_YAW_SLOPE
 from hw_sim.motion import Vibration
 from hw_sim.sensor import Sensor
 from hw_sim.unit import Unit
@@ -145,7 +145,7 @@ class _GoodUnit:
         turns = 2.0 * math.pi * t_ns * 1e-9 / self.lives.way_s
         places = []
         for half_mm, slope, first, second in zip(
-            HALF_AREA_MM, (LARGEST_YAW, LARGEST_PITCH), (1.0, 1.318), (0.713, 0.871), strict=True
+            HALF_AREA_MM, (MAX_YAW_SLOPE, MAX_PITCH_SLOPE), (1.0, 1.318), (0.713, 0.871), strict=True
         ):
             front_mm = half_mm * math.sin(first * turns)
             reach_mm = 0.95 * slope * self.distance_mm
@@ -163,10 +163,10 @@ class _GoodUnit:
 
     def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
         """One exposure, with light, spot size and power as they are then."""
-        eye, t_s = self.unit.eyes[camera], t_ns * 1e-9
-        electrons = eye.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
+        imager, t_s = self.unit.imagers[camera], t_ns * 1e-9
+        electrons = imager.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
         spots = [self._drifted(spot, t_s) for spot in self.unit.spots(camera, t_ns)]
-        region, beam_e = eye.view.beam_e(spots, self.exposure_ms)
+        region, beam_e = imager.view.beam_e(spots, self.exposure_ms)
         electrons[region] += beam_e
         noise = self.noise.picture(electrons.shape, rng)
         pixels = snapshot(exposing(electrons, self.sensor), noise, self.sensor.bits)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import PixelArray
-from hw_sim.beam import DEPTH_OF_TAIL
+from hw_sim.beam import TAIL_CUTOFF
 from hw_sim.sensor import Sensor
 
 Image = npt.NDArray[np.float32]
@@ -50,7 +50,7 @@ class SpotShape:
     def window(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
         """Rows and columns that hold the spot."""
         uu, uv, vv = self.form
-        rho2 = (-0.5 * math.log(DEPTH_OF_TAIL)) ** (1.0 / self.order)
+        rho2 = (-0.5 * math.log(TAIL_CUTOFF)) ** (1.0 / self.order)
         determinant = uu * vv - uv * uv
         half_u, half_v = math.sqrt(rho2 * vv / determinant), math.sqrt(rho2 * uu / determinant)
         return _span(self.v_px, half_v, shape[0]), _span(self.u_px, half_u, shape[1])

@@ -10,8 +10,8 @@ import numpy as np
 
 from altd import __version__
 from hw_sim.camera import EXPOSURE_RANGE
-from hw_sim.gige.libaravis import GvCamera, Shot
-from hw_sim.gige.nudge import Nudge
+from hw_sim.gige.libaravis import FrameBuffer, GvCamera
+from hw_sim.gige.wake_up import WakeUp
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.unit import EXPOSURES_MS, Unit
 
@@ -22,9 +22,9 @@ PIXEL_FORMATS: Mapping[int, int] = {8: 0x01080001, 10: 0x01100003, 12: 0x0110000
 
 _BITS = {pixel_format: bits for bits, pixel_format in PIXEL_FORMATS.items()}
 
-TRIGGER_LOOKS_HZ = 200.0
-"""How often a camera looks for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps by
-whole milliseconds and stays awake for what is left of the last one: 10 % of a core."""
+TRIGGER_POLL_HZ = 200.0
+"""How often a camera polls for a software trigger: an exposure begins up to 5 ms after it. Aravis sleeps by
+whole milliseconds and spins for the rest of the last one: 10 % of a core."""
 
 GAIN_STEPS_PER_DB = 1000
 
@@ -46,7 +46,7 @@ _SOURCE_USER_OUTPUT0 = 1
 
 
 class GigeCamera:
-    """A camera of ``unit``, served at ``address`` until ``close``; ``fail`` is told what goes wrong later.
+    """A camera of ``unit``, served at ``address`` until ``close``; ``fail`` is called with later errors.
 
     The exposure begins at the frame's timestamp and the frame leaves once it has ended. Line1 switches the
     LEDs around the camera's own target. Raises BadInputError.
@@ -82,27 +82,27 @@ class GigeCamera:
             (_LINE1_SOURCE, _SOURCE_USER_OUTPUT0),
         ):
             self._camera.write(register, value)
-        self._camera.look_for_triggers(TRIGGER_LOOKS_HZ)
-        self._camera.fill_with(self._expose, fail)
-        self._nudge = Nudge(address, lambda: self._camera.read(_FRAME_PERIOD_US))
+        self._camera.set_trigger_poll_rate(TRIGGER_POLL_HZ)
+        self._camera.set_fill_callback(self._expose, fail)
+        self._wake_up = WakeUp(address, lambda: self._camera.read(_FRAME_PERIOD_US))
 
     def close(self) -> None:
         """Stop serving."""
-        self._nudge.close()
+        self._wake_up.close()
         self._camera.close()
 
-    def _expose(self, shot: Shot) -> None:
+    def _expose(self, buffer: FrameBuffer) -> None:
         """Fill the frame with what the unit's camera sees, in the time that the exposure takes."""
         unit, name = self._unit, self._name
-        bits = _BITS.get(shot.pixel_format)
-        columns = slice(shot.x_px, shot.x_px + shot.width_px)
-        rows = slice(shot.y_px, shot.y_px + shot.height_px)
+        bits = _BITS.get(buffer.pixel_format)
+        columns = slice(buffer.x_px, buffer.x_px + buffer.width_px)
+        rows = slice(buffer.y_px, buffer.y_px + buffer.height_px)
         on_chip = 0 <= columns.start < columns.stop <= WIDTH_PX and 0 <= rows.start < rows.stop <= HEIGHT_PX
         if bits is None or not on_chip:
-            self._camera.lose(1.0)  # no chip can do that, whoever wrote it into the registers
+            self._camera.set_packet_loss(1.0)  # no chip can do that, whoever wrote it into the registers
             return
-        exposure_us = self._possible(_EXPOSURE_US, shot.exposure_us, _EXPOSURES_US)
-        gain = self._possible(_GAIN, shot.gain_raw, _GAINS)
+        exposure_us = self._clamped(_EXPOSURE_US, buffer.exposure_us, _EXPOSURES_US)
+        gain = self._clamped(_GAIN, buffer.gain_raw, _GAINS)
         unit.set_camera(
             name,
             exposure_ms=1e-3 * exposure_us,
@@ -110,13 +110,13 @@ class GigeCamera:
             bits=bits,
         )
         unit.switch_leds(name, self._line1_is_high)
-        begin_ns = self._begin_ns(shot.timestamp_ns) + unit.lag_ns(name)
-        shot.stamp(begin_ns)
+        begin_ns = self._begin_ns(buffer.timestamp_ns) + unit.lag_ns(name)
+        buffer.stamp(begin_ns)
         begin_monotonic_ns = begin_ns - (time.time_ns() - time.monotonic_ns())
         frame = unit.expose(name, self.exposures, begin_monotonic_ns + 500 * exposure_us)
-        shot.pixels(np.uint8 if bits == 8 else np.uint16)[:] = frame.pixels[rows, columns]
+        buffer.pixels(np.uint8 if bits == 8 else np.uint16)[:] = frame.pixels[rows, columns]
         lost = unit.is_silent(name) or unit.drops(name, self.exposures)
-        self._camera.lose(1.0 if lost else 0.0)
+        self._camera.set_packet_loss(1.0 if lost else 0.0)
         self.exposures += 1
         time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
 
@@ -126,12 +126,12 @@ class GigeCamera:
             return timestamp_ns
         return timestamp_ns - timestamp_ns % (1000 * self._camera.read(_FRAME_PERIOD_US))
 
-    def _possible(self, register: int, value: int, bounds: tuple[int, int]) -> int:
-        """What a register asks for, or the nearest that the camera can do, which the register then says."""
-        possible = min(max(value, bounds[0]), bounds[1])
-        if possible != value:
-            self._camera.write(register, possible)
-        return possible
+    def _clamped(self, register: int, value: int, limits: tuple[int, int]) -> int:
+        """The value of a register within the camera's limits; the register is set to what was clamped."""
+        clamped = min(max(value, limits[0]), limits[1])
+        if clamped != value:
+            self._camera.write(register, clamped)
+        return clamped
 
     @property
     def _line1_is_high(self) -> bool:

@@ -19,7 +19,7 @@ from hw_sim.beam import BeamPose
 from hw_sim.camera import EXPOSURE_RANGE
 from hw_sim.faults import parse_faults
 from hw_sim.gige.camera import PIXEL_FORMATS, GigeCamera, serial_of
-from hw_sim.gige.libaravis import LONGEST_SERIAL
+from hw_sim.gige.libaravis import MAX_SERIAL_LENGTH
 from hw_sim.gige.loopback import camera_address, keep_discovery_on_loopback
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import SLOW_DRIVE, Vibration
@@ -27,7 +27,7 @@ from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 
 ADDRESSES: Mapping[str, str] = {FRONT: "127.0.0.1", REAR: "127.0.0.2"}
 
-LARGEST_FPS = 200.0
+MAX_FPS = 200.0
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -90,8 +90,8 @@ def run(arguments: argparse.Namespace) -> int:
     unit.place(BeamPose(x_mm, y_mm, math.tan(math.radians(yaw_deg)), math.tan(math.radians(pitch_deg))))
     unit.inject(*parse_faults(filter(None, arguments.faults.split(","))))
     names = (arguments.only,) if arguments.only else CAMERAS
-    if len(serial_of(unit, FRONT)) > LONGEST_SERIAL:
-        raise BadInputError("--seed", f"makes a serial number of more than {LONGEST_SERIAL} characters")
+    if len(serial_of(unit, FRONT)) > MAX_SERIAL_LENGTH:
+        raise BadInputError("--seed", f"makes a serial number of more than {MAX_SERIAL_LENGTH} characters")
     end = _End()
     with contextlib.ExitStack() as serving:
         serving.enter_context(end.by_signals())
@@ -185,6 +185,6 @@ def _fps(text: str) -> float:
         fps = float(text)
     except ValueError:
         fps = 0.0
-    if not 1 <= fps <= LARGEST_FPS:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 to {LARGEST_FPS:g}")
+    if not 1 <= fps <= MAX_FPS:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number from 1 to {MAX_FPS:g}")
     return fps

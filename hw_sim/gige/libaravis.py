@@ -22,7 +22,7 @@ from altd.errors import BadInputError
 LIBRARIES = ("libaravis-0.8.so.0", "libgobject-2.0.so.0")
 DEBIAN_PACKAGE = "libaravis-0.8-0"
 
-LONGEST_SERIAL = 15
+MAX_SERIAL_LENGTH = 15
 """Bytes of a serial number: the register has 16, the last of them 0."""
 
 _G_TYPE_DOUBLE = 15 << 2
@@ -36,7 +36,7 @@ class _GValue(ctypes.Structure):
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class FrameBuffer:
     """A frame that Aravis is about to send: what the registers ask for, and the memory for its pixels.
 
     ``timestamp_ns`` is when Aravis began it, on the realtime clock in whole microseconds.
@@ -86,7 +86,9 @@ class GvCamera:
             raise BadInputError(address, "Aravis cannot serve a camera there")
         self._registers: int = aravis.arv_gv_fake_camera_get_fake_camera(self._camera)
 
-    def fill_with(self, fill: Callable[[Shot], None], fail: Callable[[BaseException], None]) -> None:
+    def set_fill_callback(
+        self, fill: Callable[[FrameBuffer], None], fail: Callable[[BaseException], None]
+    ) -> None:
         """Let ``fill`` write each frame before it is sent, in the camera's thread.
 
         What it raises cannot cross Aravis and goes to ``fail``.
@@ -98,7 +100,7 @@ class GvCamera:
             try:
                 with self._filling:
                     if not self._closing:
-                        fill(_shot(buffer, exposure_us, gain_raw, pixel_format))
+                        fill(_frame_buffer(buffer, exposure_us, gain_raw, pixel_format))
             except BaseException as error:
                 fail(error)
 
@@ -120,11 +122,11 @@ class GvCamera:
         data = text.encode()[: size - 1].ljust(size, b"\0")
         _aravis().arv_fake_camera_write_memory(self._registers, address, size, data)
 
-    def look_for_triggers(self, times_a_second: float) -> None:
-        """How often it looks whether a software trigger has come."""
+    def set_trigger_poll_rate(self, times_a_second: float) -> None:
+        """Set how often it polls for a software trigger."""
         _aravis().arv_fake_camera_set_trigger_frequency(self._registers, times_a_second)
 
-    def lose(self, share: float) -> None:
+    def set_packet_loss(self, share: float) -> None:
         """Let this share of the packets be lost on their way, from the frame that is being filled on."""
         gobject = _gobject()
         value = _GValue()
@@ -138,18 +140,18 @@ class GvCamera:
             return
         with self._filling:  # GObject hangs when a property is set while the last reference is given up
             self._closing = True
-            self.lose(1.0)  # nothing that was not filled
+            self.set_packet_loss(1.0)  # nothing that was not filled
         _gobject().g_object_unref(self._camera)
         self._camera = None
 
 
-def _shot(buffer: int, exposure_us: int, gain_raw: int, pixel_format: int) -> Shot:
+def _frame_buffer(buffer: int, exposure_us: int, gain_raw: int, pixel_format: int) -> FrameBuffer:
     aravis = _aravis()
     region = (c_int * 4)()
     at = (ctypes.byref(region, index * ctypes.sizeof(c_int)) for index in range(4))
     aravis.arv_buffer_get_image_region(buffer, *at)
     timestamp_ns = aravis.arv_buffer_get_timestamp(buffer)
-    return Shot(buffer, timestamp_ns, exposure_us, gain_raw, pixel_format, *region)
+    return FrameBuffer(buffer, timestamp_ns, exposure_us, gain_raw, pixel_format, *region)
 
 
 @functools.cache

@@ -26,17 +26,17 @@ def camera_address(address: str) -> Iterator[None]:
     One of 127.0.0.0/8 that ``lo`` lacks is added for as long as it is needed, where we may. Raises
     BadInputError.
     """
-    _refuse_taken(address)
+    _check_port_free(address)
     if _is_of_an_interface(address):
         yield
         return
     add = ["ip", "address", "add", f"{address}/32", "dev", "lo"]
-    if _ran(add).returncode:
+    if _run(add).returncode:
         raise BadInputError(address, f"lo needs this address first:  sudo {' '.join(add)}")
     try:
         yield
     finally:
-        _ran(["ip", "address", "del", f"{address}/32", "dev", "lo"])
+        _run(["ip", "address", "del", f"{address}/32", "dev", "lo"])
 
 
 def keep_discovery_on_loopback() -> None:
@@ -54,17 +54,17 @@ def keep_discovery_on_loopback() -> None:
 
 
 def _is_of_an_interface(address: str) -> bool:
-    return address == "127.0.0.1" or bool(_ran(["ip", "-o", "address", "show", "to", address]).stdout)
+    return address == "127.0.0.1" or bool(_run(["ip", "-o", "address", "show", "to", address]).stdout)
 
 
-def _ran(command: list[str]) -> subprocess.CompletedProcess[str]:
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
     except FileNotFoundError as error:
         raise BadInputError(command[0], "is not installed: Debian package iproute2") from error
 
 
-def _refuse_taken(address: str) -> None:
+def _check_port_free(address: str) -> None:
     """Aravis does not say it when somebody else answers at the port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -12,13 +12,13 @@ from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import Frame
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.beam import BeamPose, Laser, footprint
-from hw_sim.eye import Eye, Settings
-from hw_sim.scan import grid_mm
+from hw_sim.imager import Imager, Settings
+from hw_sim.scan import Grid
 from hw_sim.sensor import Sensor
 from hw_sim.targets import soft_disc
 from hw_sim.view import View, make_view
 
-NODES_MM = np.array(grid_mm())
+NODES_MM = np.array(Grid().nodes_mm())
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,14 @@ class Scene:
         rng = np.random.default_rng(seed)
         self.lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
         self.view: View = make_view(self.lens, dots, speckle, 20, rng)
-        self.eye = Eye(self.view, Sensor(8), Settings(1.6), lux=200.0)
+        self.imager = Imager(self.view, Sensor(8), Settings(1.6), lux=200.0)
         self.laser = Laser(power_mw=power_mw)
         self._rng = rng
 
     def frame(self, x_mm: float, y_mm: float) -> Frame:
         spot = footprint(self.laser, BeamPose(x_mm, y_mm), 0.0)
         noise = self._rng.standard_normal(self.view.response.shape, dtype=np.float32)
-        return Frame("front", 0, 0, self.eye.sketch([spot], False, noise), 8)
+        return Frame("front", 0, 0, self.imager.expose_from_pool([spot], False, noise), 8)
 
     def frames(self) -> list[Frame]:
         return [self.frame(x, y) for x, y in NODES_MM]

@@ -107,7 +107,7 @@ def mapped_mm(scan: Path, unit: Unit) -> np.ndarray:
     x_mm, y_mm = (a.ravel() for a in np.meshgrid(np.linspace(-44, 44, 25), np.linspace(-44, 44, 25)))
     mapped = []
     for target in calibrate([open_recording(scan)]).calibration.targets:
-        px = np.column_stack(unit.eyes[target.name].view.lens.project(x_mm, y_mm))
+        px = np.column_stack(unit.imagers[target.name].view.lens.project(x_mm, y_mm))
         mapped.append(InverseMap.of(target.map).to_mm(px)[0] - np.column_stack([x_mm, y_mm]))
     return np.vstack(mapped)
 

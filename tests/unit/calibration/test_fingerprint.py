@@ -57,8 +57,8 @@ def test_the_file_carries_hot_pixels_and_the_texture_of_the_scan(
     assert read is not None
     assert read.source == "scan"
     assert read.texture is not None
-    np.testing.assert_array_equal(read.hot.always, HOT.always)
-    np.testing.assert_array_equal(read.hot.sometimes, HOT.sometimes)
+    np.testing.assert_array_equal(read.hot.permanent, HOT.permanent)
+    np.testing.assert_array_equal(read.hot.intermittent, HOT.intermittent)
     np.testing.assert_allclose(read.texture.relative, surface, atol=0.0026)
 
 

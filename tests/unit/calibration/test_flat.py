@@ -58,7 +58,7 @@ def likeness(flat: Flat, unit: Unit, camera: str) -> float:
     """Correlation with the true response where the flat says anything: not at hot pixels."""
     known = flat.levels > 0
     assert np.mean(known) > 0.999
-    return float(np.corrcoef(flat.response[known], unit.eyes[camera].view.response[known])[0, 1])
+    return float(np.corrcoef(flat.response[known], unit.imagers[camera].view.response[known])[0, 1])
 
 
 @pytest.mark.parametrize("camera", ["front", "rear"])

@@ -24,12 +24,19 @@ def ordinary_unit() -> Unit:
 @pytest.fixture
 def unit(ordinary_unit: Unit) -> Iterator[Unit]:
     """An ordinary unit with the beam in the middle, as it was made (half a second of work, so shared)."""
+    _restore(ordinary_unit)
     yield ordinary_unit
-    ordinary_unit.clear()
-    ordinary_unit.leds_on = False
-    ordinary_unit.place(BeamPose(0.0, 0.0))
+    _restore(ordinary_unit)
+
+
+def _restore(unit: Unit) -> None:
+    """Undo what other tests of this process did to it, in whatever order they came."""
+    unit.clear()
+    unit.leds_on = False
+    unit.even_mw_per_mm2 = 0.0
+    unit.place(BeamPose(0.0, 0.0))
     for camera in CAMERAS:
-        ordinary_unit.set_camera(camera, exposure_ms=EXPOSURES_MS[camera], gain=1.0)
+        unit.set_camera(camera, exposure_ms=EXPOSURES_MS[camera], gain=1.0)
 
 
 @pytest.fixture(scope="session")

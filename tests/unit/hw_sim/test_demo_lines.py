@@ -10,7 +10,7 @@ from hw_sim.demo_lines import Line
 
 async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -> None:
     with Line() as line:
-        carrying = asyncio.create_task(line.carry())
+        forwarding = asyncio.create_task(line.forward())
         unit = os.open(line.unit_end, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             for round_ in (b"1", b"2"):
@@ -29,6 +29,6 @@ async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -
                 await asyncio.sleep(0.1)
         finally:
             os.close(unit)
-            carrying.cancel()
+            forwarding.cancel()
             with pytest.raises(asyncio.CancelledError):
-                await carrying
+                await forwarding

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hw_sim.beam import BeamPose
-from hw_sim.dust import CELL_MM, HALF_MM, settle
+from hw_sim.dust import CELL_MM, HALF_MM, make_dust
 from hw_sim.unit import CAMERAS, REAR, Unit, UnitConfig
 
 
@@ -36,7 +36,7 @@ def test_dust_of_the_config_is_that_of_the_live_unit() -> None:
 
 
 def test_more_dust_holds_all_of_less_and_covers_the_share_that_it_says() -> None:
-    some, heavy = (settle(amount, np.random.default_rng(1)).transmission for amount in (0.5, 1.0))
+    some, heavy = (make_dust(amount, np.random.default_rng(1)).transmission for amount in (0.5, 1.0))
     assert np.all(heavy <= some + 1e-6)
     covered = float(np.mean(heavy < 0.5))
     # 1000 discs whose diameters are log-even from 0.1 to 1 mm: E[d²] = (1 − 0.01) / (2 ln 10) mm².
@@ -57,16 +57,16 @@ def test_a_speck_on_the_window_casts_its_shadow_along_the_beam() -> None:
         pose = BeamPose(0.0, 0.0, slope, 0.0)
         for each in (clean, unit):
             each.place(pose)
-        view = unit.eyes[REAR].view
+        view = unit.imagers[REAR].view
         dirty_e, clean_e = (
-            each.eyes[REAR].mean_e(
+            each.imagers[REAR].mean_e(
                 each._spots(REAR, pose, frozenset()),
                 leds_on=False,
                 exposure_ms=1.6,
             )
             for each in (unit, clean)
         )
-        plate = view.response / clean.eyes[REAR].view.response  # what the plate's own dust takes
+        plate = view.response / clean.imagers[REAR].view.response  # what the plate's own dust takes
         shadow = 1.0 - dirty_e / (clean_e * plate + 1e-9)
         near = np.hypot(view.x_mm - 280.0 * slope, view.y_mm) < 5.0
         where.append((view.x_mm[near] - 280.0 * slope, view.y_mm[near], shadow[near]))

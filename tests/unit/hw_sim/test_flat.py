@@ -19,7 +19,7 @@ def test_a_flat_is_the_dark_and_the_evenly_lit_targets_without_the_laser(tmp_pat
         rows = list(csv.DictReader(table))
     assert [row["leds"] for row in rows if row["camera"] == "front"] == ["off", "off", "on", "on"]
     assert {row["x_mm"] for row in rows} == {""}
-    for camera, eye in unit.eyes.items():
+    for camera, imager in unit.imagers.items():
         pictures = [
             cv2.imread(str(tmp_path / "flat" / row["file"]), cv2.IMREAD_UNCHANGED).astype(float)
             for row in rows
@@ -29,6 +29,6 @@ def test_a_flat_is_the_dark_and_the_evenly_lit_targets_without_the_laser(tmp_pat
         dark = (pictures[0] + pictures[1]).ravel() / 2
         usable = dark < 60  # no hot pixel
         assert dark.mean() < 20
-        assert np.corrcoef(light[usable], eye.view.response.ravel()[usable])[0, 1] > 0.9
+        assert np.corrcoef(light[usable], imager.view.response.ravel()[usable])[0, 1] > 0.9
         assert np.percentile(pictures[2], 99.9) < 255
     assert Fault.NO_LASER not in unit.faults

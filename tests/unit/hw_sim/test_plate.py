@@ -61,7 +61,7 @@ def test_leds_shine_where_the_drawing_has_them_and_dark_ones_do_not(
     off, on = (
         cv2.imread(str(folder / camera / f"00000{n}.png"), cv2.IMREAD_UNCHANGED).astype(float) for n in (0, 1)
     )
-    lens = unit.eyes[camera].view.lens
+    lens = unit.imagers[camera].view.lens
     for row in range(5):
         for column in range(7):
             x, y = plate.origin_mm[0] + 23.0 * column, plate.origin_mm[1] + 23.0 * row
@@ -104,8 +104,8 @@ def test_its_axis_is_no_special_place() -> None:
 def test_tilted_cameras_see_all_of_the_plate(fisheye_lens: bool) -> None:
     plate = Plate(pitch_mm=25.0, tilt_deg=30.0, fisheye=fisheye_lens)
     unit = with_plate(Unit(UnitConfig(seed=2)), plate)
-    for eye in unit.eyes.values():
-        lens = eye.view.lens
+    for imager in unit.imagers.values():
+        lens = imager.view.lens
         u, v = lens.project([-77.5, 77.5, 77.5, -77.5], [-52.5, -52.5, 52.5, 52.5])
         assert 0 < u.min() < u.max() < 751
         assert 0 < v.min() < v.max() < 479

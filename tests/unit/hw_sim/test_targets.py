@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hw_sim.targets import LED_POSITIONS_MM, DotPattern, DotPrint, led_cover, speckle
+from hw_sim.targets import LED_POSITIONS_MM, DotPattern, DotPrint, led_coverage, speckle
 
 PRINT = DotPrint(phase_mm=(0.3, 0.7), rotation_rad=0.02)
 
@@ -51,9 +51,9 @@ def test_a_dot_of_an_orthogonal_print_has_four_neighbours() -> None:
 def test_the_frame_leds_lie_outside_of_the_scanned_area() -> None:
     scanned = np.meshgrid(np.linspace(-70.0, 70.0, 200), np.linspace(-55.0, 55.0, 200))
     x, y = (axis.astype(np.float32) for axis in scanned)
-    assert led_cover(x, y, 0.01).max() == 0.0
+    assert led_coverage(x, y, 0.01).max() == 0.0
     at_x, at_y = np.array(LED_POSITIONS_MM, dtype=np.float32).T
-    assert led_cover(at_x, at_y, 0.01).tolist() == [1.0] * 6
+    assert led_coverage(at_x, at_y, 0.01).tolist() == [1.0] * 6
 
 
 def test_speckle_has_its_contrast_from_pixel_to_pixel() -> None:

@@ -32,14 +32,14 @@ def test_the_same_seed_makes_the_same_unit_and_the_same_frames() -> None:
         for exact in (True, False):
             frames = [unit.expose(camera, 3, 150_000_000, exact=exact).pixels for unit in (first, second)]
             assert np.array_equal(*frames)
-        assert first.eyes[camera].view.lens.focal_mm == second.eyes[camera].view.lens.focal_mm
+        assert first.imagers[camera].view.lens.focal_mm == second.imagers[camera].view.lens.focal_mm
 
 
 def test_frames_of_a_sequence_differ_in_noise_and_other_seeds_in_everything(unit: Unit) -> None:
     assert not np.array_equal(unit.expose(FRONT, 1, 0).pixels, unit.expose(FRONT, 2, 0).pixels)
     other = Unit(UnitConfig(seed=12))
-    assert other.eyes[FRONT].view.lens.focal_mm != unit.eyes[FRONT].view.lens.focal_mm
-    assert not np.array_equal(other.eyes[FRONT].view.response, unit.eyes[FRONT].view.response)
+    assert other.imagers[FRONT].view.lens.focal_mm != unit.imagers[FRONT].view.lens.focal_mm
+    assert not np.array_equal(other.imagers[FRONT].view.response, unit.imagers[FRONT].view.response)
 
 
 def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> None:
@@ -55,7 +55,7 @@ def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> N
 def test_without_dots_the_window_is_as_even_as_the_plate() -> None:
     for dots in (DotPattern(), None):
         bare = Unit(UnitConfig(seed=11, dots=dots, speckle_contrast=0.0))
-        response = bare.eyes[FRONT].view.response
+        response = bare.imagers[FRONT].view.response
         ripple = float(np.std(response / cv2.GaussianBlur(response, (0, 0), 4.0)))
         assert ripple > 0.2 if dots else ripple < 1e-3
 
@@ -135,7 +135,7 @@ def test_the_truth_is_told_with_and_without_vibration() -> None:
 def test_a_beam_at_rest_shows_a_spot_on_each_target_where_the_truth_says(unit: Unit) -> None:
     unit.place(BeamPose(-20.0, 10.0, 0.05, -0.08))
     for camera, z_mm in ((FRONT, 0.0), (REAR, 280.0)):
-        (u, v) = unit.eyes[camera].view.lens.project(*unit.truth(0).at(z_mm))
+        (u, v) = unit.imagers[camera].view.lens.project(*unit.truth(0).at(z_mm))
         assert spots(unit, camera) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
 
 
@@ -144,7 +144,7 @@ def test_a_frame_that_has_grown_takes_the_rear_target_further_along_the_beam() -
     for unit in (near, far):
         unit.place(BeamPose(0.0, 0.0, 0.1, 0.12))
     assert np.array_equal(near.expose(FRONT, 0, 0).pixels, far.expose(FRONT, 0, 0).pixels)
-    lens = far.eyes[REAR].view.lens
+    lens = far.imagers[REAR].view.lens
     for unit, along_mm in ((near, 280.0), (far, 308.0)):
         u, v = lens.project(0.1 * along_mm, 0.12 * along_mm)
         assert spots(unit, REAR) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
@@ -154,14 +154,14 @@ def test_coarser_dots_leave_the_lenses_and_the_plate_as_they_are() -> None:
     coarse = Unit(UnitConfig(seed=2, dots=DotPattern(0.8, 1.6)))
     fine = Unit(UnitConfig(seed=2))
     for camera in CAMERAS:
-        assert coarse.eyes[camera].view.lens.focal_mm == fine.eyes[camera].view.lens.focal_mm
-    assert not np.array_equal(coarse.eyes[FRONT].view.response, fine.eyes[FRONT].view.response)
-    assert np.array_equal(coarse.eyes[REAR].view.response, fine.eyes[REAR].view.response)
+        assert coarse.imagers[camera].view.lens.focal_mm == fine.imagers[camera].view.lens.focal_mm
+    assert not np.array_equal(coarse.imagers[FRONT].view.response, fine.imagers[FRONT].view.response)
+    assert np.array_equal(coarse.imagers[REAR].view.response, fine.imagers[REAR].view.response)
 
 
 def test_the_focal_lengths_can_be_chosen() -> None:
     unit = Unit(UnitConfig(seed=2, front_focal_mm=(12.0, 12.0), rear_focal_mm=(3.6, 3.6)))
-    assert [unit.eyes[camera].view.lens.focal_mm for camera in CAMERAS] == [12.0, 3.6]
+    assert [unit.imagers[camera].view.lens.focal_mm for camera in CAMERAS] == [12.0, 3.6]
 
 
 @pytest.mark.parametrize(

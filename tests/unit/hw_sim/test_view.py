@@ -22,8 +22,8 @@ def light(
     unit: Unit, camera: str, spots: list[Footprint], *, leds_on: bool = False
 ) -> npt.NDArray[np.float64]:
     """Mean electrons of a frame: no noise."""
-    eye = unit.eyes[camera]
-    return eye.mean_e(spots, leds_on, eye.settings.exposure_ms).astype(np.float64)
+    imager = unit.imagers[camera]
+    return imager.mean_e(spots, leds_on, imager.settings.exposure_ms).astype(np.float64)
 
 
 def first_moment(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -65,7 +65,7 @@ def expected_moment(lens: Lens, pose: BeamPose, z_mm: float, project: Projection
 def test_the_rear_spot_lies_where_opencv_and_an_integral_over_the_plate_put_it(
     pose: BeamPose, clean_unit: Unit, opencv_project: Projection
 ) -> None:
-    lens = clean_unit.eyes[REAR].view.lens
+    lens = clean_unit.imagers[REAR].view.lens
     seen = first_moment(light(clean_unit, REAR, [footprint(LASER, pose, 280.0)]))
     assert np.abs(seen - expected_moment(lens, pose, 280.0, opencv_project)).max() < 0.002
 
@@ -73,7 +73,7 @@ def test_the_rear_spot_lies_where_opencv_and_an_integral_over_the_plate_put_it(
 def test_the_dots_of_the_front_spot_lie_around_the_same_place(
     clean_unit: Unit, opencv_project: Projection
 ) -> None:
-    lens = clean_unit.eyes[FRONT].view.lens
+    lens = clean_unit.imagers[FRONT].view.lens
     for pose in POSES:
         seen = first_moment(light(clean_unit, FRONT, [footprint(LASER, pose, 0.0)]))
         assert np.abs(seen - expected_moment(lens, pose, 0.0, opencv_project)).max() < 0.1
@@ -81,7 +81,7 @@ def test_the_dots_of_the_front_spot_lie_around_the_same_place(
 
 def test_dots_scatter_the_covered_share_of_the_light(clean_unit: Unit) -> None:
     """The hexagonal fill, π/(2√3)·(d/pitch)², of what a plain sheet of ink would scatter."""
-    view = clean_unit.eyes[FRONT].view
+    view = clean_unit.imagers[FRONT].view
     scattered = view.response / view.lens.relative_illumination(view.x_mm, view.y_mm)
     plain_ink = ELECTRONS_PER_EXPOSURE * INK_REFLECTANCE
     assert scattered.mean() / plain_ink == pytest.approx(np.pi / (2.0 * np.sqrt(3.0)) * 0.5**2, rel=0.003)
@@ -90,7 +90,7 @@ def test_dots_scatter_the_covered_share_of_the_light(clean_unit: Unit) -> None:
 def test_the_frame_leds_shine_where_opencv_puts_them(clean_unit: Unit, opencv_project: Projection) -> None:
     for camera in (FRONT, REAR):
         lit = light(clean_unit, camera, [], leds_on=True)
-        for u, v in opencv_project(clean_unit.eyes[camera].view.lens, LED_POSITIONS_MM):
+        for u, v in opencv_project(clean_unit.imagers[camera].view.lens, LED_POSITIONS_MM):
             rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
             du, dv = first_moment(lit[max(rows.start, 0) : rows.stop, columns])
             assert columns.start + du == pytest.approx(u, abs=0.1)

@@ -13,9 +13,9 @@ from altd.mapping.lens import fit_lens_map
 from altd.mapping.marks import Marks
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
-from hw_sim.scan import grid_mm
+from hw_sim.scan import Grid
 
-NODES_MM = np.array(grid_mm())
+NODES_MM = np.array(Grid().nodes_mm())
 PLACES_MM = np.stack(np.meshgrid(np.linspace(-60, 60, 9), np.linspace(-48, 48, 8)), axis=-1).reshape(-1, 2)
 TURN = np.array([[1.02, 0.03], [-0.05, 0.97]])
 
@@ -86,7 +86,7 @@ def test_a_fit_through_two_thousand_nodes_and_marks_takes_memory_in_proportion()
     """A matrix of all nodes by all would be 128 MB, and the map must not be another one for lack of it."""
     rng = np.random.default_rng(4)
     lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
-    nodes_mm = np.array(grid_mm(2.8, 50, 40))
+    nodes_mm = np.array(Grid(2.8, 50, 40).nodes_mm())
     nodes_px = seen(lens, nodes_mm) + rng.normal(0, 0.03, nodes_mm.shape)
     marks = Marks(nodes_px, nodes_mm + rng.normal(0, 0.003, nodes_mm.shape), 0.003)
     tracemalloc.start()

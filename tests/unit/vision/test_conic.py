@@ -47,7 +47,9 @@ def test_noisy_points_give_the_centre_that_opencv_finds(first: float, second: fl
 
 
 @pytest.mark.parametrize(("first", "second", "angle"), SHAPES)
-def test_levers_say_how_a_displaced_point_moves_the_centre(first: float, second: float, angle: float) -> None:
+def test_sensitivities_say_how_a_displaced_point_moves_the_centre(
+    first: float, second: float, angle: float
+) -> None:
     on, normals = points(first, second, angle, (0.02, -0.03))
     fitted = fit_conic(*on.T)
     assert fitted is not None
@@ -58,11 +60,11 @@ def test_levers_say_how_a_displaced_point_moves_the_centre(first: float, second:
         again = fit_conic(*moved.T)
         assert again is not None
         shift = (again.x - fitted.x, again.y - fitted.y)
-        assert fitted.levers[:, index] * step == pytest.approx(shift, abs=2e-3 * step / 10)
+        assert fitted.sensitivities[:, index] * step == pytest.approx(shift, abs=2e-3 * step / 10)
 
 
 @pytest.mark.parametrize(("first", "second", "angle"), SHAPES)
-def test_levers_predict_what_noise_does(first: float, second: float, angle: float) -> None:
+def test_sensitivities_predict_what_noise_does(first: float, second: float, angle: float) -> None:
     rng = np.random.default_rng(2)
     on, normals = points(first, second, angle, (0.0, 0.0))
     exact = fit_conic(*on.T)
@@ -73,7 +75,7 @@ def test_levers_predict_what_noise_does(first: float, second: float, angle: floa
         fitted = fit_conic(*(on + noise * rng.standard_normal(len(on))[:, None] * normals).T)
         assert fitted is not None
         centres.append((fitted.x, fitted.y))
-    expected = noise * np.sqrt(np.square(exact.levers).sum(axis=1))
+    expected = noise * np.sqrt(np.square(exact.sensitivities).sum(axis=1))
     assert np.sqrt(np.mean(np.square(centres), axis=0)) / expected == pytest.approx(1.0, abs=0.1)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from support.cramer_rao import cramer_rao
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
 from altd.records import Frame, Spot
-from altd.vision.bound import cramer_rao
 from altd.vision.centre import Centre, Noise
 from altd.vision.ellipse import ellipse
 from altd.vision.flat import Flat

@@ -31,8 +31,8 @@ def compared(known: HotPixels, pixels: np.ndarray) -> SensorMatch:
 
 
 def test_those_that_shine_in_every_frame_are_found_and_no_others(known: HotPixels) -> None:
-    assert sorted(map(tuple, known.always.tolist())) == sorted(PLACES)
-    assert known.sometimes.shape == (0, 2)
+    assert sorted(map(tuple, known.permanent.tolist())) == sorted(PLACES)
+    assert known.intermittent.shape == (0, 2)
 
 
 def test_they_are_found_in_each_row_but_the_first_and_the_last() -> None:
@@ -103,5 +103,5 @@ def test_a_picture_of_which_bytes_were_lost_on_the_way_is_not_as_it_was_read(
     row = 210
     pixels.reshape(-1)[row * 752 :] = np.roll(pixels.reshape(-1)[row * 752 :], lost_px)
     seen = compared(known, pixels)
-    assert (seen.present, seen.aside) == (4, 4)
+    assert (seen.present, seen.displaced) == (4, 4)
     assert seen.is_other

@@ -25,7 +25,7 @@ def test_all_leds_are_found_at_their_places_with_and_without_the_laser(laser: bo
     rng = np.random.default_rng(1)
     scene = light(Blob(340, 230)) if laser else light()
     found = locate_leds(frame(scene + discs(), rng), frame(scene, rng))
-    assert found.dropped == ()
+    assert found.rejected == ()
     assert [(s.u_px, s.v_px) for s in found.spots] == [pytest.approx(place, abs=0.06) for place in PLACES]
 
 
@@ -48,7 +48,7 @@ def test_an_led_that_the_border_cuts_is_where_its_whole_disc_would_be(border: st
     rng = np.random.default_rng(3)
     scene = light(Blob(340, 230))
     found = locate_leds(frame(scene + discs(places=[*PLACES, cut]), rng), frame(scene, rng))
-    assert found.dropped == ()
+    assert found.rejected == ()
     assert min(np.hypot(s.u_px - cut[0], s.v_px - cut[1]) for s in found.spots) < 0.06
     assert len(found.spots) == len(PLACES) + 1
 
@@ -58,7 +58,7 @@ def test_an_led_of_which_too_little_is_left_is_named() -> None:
     scene = light()
     found = locate_leds(frame(scene + discs(places=[*PLACES, (200.0, -2.0)]), rng), frame(scene, rng))
     assert len(found.spots) == len(PLACES)
-    (line,) = found.dropped
+    (line,) = found.rejected
     assert line.startswith("LED at u 200 v ")
     assert "cut_by_edge" in line
 
@@ -69,4 +69,4 @@ def test_a_reflection_at_the_border_that_is_no_led_is_named() -> None:
     streak[:5, 500:580] = 190.0
     found = locate_leds(frame(scene + discs() + streak, rng), frame(scene, rng))
     assert len(found.spots) == len(PLACES)
-    assert len(found.dropped) == 1
+    assert len(found.rejected) == 1

@@ -40,11 +40,11 @@ def test_on_good_spots_it_is_distributed_as_chi_square() -> None:
         misfit = misfit_of(profile.residuals, GRAIN)
         assert misfit is not None
         misfits.append(misfit)
-    ratio = np.array([misfit.chi2 / misfit.freedom for misfit in misfits])
-    freedom = float(np.mean([misfit.freedom for misfit in misfits]))
+    ratio = np.array([misfit.chi2 / misfit.degrees_of_freedom for misfit in misfits])
+    degrees_of_freedom = float(np.mean([misfit.degrees_of_freedom for misfit in misfits]))
     assert ratio.mean() == pytest.approx(1.0, abs=0.08)
-    assert ratio.std() == pytest.approx(np.sqrt(2 / freedom), rel=0.25)
-    assert max(excess_sigmas(misfit.chi2, misfit.freedom) for misfit in misfits) < 4
+    assert ratio.std() == pytest.approx(np.sqrt(2 / degrees_of_freedom), rel=0.25)
+    assert max(excess_sigmas(misfit.chi2, misfit.degrees_of_freedom) for misfit in misfits) < 4
 
 
 def test_sigmas_of_a_chi_square_are_those_of_its_quantiles() -> None:

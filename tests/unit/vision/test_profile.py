@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.cramer_rao import cramer_rao
 from support.frames import Blob, frame, light
 
 from altd.reasons import Reason
 from altd.records import Frame, Spot
-from altd.vision.bound import cramer_rao
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
 from altd.vision.settings import SpotSettings

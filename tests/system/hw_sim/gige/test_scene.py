@@ -37,7 +37,7 @@ def box_around(u: float, v: float, half: int = 55) -> tuple[slice, slice]:
 
 def projected(unit: Unit, camera: str, t_ns: float) -> np.ndarray:
     """Where a camera sees the beam at an instant of the monotonic clock, (u, v)."""
-    u, v = unit.eyes[camera].view.lens.project(*unit.truth(round(t_ns)).at(Z_MM[camera]))
+    u, v = unit.imagers[camera].view.lens.project(*unit.truth(round(t_ns)).at(Z_MM[camera]))
     return np.array([float(u), float(v)])
 
 
@@ -86,7 +86,7 @@ def bright_leds(unit: Unit, camera: str, pixels: np.ndarray) -> int:
     """How many of the places where LEDs sit are far brighter than what is around."""
     count = 0
     for place in LED_POSITIONS_MM:
-        u, v = (round(float(x)) for x in unit.eyes[camera].view.lens.project(*place))
+        u, v = (round(float(x)) for x in unit.imagers[camera].view.lens.project(*place))
         around = pixels[max(v - 20, 0) : v + 21, max(u - 20, 0) : u + 21]
         count += float(pixels[v - 2 : v + 3, u - 2 : u + 3].mean()) > float(np.median(around)) + 60.0
     return count
@@ -133,7 +133,7 @@ def test_a_cameras_output_lights_the_leds_around_its_own_target_in_the_next_expo
 
 def spot_light(unit: Unit, camera: str, pixels: np.ndarray) -> float:
     """Peak over background, smoothed, where the beam of ``--pose`` 0 0 0 0 is."""
-    u, v = (float(x) for x in unit.eyes[camera].view.lens.project(0.0, 0.0))
+    u, v = (float(x) for x in unit.imagers[camera].view.lens.project(0.0, 0.0))
     part = cv2.GaussianBlur(pixels, (0, 0), 4.0)[box_around(u, v)]
     return float(part.max()) - float(np.median(part))
 

@@ -322,7 +322,7 @@ async def test_a_technician_at_a_real_terminal(
     """The keys as xterm sends them, through picocom; the system's clock tells an escape from a key."""
     board.publish(replace(measured, t_ns=time.monotonic_ns()))
     with Line() as line:
-        carrying = asyncio.create_task(line.carry())
+        forwarding = asyncio.create_task(line.forward())
         settings = ConsolePortSettings.model_validate({"device": line.unit_end, "speaks": "console"})
         publisher = ConsolePublisher(settings, board, health, component, SystemClock())
         async with serving(publisher):
@@ -344,4 +344,4 @@ async def test_a_technician_at_a_real_terminal(
                     shown = await terminal.press(keys + b"\x05\x15version\r", b"\r\n> ")
                     assert b"altd 0.1.0" in shown
                     assert b"baud" not in shown
-        await stop(carrying)
+        await stop(forwarding)

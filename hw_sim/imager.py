@@ -1,4 +1,4 @@
-"""One camera of the unit: its view, its chip, and the exposure and gain it is set to."""
+"""One camera of the unit as it images: its view, its sensor, and the exposure time and gain it is set to."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from hw_sim.view import View
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What a camera driver sets: the signal goes with their product."""
+    """What a camera driver sets; the signal is proportional to the product of both."""
 
     exposure_ms: float
     gain: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Backdrop:
-    """All that an exposure shows without the beam, for one state of settings and lamps."""
+class _Background:
+    """The image without the beam, for one state of settings and lamps."""
 
     view: View
     settings: Settings
@@ -34,25 +34,25 @@ class _Backdrop:
     noise_counts: Image
 
 
-class Eye:
-    """A view through a chip; ``settings`` and ``sensor`` may be replaced at any time, from any thread."""
+class Imager:
+    """A camera's view and sensor; ``settings`` and ``sensor`` may be replaced any time, from any thread."""
 
     def __init__(self, view: View, sensor: Sensor, settings: Settings, lux: float) -> None:
         self.view = view
         self.sensor = sensor
         self.settings = settings
         self._lux = lux
-        self._clean = view
-        self._backdrops: dict[bool, _Backdrop] = {}
+        self._clean_view = view
+        self._backgrounds: dict[bool, _Background] = {}
 
-    def lay(self, dust: Dust | None) -> None:
+    def set_dust(self, dust: Dust | None) -> None:
         """Let this dust, and no other, lie on what the view shows."""
-        self.view = self._clean if dust is None else self._clean.behind(dust)
+        self.view = self._clean_view if dust is None else self._clean_view.with_dust(dust)
 
     def mean_e(
         self, spots: Sequence[Footprint], leds_on: bool, exposure_ms: float, even_mw_per_mm2: float = 0.0
     ) -> Image:
-        """Mean electrons of an exposure, (rows, columns): the light, before any noise.
+        """Mean electrons of a frame, (rows, columns): the light, before any noise.
 
         ``even_mw_per_mm2`` lights the whole target, as a flat field wants it.
         """
@@ -71,29 +71,29 @@ class Eye:
         rng: np.random.Generator,
         even_mw_per_mm2: float = 0.0,
     ) -> PixelArray:
-        """Grey values with every photon drawn for itself."""
+        """Grey values with Poisson noise drawn pixel by pixel."""
         settings = self.settings
         mean_e = self.mean_e(spots, leds_on, settings.exposure_ms, even_mw_per_mm2)
         return self.sensor.expose(mean_e, settings.gain, rng)
 
-    def sketch(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
-        """Grey values with the same statistics, from standard normal ``noise`` and a kept backdrop."""
-        backdrop = self._backdrop(leds_on)
-        view, settings, sensor = backdrop.view, backdrop.settings, backdrop.sensor
-        counts = backdrop.noise_counts * noise
-        counts += backdrop.counts
+    def expose_from_pool(self, spots: Sequence[Footprint], leds_on: bool, noise: Image) -> PixelArray:
+        """Grey values with the same statistics, from standard normal ``noise`` and a cached background."""
+        background = self._background(leds_on)
+        view, settings, sensor = background.view, background.settings, background.sensor
+        counts = background.noise_counts * noise
+        counts += background.counts
         region, electrons = view.beam_e(spots, settings.exposure_ms)
-        electrons += backdrop.electrons[region]
+        electrons += background.electrons[region]
         spread = sensor.noise_counts(electrons, settings.gain) * noise[region]
         counts[region] = sensor.mean_counts(electrons, settings.gain) + spread
         return sensor.quantise(counts)
 
-    def _backdrop(self, leds_on: bool) -> _Backdrop:
+    def _background(self, leds_on: bool) -> _Background:
         view, settings, sensor = self.view, self.settings, self.sensor
-        kept = self._backdrops.get(leds_on)
-        if kept is None or (kept.view, kept.settings, kept.sensor) != (view, settings, sensor):
+        cached = self._backgrounds.get(leds_on)
+        if cached is None or (cached.view, cached.settings, cached.sensor) != (view, settings, sensor):
             electrons = view.background_e(settings.exposure_ms, self._lux, leds_on)
-            kept = _Backdrop(
+            cached = _Background(
                 view,
                 settings,
                 sensor,
@@ -101,5 +101,5 @@ class Eye:
                 sensor.mean_counts(electrons, settings.gain),
                 sensor.noise_counts(electrons, settings.gain),
             )
-            self._backdrops[leds_on] = kept
-        return kept
+            self._backgrounds[leds_on] = cached
+        return cached

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.plates import COLUMNS, ROWS, View, grid_mm, tilted
 
-from altd.vision.plate_grid import match_grid
+from altd.vision.led_grid import match_grid
 
 LEDS_MM = grid_mm().reshape(-1, 2)
 

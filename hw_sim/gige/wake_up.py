@@ -1,4 +1,4 @@
-"""Keeps Aravis' camera to its time.
+"""Keeps Aravis' camera to its frame period.
 
 Its loop (0.8.26) waits for the rest of the period by an unsigned difference. In one frame of some thousand
 the next instant has just passed, the difference is enormous, and the loop sleeps as long as it ever does,
@@ -15,39 +15,39 @@ from collections.abc import Callable
 
 from hw_sim.gige.loopback import GVCP_PORT
 
-AFTER_S = 0.001
-"""After the exposure's instant: by then a loop that is well has begun it."""
+DELAY_S = 0.001
+"""After the exposure's instant: by then a loop that is awake has begun it."""
 
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 1)
 """GVCP's question who is there, which changes nothing."""
 
 
-class Nudge:
+class WakeUp:
     """Wakes the camera at ``address`` just after each whole ``period_us`` of the realtime clock."""
 
     def __init__(self, address: str, period_us: Callable[[], int]) -> None:
         self._address = address
         self._period_us = period_us
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._nudge, name=f"nudge {address}")
+        self._thread = threading.Thread(target=self._wake_up, name=f"wake up {address}")
         self._thread.start()
 
     def close(self) -> None:
-        """Leave it alone."""
+        """Stop waking it."""
         self._ended.set()
         self._thread.join()
 
-    def _nudge(self) -> None:
+    def _wake_up(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
             link.connect((self._address, GVCP_PORT))
             link.setblocking(False)
-            while not self._ended.wait(self._rest_s()):
+            while not self._ended.wait(self._until_next_s()):
                 try:
                     link.send(_DISCOVERY)
                     link.recv(1024)  # the answer to the last one
                 except OSError:  # nothing there yet, or nobody any more
                     continue
 
-    def _rest_s(self) -> float:
+    def _until_next_s(self) -> float:
         period_s = 1e-6 * max(self._period_us(), 1000)
-        return period_s - (time.time() - AFTER_S) % period_s
+        return period_s - (time.time() - DELAY_S) % period_s

@@ -7,7 +7,7 @@ from support.frames import HEIGHT, WIDTH, Blob, light
 from support.plates import View, add_disc, grid_mm, plate_light, tilted
 
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
-from altd.vision.plate import disc_centres_px, find_discs
+from altd.vision.led_discs import disc_centres_px, find_discs
 
 ORDINARY = View(1333.0, 420.0, tilted(12.0, 1.0, 2.0))
 TILTED = View(950.0, 340.0, tilted(30.0, 2.5), mirrored=True)
@@ -71,7 +71,7 @@ def test_a_disc_that_the_edge_cuts_is_told_as_such() -> None:
     for x in (-118.0, 0.0, 118.0):
         add_disc(scene, View(1333.0, 420.0, distortion=(0.0,) * 5), np.array([x, 0.0]), 5.0, 150.0)
     seen = find_discs(scene.astype(np.float32)).found
-    assert sorted((int(disc.u_px), disc.cut) for disc in seen) == [(3, True), (375, False), (747, True)]
+    assert sorted((int(disc.u_px), disc.is_cut) for disc in seen) == [(3, True), (375, False), (747, True)]
 
 
 def test_an_unlit_plate_shows_nothing() -> None:

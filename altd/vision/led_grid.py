@@ -1,8 +1,8 @@
-"""Which found LED is which of the plate's grid: neighbours are followed from one to the next.
+"""Assigns found LEDs to places in the plate's grid, from neighbour to neighbour.
 
 A full grid looks the same upside down, and mirrored but for the side of its columns. So two things are taken
-as known: whether the camera sees the target mirrored, and that up in the picture is up (+y), to within
-``LARGEST_TURN_DEG``.
+as known: whether the camera sees the target mirrored, and that up in the image is up (+y), to within
+``MAX_TURN_DEG``.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 
-LARGEST_TURN_DEG = 30.0
+MAX_TURN_DEG = 30.0
 
 Cell = tuple[int, int]
 
-_SEEDS = 9
-_NEIGHBOURS = 6
-_REACH = 0.3
-"""A neighbour lies within this share of a step of where the step before it points."""
-_OFF_SHARE = 0.2
-"""The same for a smooth map through all the others."""
-_FEWEST_FOR_CUBIC = 16
-_LEAST_LEFT = 0.08
-"""A point that the cubic follows more closely than so is on its own: no other tells whether it is right."""
-_LEAST_SHARE = 0.5
-_CLEAR_BY = 2
-"""By so many LEDs the grid must fit better than shifted by a line."""
+_MAX_STARTS = 9
+_MAX_NEIGHBOURS = 6
+_MAX_STEP_DEVIATION = 0.3
+"""A neighbour deviates from the place that the step before it predicts by at most this share of the step."""
+_MAX_CUBIC_DEVIATION = 0.2
+"""The same for the place that a cubic map through all the others predicts."""
+_MIN_FOR_CUBIC = 16
+_MIN_REDUNDANCY = 0.08
+"""1 − leverage: a point with less determines the cubic by itself, no other can check it."""
+_MIN_LATTICE_SHARE = 0.5
+_MIN_MARGIN_LEDS = 2
+"""By so many LEDs the grid must fit better than when shifted by a line."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +53,13 @@ def match_grid(points_px: FloatArray, columns: int, rows: int, mirrored: bool) -
     Raises ValueError, in words for the user, when they are no such grid or their place in it cannot be told.
     """
     cells = _largest_lattice(points_px, columns, rows)
-    if len(cells) < max(_LEAST_SHARE * columns * rows, 6):
+    if len(cells) < max(_MIN_LATTICE_SHARE * columns * rows, 6):
         raise ValueError(f"of {len(points_px)} lights only {len(cells)} lie on a grid")
-    _correct(points_px, cells)
+    _remove_outliers(points_px, cells)
     _fill_gaps(points_px, cells)
-    _correct(points_px, cells)
-    upright = _turned_upright(points_px, cells, mirrored)
-    placed = _placed(upright, columns, rows)
+    _remove_outliers(points_px, cells)
+    upright = _oriented(points_px, cells, mirrored)
+    placed = _placed_in_grid(upright, columns, rows)
     extra = sorted(set(range(len(points_px))) - set(placed[placed >= 0].tolist()))
     return GridMatch(placed, tuple(extra))
 
@@ -71,17 +71,17 @@ def _largest_lattice(points: FloatArray, columns: int, rows: int) -> dict[Cell, 
     if len(points) < 4:
         return best
     middle = np.median(points, axis=0)
-    for seed in np.argsort(np.linalg.norm(points - middle, axis=1))[:_SEEDS].tolist():
-        off = points - points[seed]
-        near = np.argsort(np.linalg.norm(off, axis=1))[1 : _NEIGHBOURS + 1].tolist()
+    for start in np.argsort(np.linalg.norm(points - middle, axis=1))[:_MAX_STARTS].tolist():
+        offsets = points - points[start]
+        near = np.argsort(np.linalg.norm(offsets, axis=1))[1 : _MAX_NEIGHBOURS + 1].tolist()
         for at, first in enumerate(near):
             for second in near[at + 1 :]:
-                a, b = off[first], off[second]
+                a, b = offsets[first], offsets[second]
                 sine = abs(a[0] * b[1] - a[1] * b[0]) / (np.linalg.norm(a) * np.linalg.norm(b))
                 if sine < 0.6:
                     continue
-                cells = _grown(points, seed, a, b)
-                count = max(_most_in(cells, columns, rows), _most_in(cells, rows, columns))
+                cells = _follow_lattice(points, start, a, b)
+                count = max(_max_count(cells, columns, rows), _max_count(cells, rows, columns))
                 if count > best_count:
                     best, best_count = cells, count
                 if count == min(columns * rows, len(points)):
@@ -89,11 +89,11 @@ def _largest_lattice(points: FloatArray, columns: int, rows: int) -> dict[Cell, 
     return best
 
 
-def _grown(points: FloatArray, seed: int, a: FloatArray, b: FloatArray) -> dict[Cell, int]:
-    """Follow the steps from neighbour to neighbour; each is taken from the nearest pair that is known."""
-    cells: dict[Cell, int] = {(0, 0): seed}
+def _follow_lattice(points: FloatArray, start: int, a: FloatArray, b: FloatArray) -> dict[Cell, int]:
+    """The lattice of steps from neighbour to neighbour; each step is that of the nearest known pair."""
+    cells: dict[Cell, int] = {(0, 0): start}
     free = np.ones(len(points), dtype=bool)
-    free[seed] = False
+    free[start] = False
     queue = deque([(0, 0)])
     while queue:
         at = queue.popleft()
@@ -103,10 +103,10 @@ def _grown(points: FloatArray, seed: int, a: FloatArray, b: FloatArray) -> dict[
                 continue
             step = _step(points, cells, at, direction)
             step = first if step is None else step
-            miss = np.linalg.norm(points - (points[cells[at]] + step), axis=1)
-            miss[~free] = np.inf
-            nearest = int(miss.argmin())
-            if miss[nearest] < _REACH * np.linalg.norm(step):
+            distance_px = np.linalg.norm(points - (points[cells[at]] + step), axis=1)
+            distance_px[~free] = np.inf
+            nearest = int(distance_px.argmin())
+            if distance_px[nearest] < _MAX_STEP_DEVIATION * np.linalg.norm(step):
                 cells[to] = nearest
                 free[nearest] = False
                 queue.append(to)
@@ -114,7 +114,7 @@ def _grown(points: FloatArray, seed: int, a: FloatArray, b: FloatArray) -> dict[
 
 
 def _step(points: FloatArray, cells: Mapping[Cell, int], at: Cell, direction: Cell) -> FloatArray | None:
-    """The step from a cell as its neighbours know it: the one before it, else one beside it."""
+    """The step from a cell predicted by its neighbours: the one before it, else those beside it."""
     i, j = at
     di, dj = direction
     before = cells.get((i - di, j - dj))
@@ -126,8 +126,8 @@ def _step(points: FloatArray, cells: Mapping[Cell, int], at: Cell, direction: Ce
     return np.asarray(np.mean(steps, axis=0)) if steps else None
 
 
-def _most_in(cells: Mapping[Cell, int], columns: int, rows: int) -> int:
-    """Most cells that a window of columns × rows can hold."""
+def _max_count(cells: Mapping[Cell, int], columns: int, rows: int) -> int:
+    """The largest number of cells in a window of columns × rows."""
     return max(count for count, _, _ in _windows(cells, columns, rows))
 
 
@@ -148,30 +148,30 @@ def _windows(cells: Mapping[Cell, int], columns: int, rows: int) -> list[tuple[i
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Smooth:
+class _CubicMap:
     """A cubic through the lattice's points: cell → px."""
 
     centre: FloatArray
     scale: float
     coefficients: FloatArray
-    left_out_px: FloatArray
-    """Where the others put each point of the lattice, (n, 2); NaN where they do not tell."""
+    leave_one_out_px: FloatArray
+    """Each point of the lattice as the fit to all others predicts it, (n, 2); NaN without redundancy."""
 
     @classmethod
-    def through(cls, points: FloatArray, cells: Mapping[Cell, int]) -> Self:
-        """Least squares, with the leverage taken out of each point's own residual."""
+    def fit(cls, points: FloatArray, cells: Mapping[Cell, int]) -> Self:
+        """Least squares, with the leave-one-out prediction of each point by its leverage."""
         places = np.array(list(cells), dtype=np.float64)
         seen = points[list(cells.values())]
         centre, scale = places.mean(axis=0), float(np.ptp(places, axis=0).max() / 2)
         design = _cubic((places - centre) / scale)
         inverse = np.linalg.pinv(design)
         coefficients = inverse @ seen
-        left = 1 - np.einsum("nk,kn->n", design, inverse)[:, None]
-        left = np.where(left < _LEAST_LEFT, np.nan, left)
-        return cls(centre, scale, coefficients, seen - (seen - design @ coefficients) / left)
+        redundancy = 1 - np.einsum("nk,kn->n", design, inverse)[:, None]
+        redundancy = np.where(redundancy < _MIN_REDUNDANCY, np.nan, redundancy)
+        return cls(centre, scale, coefficients, seen - (seen - design @ coefficients) / redundancy)
 
     def to_px(self, cells: npt.ArrayLike) -> FloatArray:
-        """Where cells (n, 2) lie."""
+        """The places (n, 2) of cells (n, 2)."""
         places = np.asarray(cells, dtype=np.float64)
         return np.asarray(_cubic((places - self.centre) / self.scale) @ self.coefficients)
 
@@ -186,47 +186,47 @@ def _cubic(q: FloatArray) -> FloatArray:
     return np.stack([q[:, 0] ** i * q[:, 1] ** j for i in range(4) for j in range(4 - i)], axis=-1)
 
 
-def _correct(points: FloatArray, cells: dict[Cell, int]) -> None:
-    """Take the worst point off its cell as long as the others put the LED there elsewhere.
+def _remove_outliers(points: FloatArray, cells: dict[Cell, int]) -> None:
+    """Replace or remove the point with the largest leave-one-out residual until none is an outlier.
 
-    A light beside an LED, or in the place of a dark one, may be what the steps met first.
+    The steps may have met a light beside an LED, or in the place of a dark one.
     """
     for _ in range(2 * len(points)):
-        if len(cells) < _FEWEST_FOR_CUBIC:
+        if len(cells) < _MIN_FOR_CUBIC:
             return
-        smooth = _Smooth.through(points, cells)
-        off_px = np.linalg.norm(points[list(cells.values())] - smooth.left_out_px, axis=1)
-        shares = off_px / np.array([smooth.step_px(cell) for cell in cells])
+        cubic = _CubicMap.fit(points, cells)
+        residuals_px = np.linalg.norm(points[list(cells.values())] - cubic.leave_one_out_px, axis=1)
+        shares = residuals_px / np.array([cubic.step_px(cell) for cell in cells])
         at = int(np.where(np.isnan(shares), np.inf, shares).argmax())
         cell = list(cells)[at]
         if np.isnan(shares[at]):
             del cells[cell]
             continue
         free = _free(points, cells)
-        miss_px = np.linalg.norm(points[free] - smooth.left_out_px[at], axis=1)
-        if len(free) and miss_px.min() < off_px[at] / 2:
-            cells[cell] = free[int(miss_px.argmin())]
-        elif shares[at] > _OFF_SHARE:
+        distance_px = np.linalg.norm(points[free] - cubic.leave_one_out_px[at], axis=1)
+        if len(free) and distance_px.min() < residuals_px[at] / 2:
+            cells[cell] = free[int(distance_px.argmin())]
+        elif shares[at] > _MAX_CUBIC_DEVIATION:
             del cells[cell]
         else:
             return
 
 
 def _fill_gaps(points: FloatArray, cells: dict[Cell, int]) -> None:
-    """Find LEDs behind dark ones, where a smooth map through the others puts them."""
-    found = len(cells) >= _FEWEST_FOR_CUBIC
+    """Assign LEDs behind dark ones, where the cubic map through the others predicts them."""
+    found = len(cells) >= _MIN_FOR_CUBIC
     while found:
         found = False
-        smooth = _Smooth.through(points, cells)
+        cubic = _CubicMap.fit(points, cells)
         places = np.array(list(cells))
         low, high = places.min(axis=0).tolist(), places.max(axis=0).tolist()
         for cell in ((i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)):
             free = _free(points, cells)
             if cell in cells or not free:
                 continue
-            miss_px = np.linalg.norm(points[free] - smooth.to_px([cell])[0], axis=1)
-            if miss_px.min() < _OFF_SHARE * smooth.step_px(cell):
-                cells[cell] = free[int(miss_px.argmin())]
+            distance_px = np.linalg.norm(points[free] - cubic.to_px([cell])[0], axis=1)
+            if distance_px.min() < _MAX_CUBIC_DEVIATION * cubic.step_px(cell):
+                cells[cell] = free[int(distance_px.argmin())]
                 found = True
 
 
@@ -235,14 +235,14 @@ def _free(points: FloatArray, cells: Mapping[Cell, int]) -> list[int]:
     return sorted(set(range(len(points))) - set(cells.values()))
 
 
-def _turned_upright(points: FloatArray, cells: Mapping[Cell, int], mirrored: bool) -> dict[Cell, int]:
-    """The same lattice counted along x and y."""
+def _oriented(points: FloatArray, cells: Mapping[Cell, int], mirrored: bool) -> dict[Cell, int]:
+    """The lattice with its cells counted along x and y."""
     places = np.array(list(cells), dtype=np.float64)
     design = np.column_stack([places, np.ones(len(places))])
     along_i, along_j, _ = np.linalg.lstsq(design, points[list(cells.values())], rcond=None)[0]
     x_in_picture = np.array([-1.0 if mirrored else 1.0, 0.0])
     y_in_picture = np.array([0.0, -1.0])
-    ways = []
+    orientations = []
     for swapped in (False, True):
         for sign_x in (1, -1):
             for sign_y in (1, -1):
@@ -251,13 +251,13 @@ def _turned_upright(points: FloatArray, cells: Mapping[Cell, int], mirrored: boo
                 if (x[0] * y[1] - x[1] * y[0] > 0) != mirrored:  # v runs down and y up
                     continue
                 turn = (_angle(x_in_picture, x) + _angle(y_in_picture, y)) / 2
-                spread = abs(_angle(x_in_picture, x) - _angle(y_in_picture, y))
-                ways.append((abs(turn) + spread, turn, swapped, sign_x, sign_y))
-    _, turn, swapped, sign_x, sign_y = min(ways)
-    if abs(turn) > math.radians(LARGEST_TURN_DEG):
+                skew = abs(_angle(x_in_picture, x) - _angle(y_in_picture, y))
+                orientations.append((abs(turn) + skew, turn, swapped, sign_x, sign_y))
+    _, turn, swapped, sign_x, sign_y = min(orientations)
+    if abs(turn) > math.radians(MAX_TURN_DEG):
         raise ValueError(
             f"the plate's rows are turned by {math.degrees(turn):.0f}° in the picture; it must stand upright "
-            f"to within {LARGEST_TURN_DEG:.0f}°, or its origin cannot be told"
+            f"to within {MAX_TURN_DEG:.0f}°, or its origin cannot be told"
         )
     return {
         ((sign_x * j, sign_y * i) if swapped else (sign_x * i, sign_y * j)): row
@@ -271,14 +271,14 @@ def _angle(wanted: FloatArray, seen: FloatArray) -> float:
     )
 
 
-def _placed(cells: Mapping[Cell, int], columns: int, rows: int) -> npt.NDArray[np.int64]:
-    """The plate's place in the lattice: the window that holds most LEDs, if no other holds nearly as many."""
+def _placed_in_grid(cells: Mapping[Cell, int], columns: int, rows: int) -> npt.NDArray[np.int64]:
+    """The grid's place in the lattice: the window with most LEDs, unless another one has nearly as many."""
     windows = _windows(cells, columns, rows)
     count, first_column, first_row = windows[0]
     upright = f"{columns} × {rows} (columns × rows)"
-    if _most_in(cells, rows, columns) > count + _CLEAR_BY:
+    if _max_count(cells, rows, columns) > count + _MIN_MARGIN_LEDS:
         raise ValueError(f"the lit LEDs stand {rows} × {columns} in the picture, the plate has {upright}")
-    if len(windows) > 1 and count - windows[1][0] < _CLEAR_BY:
+    if len(windows) > 1 and count - windows[1][0] < _MIN_MARGIN_LEDS:
         seen = np.ptp(np.array(list(cells)), axis=0) + 1
         raise ValueError(
             f"{seen[0]} × {seen[1]} lit LEDs are seen, the plate has {upright}: where they belong in it "
