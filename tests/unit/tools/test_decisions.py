@@ -57,5 +57,5 @@ def test_one_without_the_form_or_the_next_number_is_refused(
 def test_two_of_one_number_are_refused(tmp_path: Path) -> None:
     (tmp_path / "0001-pencils.md").write_text(DECISION)
     (tmp_path / "0001-pens.md").write_text(DECISION)
-    with pytest.raises(ValueError, match="0001-pens.md.*must have the number 0002"):
+    with pytest.raises(ValueError, match=r"0001-pens\.md.*must have the number 0002"):
         page(tmp_path)
