@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige test fuzz check bench bench-area bench-guest bench-live bench-memory bench-spray bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-live bench-memory bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 python := .venv/bin/python
@@ -14,6 +14,7 @@ LIVE_S ?= 60
 CAMPAIGN_S ?= 180
 FUZZ_S ?= 600
 SPRAY_S ?= 600
+unit_tests := $(python) -m pytest --numprocesses auto --dist worksteal --timeout 60 tests/unit
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -36,8 +37,20 @@ demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige
 
-test: programs venv kernel ## the tests
-	@exec $(python) -m pytest
+unit: venv ## the quick tests, on all cores: under a minute
+	@exec $(unit_tests)
+
+test: programs venv kernel ## all tests: the quick ones, the others, and alone those with limits of real time
+	@trap 'exit 130' INT
+	failed=
+	part() { # NAME COMMAND...
+	    printf '\n== %s\n' "$$1"
+	    "$${@:2}" || failed+=" $$1"
+	}
+	part unit $(unit_tests)
+	part system $(python) -m pytest --numprocesses 4 --dist loadfile -m 'not real_time' tests/system
+	part real-time $(python) -m pytest -m real_time tests/system
+	[[ -z $$failed ]] || { echo "altd: tests failed:$$failed" >&2; exit 1; }
 
 fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
 	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))

@@ -76,10 +76,6 @@ def no_thread_is_left() -> Iterator[None]:
         time.sleep(0.01)
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", f"{own_network.MARKER}: runs in a network namespace of its own")
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     if own_network.inside() or pyfuncitem.get_closest_marker(own_network.MARKER) is None:
@@ -94,10 +90,12 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A test that leaks a task fails."""
+    """A test that leaks a task fails; the first of those in an own network waits for all of its file."""
     for item in items:
         if isinstance(item, pytest.Function) and inspect.iscoroutinefunction(item.obj):
             item.obj = _leaving_no_task(item.obj)
+        if item.get_closest_marker(own_network.MARKER) is not None and not own_network.inside():
+            item.add_marker(pytest.mark.timeout(own_network.FILE_TIMEOUT_S + 20))
 
 
 def _leaving_no_task(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:

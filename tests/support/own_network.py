@@ -20,6 +20,8 @@ import pytest
 from support.foreign import need, need_program
 
 MARKER = "own_network"
+FILE_TIMEOUT_S = 400.0
+"""All marked tests of one file; each has a time-out of its own inside."""
 _NOTES = "ALTD_OWN_NETWORK_NOTES"
 _UP = 'ip link set lo up && ip address add 127.0.0.2/32 dev lo && exec "$@"'
 _complaints: dict[str, str] = {}
@@ -68,7 +70,7 @@ def _run_file(item: pytest.Item, in_own_network: list[str]) -> None:
             env=os.environ | {_NOTES: notes.name},
             capture_output=True,
             text=True,
-            timeout=300,
+            timeout=FILE_TIMEOUT_S,
             check=False,
         )
         _complaints.update(dict.fromkeys(asked_for, f"did not run:\n{done.stdout}{done.stderr}"))

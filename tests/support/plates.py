@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from support.frames import HEIGHT, WIDTH
 from support.recordings import header
 
 COLUMNS, ROWS, PITCH_MM, DISC_MM = 7, 5, 25.0, 5.0
+_WITHIN_MM = np.stack(np.meshgrid(np.linspace(-70, 70, 11), np.linspace(-46, 46, 8)), axis=-1).reshape(-1, 2)
 FINE = 16
 """Cells per pixel and axis in which a disc's outline is filled."""
 
@@ -46,6 +47,10 @@ class View:
             px, _ = cv2.projectPoints(face, turn, move, matrix, np.array(self.distortion))
         return np.asarray(px).reshape(-1, 2)
 
+    def misses_mm(self, to_mm: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """How far a map from px (n, 2) to mm (n, 2) puts points of the plate from where they are."""
+        return np.linalg.norm(to_mm(self.to_px(_WITHIN_MM)) - _WITHIN_MM, axis=1)
+
 
 def tilted(degrees: float, towards: float, roll: float = 0.0) -> tuple[float, float, float]:
     """Rodrigues' vector of a camera tilted about an axis in the plate's plane, then rolled; degrees."""
@@ -53,6 +58,10 @@ def tilted(degrees: float, towards: float, roll: float = 0.0) -> tuple[float, fl
     first, _ = cv2.Rodrigues(np.radians(degrees) * axis)
     second, _ = cv2.Rodrigues(np.radians(roll) * np.array([0.0, 0.0, 1.0]))
     return tuple(float(part) for part in cv2.Rodrigues(second @ first)[0].ravel())
+
+
+FRONT = View(1333.0, 420.0, tilted(12.0, 1.0, 2.0), mirrored=True)
+REAR = View(950.0, 340.0, tilted(30.0, 2.5, -3.0))
 
 
 def grid_mm() -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from support.cli import altd_here
+from support.ports import free_port
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
 
@@ -72,12 +72,6 @@ class PlayingDaemon:
             assert self.process.poll() is None, "it ended"
             time.sleep(0.05)
         raise AssertionError(f"not valid after {timeout_s} s")
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-        return port
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -123,3 +124,10 @@ def grid(columns: int = 5, rows: int = 4, pitch_mm: float = 25.0) -> list[tuple[
         for j in range(rows)
         for i in range(columns)
     ]
+
+
+def write_scan_of(path: Path, *targets: Mapping[str, object], exposures: int = 1, **more: Any) -> Path:
+    """A scan of these targets on ``grid``; the spots are where the stage is."""
+    names = [str(target["name"]) for target in targets]
+    shots = [(dict.fromkeys(names, place), place) for place in grid() for _ in range(exposures)]
+    return write_targets(path, "scan", targets, shots, **more)

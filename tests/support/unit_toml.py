@@ -10,6 +10,36 @@ TARGETS = (
 )
 """Of every unit of the tests, for settings that are made without a file."""
 
+ALL_FACES = """\
+max_lag_ms = 10.0
+[installation]
+sign_y = -1
+[modbus_tcp]
+host = "127.0.0.1"
+port = {port}
+unit_id = 7
+[http]
+host = "127.0.0.2"
+port = {port}
+[[serial]]
+device = "/dev/altd-none-0"
+speaks = "telegram"
+interval_s = 0.5
+[[serial]]
+device = "/dev/altd-none-1"
+speaks = "modbus_rtu"
+parity = "even"
+[[serial]]
+device = "/dev/altd-none-2"
+speaks = "console"
+[stage]
+driver = "grbl"
+device = "/dev/altd-none-3"
+[scan]
+columns = 5
+"""
+"""Further settings of a unit that plays, one of each table; its serial ports do not exist."""
+
 
 def unit_toml(serial: str, calibration: object, front: str, rear: str, more: str = "") -> str:
     """``front`` and ``rear`` are the lines of the cameras' tables, ``more`` all further tables."""

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import stat
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from support import evidence
 from support.cli import altd, refusal, unreadable
 from support.devices import full_device
 from support.pngs import png
+from support.ports import free_port
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
 
@@ -122,8 +122,7 @@ def test_a_picture_that_claims_to_be_huge(picture: bytes, copy: Path) -> None:
 def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_it_is_gone(
     copy: Path,
 ) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     config = write_config(
         copy / "altd.toml", copy / "cal.json", copy / "beams", f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
     )

@@ -10,7 +10,7 @@ import urllib.request
 from typing import Any
 
 from support.clock import stop
-from support.played_unit import free_port
+from support.ports import free_port
 from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon

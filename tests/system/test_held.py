@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 from support.cli import altd
 from support.held import hold
+from support.ports import free_port
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
-
-from benchmarks.live.parts import free_port
 
 STALE_AFTER_S = 1.0
 HALF_A_WINDOW_S = 0.1

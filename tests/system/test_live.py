@@ -14,10 +14,11 @@ import pytest
 from support.gige import register
 from support.held import hold
 from support.own_network import inside
+from support.ports import free_port
 
 from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate, daemon_command, free_port, running, write_config
+from benchmarks.live.parts import calibrate, daemon_command, running, write_config
 from benchmarks.live.spray import spray
 from benchmarks.live.unit import (
     FRONT,

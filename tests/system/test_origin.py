@@ -28,7 +28,7 @@ from support.cli import altd
 from support.foreign import need_program
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
-from support.played_unit import free_port
+from support.ports import free_port
 from support.recordings import header, write_beams, write_scan
 from support.unit_toml import write_config
 

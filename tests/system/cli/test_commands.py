@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from support.cli import altd, refusal
 from support.frames import frame
+from support.ports import free_port
 from support.recordings import write, write_beams, write_scan
 from support.unit_toml import write_config
 
@@ -237,8 +238,7 @@ class TestBadInput:
 
 
 def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path, tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
     config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beams", more)
     process = subprocess.Popen(

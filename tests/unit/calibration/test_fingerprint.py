@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.recordings import write_scan
+from support.played_unit import PlayedUnit
 
-from altd.calibration.calibrating import calibrate
 from altd.calibration.file import _checksum, load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
-from altd.recording.reader import open_recording
 from altd.records import CameraIdentity
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
@@ -23,13 +21,10 @@ HOT = HotPixels(places_of([(3, 4), (700, 20)]), places_of([(5, 6)]))
 
 
 @pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    scan = write_scan(tmp_path_factory.mktemp("scan") / "rec")
-    header = json.loads((scan / "recording.json").read_text())
-    front = {**header["cameras"]["front"], "serial": "F-7", "model": "mini", "driver": "aravis"}
-    header["cameras"] = {**header["cameras"], "front": front}
-    (scan / "recording.json").write_text(json.dumps(header))
-    return calibrate([open_recording(scan)]).calibration
+def calibration(played_unit: PlayedUnit) -> Calibration:
+    made = load_calibration(played_unit.calibration)
+    front, rear = made.targets
+    return replace(made, targets=(replace(front, camera=CameraIdentity("F-7", "mini", "aravis")), rear))
 
 
 def reloaded(calibration: Calibration, folder: Path) -> Calibration:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from support.cli import altd_here, refusal
 from support.foreign import need_program
+from support.played_unit import PlayedUnit
 from support.unit_toml import write_config
 
 from altd.calibration.file import load_calibration, save_calibration
@@ -81,13 +82,14 @@ def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.fixture(scope="module")
-def unit(unit_3: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a config whose recording and calibration are good."""
+def unit(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a config whose recording and calibration are good; the calibration is simulated."""
     folder = tmp_path_factory.mktemp("unit")
-    shutil.copytree(unit_3, folder, dirs_exist_ok=True)
-    config = write_config(folder / "altd.toml", folder / "cal.json", folder / "scan")
-    serial = load_calibration(folder / "cal.json").unit_serial
-    config.write_text(config.read_text().replace("TEST-1", serial))
+    shutil.copytree(played_unit.folder, folder, dirs_exist_ok=True)
+    known = load_calibration(played_unit.calibration)
+    simulated = tuple(replace(target, origin=Origin.SIMULATED) for target in known.targets)
+    save_calibration(replace(known, targets=simulated), folder / "cal.json")
+    write_config(folder / "altd.toml", folder / "cal.json", folder / "scan")
     return folder
 
 

@@ -7,25 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.measurements import beam_of, points_of
-from support.recordings import picture, write_scan
+from support.played_unit import PlayedUnit
+from support.recordings import picture
 
-from altd.calibration.calibrating import calibrate
+from altd.calibration.file import load_calibration
 from altd.config import Installation, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
-from altd.recording.reader import open_recording
 from altd.records import Fault, Frame, Measurement, NoSpot, Spot
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
 
 
 @pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    scan = open_recording(write_scan(tmp_path_factory.mktemp("scan") / "rec"))
-    return calibrate([scan]).calibration
+def calibration(played_unit: PlayedUnit) -> Calibration:
+    return load_calibration(played_unit.calibration)
 
 
 def chain(calibration: Calibration, *origins: Reason, **installation: float) -> MeasuringChain:

@@ -39,20 +39,6 @@ def test_what_was_exposed_is_new(bits: int, noise: float) -> None:
     assert repeats(live(150, bits=bits, noise=noise)) == []
 
 
-@pytest.mark.parametrize("background", [-5.0, -1.0, 0.0, 0.4, 4.0])
-def test_a_camera_that_cuts_its_dark_off_at_black_is_no_repeat(background: float) -> None:
-    """The noise of the dark is hidden there, and hot pixels stand at full scale."""
-    rng = np.random.default_rng(5)
-    hot = rng.random((HEIGHT, WIDTH)) < 1e-3
-    shot_noise = 0.1 * np.sqrt(SPOT)
-    frames = []
-    for n in range(150):
-        image = SPOT + shot_noise * rng.standard_normal(SPOT.shape)
-        taken = frame(image, rng, 0.2, background, sequence=n, t_ns=n * PERIOD_NS)
-        frames.append(again(taken, n, np.where(hot, 255, taken.pixels).astype(np.uint8)))
-    assert repeats(frames) == []
-
-
 @pytest.mark.parametrize("value", [0, 40, 255])
 def test_a_picture_of_one_value_says_nothing(value: int) -> None:
     even = Frame("front", 0, 0, np.full((HEIGHT, WIDTH), value, np.uint8))

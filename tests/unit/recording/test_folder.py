@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -164,25 +163,6 @@ def test_rows_that_are_appended_later_are_not_seen(recording: Path) -> None:
         table.write("2,0.1,front,gone.png,off,,,\n2,0.1,re")
     assert len([*opened.rows]) == len(opened.rows) == 4
     assert [row.file for row in opened.rows.of("rear")] == ["rear0000.png", "rear0001.png"]
-
-
-def test_rows_take_no_memory(tmp_path: Path) -> None:
-    """30,000 of them would take 10 MB."""
-    path = tmp_path / "rec"
-    path.mkdir()
-    size = {"width": 16, "height": 16, "bits": 8}
-    (path / "recording.json").write_text(json.dumps(header("measurement") | {"cameras": {"front": size}}))
-    cv2.imwrite(str(path / "f.png"), np.zeros((16, 16), np.uint8))
-    rows = (f"{number},{number / 20:.6f},front,f.png,off,," for number in range(30_000))
-    (path / "frames.csv").write_text("\n".join(["sequence,t_s,camera,file,leds,x_mm,y_mm", *rows]))
-    tracemalloc.start()
-    try:
-        opened = open_recording(path)
-        assert len(opened.rows) == sum(1 for _ in opened.rows) == 30_000
-        assert (opened.rows.first.sequence, opened.rows.last.sequence) == (0, 29_999)
-        assert tracemalloc.get_traced_memory()[1] < 4e6
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("bits", [8, 12, 16])

@@ -1,17 +1,11 @@
-"""The background against a fall-off by formula, and on frames of a simulated unit without a spot."""
+"""The background against a fall-off by formula."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from support.frames import HEIGHT, WIDTH, frame, light
 
-from altd.reasons import Reason
-from altd.records import NoSpot
 from altd.vision.background import coarse_image, fit_background
-from altd.vision.localise import locate
-from hw_sim.faults import Fault
-from hw_sim.unit import CAMERAS, Unit, UnitConfig
 
 
 def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
@@ -24,14 +18,3 @@ def test_sloping_light_behind_the_fall_off_of_a_lens_is_followed() -> None:
     assert np.sqrt(np.mean(np.square(off))) < 0.15
     assert np.abs(off).max() < 0.8  # in a corner
     assert background[HEIGHT // 2, WIDTH // 2] - background[0, 0] > 10
-
-
-@pytest.mark.parametrize("lux", [0.0, 200.0, 1000.0])
-def test_ambient_light_alone_is_no_spot(lux: float) -> None:
-    for seed in (1, 3, 9, 12):
-        unit = Unit(UnitConfig(seed=seed, lux=lux))
-        unit.inject(Fault.NO_LASER)
-        for camera in CAMERAS:
-            outcome = locate(unit.expose(camera, 0, 0))
-            assert isinstance(outcome, NoSpot)
-            assert outcome.reason is Reason.SPOT_MISSING, (seed, camera, outcome)

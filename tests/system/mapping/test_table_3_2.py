@@ -1,6 +1,6 @@
 """Table 3.2 on simulated lenses, at places between the nodes that no map was shown.
 
-    python -m pytest -s tests/unit/mapping/test_table_3_2.py
+    python -m pytest -s tests/system/mapping/test_table_3_2.py
 
 prints it. The thesis has 0.0212, 0.0217, 0.0218 and 0.0665 mm by the tensor polynomial and 0.0682, 0.1921,
 0.4130 and 1.5197 mm by the homography, both at the nodes themselves.

@@ -1,0 +1,32 @@
+"""Recordings of many frames."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import cv2
+import numpy as np
+from support.recordings import header
+
+from altd.recording.reader import open_recording
+
+
+def test_rows_take_no_memory(tmp_path: Path) -> None:
+    """30,000 of them would take 10 MB."""
+    path = tmp_path / "rec"
+    path.mkdir()
+    size = {"width": 16, "height": 16, "bits": 8}
+    (path / "recording.json").write_text(json.dumps(header("measurement") | {"cameras": {"front": size}}))
+    cv2.imwrite(str(path / "f.png"), np.zeros((16, 16), np.uint8))
+    rows = (f"{number},{number / 20:.6f},front,f.png,off,," for number in range(30_000))
+    (path / "frames.csv").write_text("\n".join(["sequence,t_s,camera,file,leds,x_mm,y_mm", *rows]))
+    tracemalloc.start()
+    try:
+        opened = open_recording(path)
+        assert len(opened.rows) == sum(1 for _ in opened.rows) == 30_000
+        assert (opened.rows.first.sequence, opened.rows.last.sequence) == (0, 29_999)
+        assert tracemalloc.get_traced_memory()[1] < 4e6
+    finally:
+        tracemalloc.stop()
