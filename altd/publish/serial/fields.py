@@ -1,11 +1,11 @@
-"""How one value is written in a telegram and read back: a form has a widest text, a pattern and both ways."""
+"""How one value is written in a telegram: a form has a widest text and a pattern."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, time
+from datetime import time
 from enum import StrEnum
 from typing import Any
 
@@ -29,7 +29,6 @@ class Form:
     """The longest text, as the page shows it."""
     pattern: re.Pattern[str]
     write: Callable[[Any], str]
-    read: Callable[[str], Any]
 
 
 def number(digits: int, decimals: int, *, signed: bool) -> Form:
@@ -42,7 +41,6 @@ def number(digits: int, decimals: int, *, signed: bool) -> Form:
         widest=f"{'-' * signed}{'9' * digits}.{'9' * decimals}",
         pattern=re.compile(rf"{'-?' * signed}\d{{1,{digits}}}\.\d{{{decimals}}}", re.ASCII),
         write=write,
-        read=float,
     )
 
 
@@ -52,7 +50,6 @@ def whole(largest: int) -> Form:
         widest=str(largest),
         pattern=re.compile(rf"\d{{1,{len(str(largest))}}}", re.ASCII),
         write=str,
-        read=int,
     )
 
 
@@ -60,15 +57,10 @@ def _write_time(value: time) -> str:
     return f"{value:%H%M%S}.{value.microsecond // 1000:03d}"
 
 
-def _read_time(text: str) -> time:
-    return datetime.strptime(text, "%H%M%S.%f").replace(tzinfo=UTC).timetz()
-
-
-UTC_TIME = Form("235959.999", re.compile(r"\d{6}\.\d{3}", re.ASCII), _write_time, _read_time)
-MODE = Form("A", re.compile("[APSV]"), str, Mode)
+UTC_TIME = Form("235959.999", re.compile(r"\d{6}\.\d{3}", re.ASCII), _write_time)
+MODE = Form("A", re.compile("[APSV]"), str)
 CODES = Form(
     f"code{CODE_SEPARATOR}code…",
     re.compile(rf"[a-z0-9_]+(\{CODE_SEPARATOR}[a-z0-9_]+)*"),
     CODE_SEPARATOR.join,
-    lambda text: tuple(text.split(CODE_SEPARATOR)),
 )

@@ -1,9 +1,9 @@
-"""The telegram: one measurement as two sentences with the framing of NMEA 0183, as bytes and back.
+"""The telegram: one measurement as two sentences with the framing of NMEA 0183.
 
 A sentence is ``$``, a name, fields after commas, ``*``, the exclusive or of all characters between ``$``
 and ``*`` as two hexadecimal digits, CR LF; 82 characters at most, all counted. ``$P`` marks a sentence of
 the maker's own. A value that is not known is an empty field. ``SENTENCES`` is the only definition of the
-fields: writer, reader and ``docs/telegram.md`` follow it.
+fields: the writer and ``docs/telegram.md`` follow it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SEQUENCE = whole(SEQUENCE_MODULUS - 1)
 
 
 class TelegramError(ValueError):
-    """A telegram that cannot be written or read; ``field`` names the place."""
+    """A telegram that cannot be written; ``field`` names the place."""
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(f"{field}: {message}")
@@ -110,17 +110,6 @@ class Field:
             raise TelegramError(self.name, f"{value} does not fit {self.form.widest}")
         return text
 
-    def value(self, text: str) -> Any:
-        """What the field says; None when it is empty."""
-        if not text:
-            return None
-        if not self.form.pattern.fullmatch(text):
-            raise TelegramError(self.name, f"{text!r} is not of the form {self.form.widest}")
-        try:
-            return self.form.read(text)
-        except ValueError as error:
-            raise TelegramError(self.name, f"{text!r} is no value") from error
-
 
 @dataclass(frozen=True, slots=True)
 class Sentence:
@@ -134,20 +123,6 @@ class Sentence:
         """The sentence with checksum and line end; raises TelegramError when a value does not fit."""
         body = ",".join([self.name, *(field.text(telegram) for field in self.fields)]).encode("ascii")
         return b"$%s*%02X%s" % (body, checksum(body), LINE_END)
-
-    def decode(self, line: bytes) -> dict[str, Any]:
-        """The values of the sentence by field; raises TelegramError. The line end is off already."""
-        if not line.isascii() or not line.startswith(b"$") or line[-3:-2] != b"*":
-            raise TelegramError(self.name, f"no sentence: {line!r}")
-        body, check = line[1:-3], line[-2:]
-        if b"%02X" % checksum(body) != check.upper():
-            raise TelegramError(self.name, f"checksum is {checksum(body):02X}, not {check.decode()}")
-        name, *texts = body.decode("ascii").split(",")
-        if name != self.name:
-            raise TelegramError(self.name, f"sentence is named {name!r}")
-        if len(texts) != len(self.fields):
-            raise TelegramError(self.name, f"has {len(texts)} fields, not {len(self.fields)}")
-        return {field.name: field.value(text) for field, text in zip(self.fields, texts, strict=True)}
 
 
 MEASUREMENT = Sentence(
@@ -191,23 +166,6 @@ def checksum(body: Iterable[int]) -> int:
 def encode(measurement: Measurement | None) -> bytes:
     """The telegram of a measurement, to be written in one piece; None: nothing was measured so far."""
     return Telegram.of(measurement).encode()
-
-
-def parse(data: bytes) -> Telegram:
-    """Read one telegram, both sentences with their line ends; raises TelegramError."""
-    *lines, rest = data.split(LINE_END)
-    if rest or len(lines) != len(SENTENCES):
-        raise TelegramError("telegram", f"not {len(SENTENCES)} whole lines: {data!r}")
-    decoded = [sentence.decode(line) for sentence, line in zip(SENTENCES, lines, strict=True)]
-    if decoded[0]["sequence"] != decoded[1]["sequence"]:
-        raise TelegramError("sequence", "differs between the two sentences")
-    values = decoded[0] | decoded[1]
-    if values["mode"] is None:
-        raise TelegramError("mode", "is empty")
-    for name in (*SIGMAS, *(f"sigma_{key}" for key in SIGMAS)):
-        if (values[name] is None) != (values["mode"] is Mode.INVALID):
-            raise TelegramError(name, f"does not go with mode {values['mode']}")
-    return Telegram(**values)
 
 
 def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:

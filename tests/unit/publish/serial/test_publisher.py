@@ -17,11 +17,11 @@ from typing import Any, Self
 import pytest
 from support.clock import FakeClock, stop
 from support.foreign import need_program
+from support.telegram_reader import parse
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
-from altd.publish.serial.telegram import parse
 from altd.records import Measurement
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board

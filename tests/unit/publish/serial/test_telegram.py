@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.measurements import beam_of, changed, measured
+from support.telegram_reader import parse
 
 from altd.instruments.beam.solver import Beam
 from altd.publish.serial.fields import Mode
@@ -21,7 +22,6 @@ from altd.publish.serial.telegram import (
     Telegram,
     TelegramError,
     encode,
-    parse,
 )
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
