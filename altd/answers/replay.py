@@ -25,7 +25,6 @@ from altd.tables.parquet import ParquetTable, check_parquet
 from altd.tables.text import CsvTable, Write
 
 Format = Literal["jsonl", "csv", "parquet"]
-FORMATS: tuple[Format, ...] = ("jsonl", "csv", "parquet")
 
 Add = Callable[[Mapping[str, Any]], object]
 """Takes a measurement's object."""
