@@ -9,6 +9,7 @@ SHELL := /bin/bash
 .PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-live bench-memory bench-spray bench-peers campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
+unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
 python := .venv/bin/python
 LIVE_S ?= 60
 CAMPAIGN_S ?= 180

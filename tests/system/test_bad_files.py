@@ -172,7 +172,7 @@ def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_
         (
             "window = 4",
             "window = 0x" + "f" * 5000,
-            "line 27, column 10: measuring.window: has more than 64 bits",
+            "line 26, column 10: measuring.window: has more than 64 bits",
         ),
         ("window = 4", "window = " + "[" * 5000, "is nested too deeply"),
         ("window = 4", "x" + ".a" * 20_000 + " = 4", "more than 64 dots"),
