@@ -187,7 +187,7 @@ def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> 
         assert [finding["verdict"] for finding in found[chip]] == ["good"]
     (finding,) = found["other-board"]
     assert finding["verdict"] == "WRONG"
-    assert "there is /dev/gpiochip0" in finding["says"]
+    assert "there is /dev/gpiochip0" in finding["text"]
 
 
 def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:
