@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     lamps, indicators = lamps_of(config, cameras, place, alone=True), indicators_of(config)
     by_hand = LampsByHand(lamps, indicators, fitted, lambda line: print(line, flush=True))
     failed = os.environ.get("SERVICE_RESULT", "success") != "success"
-    looks: dict[str, Callable[[], None]] = {
+    actions: dict[str, Callable[[], None]] = {
         "off": lambda: by_hand.leave_lit(frozenset()),
         "on": lambda: by_hand.light_until(interrupted.wait),
         "test": by_hand.light_in_turn,
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, interrupt)
     try:
-        looks[options.look]()
+        actions[options.look]()
         if interrupts:
             raise interrupts[0]
     except LampsError as error:

@@ -36,17 +36,17 @@ class Playback:
         self._next_s: dict[str, float] = {}
         self._changed = threading.Condition()
 
-    def t_ns(self, row: Row, turn: int) -> int:
-        """When a row's frame is exposed, on the monotonic clock, in a turn through the recording."""
+    def t_ns(self, row: Row, playthrough: int) -> int:
+        """When a row's frame is exposed, on the monotonic clock, in a playthrough of the recording."""
         with self._changed:
             if self._started_ns is None:
                 self._started_ns = time.monotonic_ns()
-            return self._started_ns + round(self._due_s(row, turn) * 1e9)
+            return self._started_ns + round(self._due_s(row, playthrough) * 1e9)
 
-    def set_next(self, camera: str, row: Row | None, turn: int) -> None:
+    def set_next(self, camera: str, row: Row | None, playthrough: int) -> None:
         """Note which frame a camera delivers next; None: it is at its end."""
         with self._changed:
-            self._next_s[camera] = float("inf") if row is None else self._due_s(row, turn)
+            self._next_s[camera] = float("inf") if row is None else self._due_s(row, playthrough)
             self._changed.notify_all()
 
     def await_others(self, camera: str, timeout_s: float) -> bool:
@@ -58,8 +58,8 @@ class Playback:
         with self._changed:
             return self._changed.wait_for(is_abreast, timeout_s)
 
-    def _due_s(self, row: Row, turn: int) -> float:
-        return row.t_s - self._first_s + turn * self._length_s
+    def _due_s(self, row: Row, playthrough: int) -> float:
+        return row.t_s - self._first_s + playthrough * self._length_s
 
 
 class PlaybackCamera:
@@ -77,7 +77,7 @@ class PlaybackCamera:
         self.width = playback.recording.header.cameras[name].width
         self.height = playback.recording.header.cameras[name].height
         self._playback = playback
-        self._turn = 0
+        self._playthrough = 0
         self._rows = playback.recording.rows.of(name)
         self._next = next(self._rows, None)
         self._failure: str | None = None
@@ -89,11 +89,11 @@ class PlaybackCamera:
     def next_frame(self, timeout_s: float) -> Frame:
         """The next frame, at its time when the pace is real time; what is overdue then is left out."""
         playback = self._playback
-        turn, row, t_ns = self._due()
+        playthrough, row, t_ns = self._due()
         if playback.realtime:
             while (wait_s := (t_ns - time.monotonic_ns()) * 1e-9) < -_MAX_OVERDUE_S:
                 self._advance()
-                turn, row, t_ns = self._due()
+                playthrough, row, t_ns = self._due()
             if wait_s > timeout_s:
                 time.sleep(timeout_s)
                 raise CameraTimeoutError("the next frame is not due yet")
@@ -106,8 +106,8 @@ class PlaybackCamera:
             frame = playback.recording.frame(row)
         except BadInputError as error:
             raise CameraError(str(error)) from error
-        sequence = row.sequence + turn * playback.length_sequences
-        return replace(frame, t_ns=t_ns, sequence=sequence, playthrough=turn)
+        sequence = row.sequence + playthrough * playback.length_sequences
+        return replace(frame, t_ns=t_ns, sequence=sequence, playthrough=playthrough)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Always refused: the frames were exposed when they were recorded."""
@@ -119,12 +119,12 @@ class PlaybackCamera:
         """Nothing to let go of."""
 
     def _due(self) -> tuple[int, Row, int]:
-        """The next frame's turn and row, and when it is exposed."""
+        """The next frame's playthrough and row, and when it is exposed."""
         if self._failure is not None:
             raise CameraError(self._failure)
         if self._next is None:
             raise CameraEndedError("the recording is at its end")
-        return self._turn, self._next, self._playback.t_ns(self._next, self._turn)
+        return self._playthrough, self._next, self._playback.t_ns(self._next, self._playthrough)
 
     def _advance(self) -> None:
         """To the next row, from the last one to the first where the recording is repeated.
@@ -134,9 +134,9 @@ class PlaybackCamera:
         try:
             self._next = next(self._rows, None)
             if self._next is None and self._playback.repeat:
-                self._turn += 1
+                self._playthrough += 1
                 self._rows = self._playback.recording.rows.of(self.name)
                 self._next = next(self._rows, None)
         except BadInputError as error:
             self._failure, self._next = str(error), None
-        self._playback.set_next(self.name, self._next, self._turn)
+        self._playback.set_next(self.name, self._next, self._playthrough)

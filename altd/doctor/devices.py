@@ -57,12 +57,12 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
     yield from _duplicates("camera", video, machine)
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]
-        says = f"its cameras need {needed:.0f} Mbit/s of {speed}"
+        text = f"its cameras need {needed:.0f} Mbit/s of {speed}"
         if needed <= _USB_SHARE * speed:
-            yield good(subject, says)
+            yield good(subject, text)
         else:
-            mend = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
-            yield wrong(subject, f"{says}: too much", mend)
+            remedy = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"
+            yield wrong(subject, f"{text}: too much", remedy)
 
 
 def gpio_chips(config: Config, machine: Machine) -> Iterator[Finding]:
@@ -93,14 +93,14 @@ def gpio_lines(config: Config) -> Iterator[Finding]:
             chip = find_chip(wanted)
         except LampsError:
             continue  # the chip's own line says it
-        subject, mend = f"gpio {wanted} {name}", "altd devices   # take one of these names into altd.toml"
+        subject, remedy = f"gpio {wanted} {name}", "altd devices   # take one of these names into altd.toml"
         try:
             line = find_line(chip, name)
         except LampsError as error:
-            yield wrong(subject, f"{key}: {error}", mend)
+            yield wrong(subject, f"{key}: {error}", remedy)
             continue
         if (other := first.setdefault((chip.path, line.offset), key)) != key:
-            yield wrong(subject, f"{key} is the same line as {other}, {line.offset} of {chip}", mend)
+            yield wrong(subject, f"{key} is the same line as {other}, {line.offset} of {chip}", remedy)
 
 
 def found_devices(machine: Machine) -> Iterator[Finding]:
@@ -120,8 +120,8 @@ def found_devices(machine: Machine) -> Iterator[Finding]:
 def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine) -> Iterator[Finding]:
     status = machine.status(device)
     if status is None:
-        mend = f"plug it in, or take one of these names into altd.toml: ls -l {names[0]}"
-        yield wrong(subject, f"is not there; {_alternatives(names, machine)}", mend)
+        remedy = f"plug it in, or take one of these names into altd.toml: ls -l {names[0]}"
+        yield wrong(subject, f"is not there; {_alternatives(names, machine)}", remedy)
     elif not stat.S_ISCHR(status.st_mode):
         yield wrong(subject, "is no device", f"ls -l {names[0]}   # take one of these names into altd.toml")
     else:
@@ -138,8 +138,8 @@ def _duplicates(what: str, devices: Mapping[str, Path], machine: Machine) -> Ite
             continue
         if (other := first.setdefault(status.st_rdev, name)) != name:
             node = machine.at(device).resolve().name
-            mend = f"ls -l /dev | grep {node}   # take another device into altd.toml for one of them"
-            yield wrong(f"{what} {name}", f"is the same device as {other}, {node}", mend)
+            remedy = f"ls -l /dev | grep {node}   # take another device into altd.toml for one of them"
+            yield wrong(f"{what} {name}", f"is the same device as {other}, {node}", remedy)
 
 
 def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
@@ -153,19 +153,19 @@ def _permission(subject: str, device: str, machine: Machine) -> Iterator[Finding
     refused = [account for account in accounts if not account.may_use(status)]
     for account in refused:
         if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP or status.st_gid == 0:
-            mend = (
+            remedy = (
                 f"udevadm info {device}   # a rule in /etc/udev/rules.d must give it a group, such as dialout"
             )
         elif account is machine.account:
-            mend = f"sudo usermod -aG {group} {account.name}   # and log in again"
+            remedy = f"sudo usermod -aG {group} {account.name}   # and log in again"
         else:
-            mend = f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
-        yield wrong(subject, f"{account.name} may not open it ({rights})", mend)
+            remedy = f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
+        yield wrong(subject, f"{account.name} may not open it ({rights})", remedy)
     drivers = machine.drivers(status)
     if service is not None and not service.allows(device, drivers):
         names = " or ".join(sorted(drivers)) or "?"
-        mend = f"sudo systemctl edit altd   # [Service] DeviceAllow=char-{names} rw"
-        yield wrong(subject, f"the service's unit does not list its kind, {names}", mend)
+        remedy = f"sudo systemctl edit altd   # [Service] DeviceAllow=char-{names} rw"
+        yield wrong(subject, f"the service's unit does not list its kind, {names}", remedy)
     elif not refused:
         whom = " and ".join(account.name for account in accounts)
         yield good(subject, f"{whom} may open it ({rights})")
@@ -178,11 +178,13 @@ def _other_users(subject: str, node: str, status: os.stat_result, machine: Machi
         if name == "altd":
             yield good(subject, f"altd has it (process {number})")
         else:
-            mends = {
+            remedies = {
                 "agetty": f"sudo systemctl disable --now serial-getty@{node}",
                 "ModemManager": "sudo systemctl disable --now ModemManager",
             }
-            yield wrong(subject, f"{name} has it (process {number})", mends.get(name, f"sudo kill {number}"))
+            yield wrong(
+                subject, f"{name} has it (process {number})", remedies.get(name, f"sudo kill {number}")
+            )
 
 
 def _alternatives(names: tuple[str, ...], machine: Machine) -> str:

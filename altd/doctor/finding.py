@@ -17,36 +17,36 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the doctor. ``mend`` is a command, or what to change in which file."""
+    """One line of the doctor. ``remedy`` is a command, or what to change in which file."""
 
     verdict: Verdict
     subject: str
-    says: str
-    mend: str = ""
+    text: str
+    remedy: str = ""
 
 
-def good(subject: str, says: str) -> Finding:
+def good(subject: str, text: str) -> Finding:
     """All is well with ``subject``."""
-    return Finding(Verdict.GOOD, subject, says)
+    return Finding(Verdict.GOOD, subject, text)
 
 
-def better(subject: str, says: str, mend: str = "") -> Finding:
+def better(subject: str, text: str, remedy: str = "") -> Finding:
     """It works, and could work better."""
-    return Finding(Verdict.BETTER, subject, says, mend)
+    return Finding(Verdict.BETTER, subject, text, remedy)
 
 
-def wrong(subject: str, says: str, mend: str) -> Finding:
+def wrong(subject: str, text: str, remedy: str) -> Finding:
     """It does not work, or not reliably."""
-    return Finding(Verdict.WRONG, subject, says, mend)
+    return Finding(Verdict.WRONG, subject, text, remedy)
 
 
 def in_lines(findings: list[Finding]) -> list[str]:
     """The findings for a person, the remedy below each, and how many there are."""
     lines = []
     for finding in findings:
-        lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.says}")
-        if finding.mend:
-            lines.append(f"        mend: {finding.mend}")
+        lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")
+        if finding.remedy:
+            lines.append(f"        mend: {finding.remedy}")
     wrongs, betters, goods = (
         sum(finding.verdict is verdict for finding in findings)
         for verdict in (Verdict.WRONG, Verdict.BETTER, Verdict.GOOD)

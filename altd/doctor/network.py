@@ -72,11 +72,11 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
             if owner is not None and owner[1] == "altd":
                 yield good(subject, f"altd listens there (process {owner[0]})")
                 continue
-            mend = f"sudo ss -ltnp 'sport = :{table.port}'"
+            remedy = f"sudo ss -ltnp 'sport = :{table.port}'"
             if owner is None:
-                yield better(subject, "another user's program listens there: altd itself?", mend)
+                yield better(subject, "another user's program listens there: altd itself?", remedy)
             else:
-                yield wrong(subject, f"{owner[1]} (process {owner[0]}) listens there", mend)
+                yield wrong(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
         elif not refused:
             yield good(subject, "the address is free")
 
@@ -100,14 +100,16 @@ def _way(
         over = (
             f"packets for it go to the gateway at {routes[0].interface}" if routes else "nothing leads there"
         )
-        mend = f"sudo ip address add {_neighbour(address)}/24 dev INTERFACE   # and for good in its settings"
-        yield wrong(subject, f"no interface has an address in its network: {over}", mend)
+        remedy = (
+            f"sudo ip address add {_neighbour(address)}/24 dev INTERFACE   # and for good in its settings"
+        )
+        yield wrong(subject, f"no interface has an address in its network: {over}", remedy)
         return []
     if len(direct) > 1:
         strict = [name for name in direct if _filters(name, machine)]
-        mend = f"ip -brief address show dev {direct[1]}   # give each interface a network of its own"
+        remedy = f"ip -brief address show dev {direct[1]}   # give each interface a network of its own"
         drops = f", and {', '.join(strict)} drops what comes in on the other (rp_filter)" if strict else ""
-        yield wrong(subject, f"{' and '.join(direct)} have the same network{drops}", mend)
+        yield wrong(subject, f"{' and '.join(direct)} have the same network{drops}", remedy)
     else:
         yield good(subject, f"is in the network of {direct[0]}")
     return direct
@@ -117,17 +119,17 @@ def _interface(name: str, packet_bytes: int, machine: Machine) -> Iterator[Findi
     folder, subject = f"/sys/class/net/{name}", f"network {name}"
     state = machine.text(f"{folder}/operstate")
     if state in ("down", "lowerlayerdown"):
-        mend = f"sudo ip link set {name} up   # and look at the cable and the camera's supply"
-        yield wrong(subject, "is down", mend)
+        remedy = f"sudo ip link set {name} up   # and look at the cable and the camera's supply"
+        yield wrong(subject, "is down", remedy)
         return
     speed = machine.number(f"{folder}/speed")
     if speed is None or speed < 0:
         yield better(subject, "does not tell its speed", f"sudo ethtool {name}")
     elif speed < MIN_MBIT_S:
-        mend = (
+        remedy = (
             f"sudo ethtool -s {name} autoneg on   # all eight wires: another cable, another socket or switch"
         )
-        yield wrong(subject, f"runs at {speed} Mbit/s instead of {MIN_MBIT_S}", mend)
+        yield wrong(subject, f"runs at {speed} Mbit/s instead of {MIN_MBIT_S}", remedy)
     else:
         yield good(subject, f"runs at {speed} Mbit/s")
     mtu = machine.number(f"{folder}/mtu") or 0
@@ -147,8 +149,8 @@ def _receive_buffer(frame_bytes: int, machine: Machine) -> Iterator[Finding]:
         yield better(subject, f"{path} cannot be read")
     elif largest < wanted:
         setting = f"net.core.rmem_max={max(wanted, 1 << 22)}"
-        mend = f"echo {setting} | sudo tee /etc/sysctl.d/90-altd.conf && sudo sysctl --system"
-        yield better(subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", mend)
+        remedy = f"echo {setting} | sudo tee /etc/sysctl.d/90-altd.conf && sudo sysctl --system"
+        yield better(subject, f"is {largest} bytes at most, {FRAMES_BUFFERED} frames are {wanted}", remedy)
     else:
         yield good(subject, f"up to {largest} bytes")
 
@@ -162,9 +164,9 @@ def _source_check(machine: Machine) -> Iterator[Finding]:
         return  # then there is no other network
     if open_ones:
         settings = "\\n".join(f"net.ipv4.conf.{name}.rp_filter=1" for name in ("all", *open_ones))
-        mend = f"printf '{settings}\\n' | sudo tee /etc/sysctl.d/91-altd.conf && sudo sysctl --system"
-        says = f"{', '.join(open_ones)} takes packets in a camera's name from another network (rp_filter)"
-        yield better(subject, says, mend)
+        remedy = f"printf '{settings}\\n' | sudo tee /etc/sysctl.d/91-altd.conf && sudo sysctl --system"
+        text = f"{', '.join(open_ones)} takes packets in a camera's name from another network (rp_filter)"
+        yield better(subject, text, remedy)
     else:
         yield good(subject, "each network's packets come from its own interface alone")
 
@@ -176,11 +178,11 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
     service = machine.service()
     if service is not None:
         if not service.low_ports:
-            mend = "sudo systemctl edit altd   # [Service] AmbientCapabilities=CAP_NET_BIND_SERVICE"
-            yield wrong(subject, "the service may not listen on a port below 1024", mend)
+            remedy = "sudo systemctl edit altd   # [Service] AmbientCapabilities=CAP_NET_BIND_SERVICE"
+            yield wrong(subject, "the service may not listen on a port below 1024", remedy)
     elif machine.account.uid != 0:
-        mend = "docs/install.md   # run it as the service, which may; or choose a port from 1024 on"
-        yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", mend)
+        remedy = "docs/install.md   # run it as the service, which may; or choose a port from 1024 on"
+        yield wrong(subject, f"{machine.account.name} may not listen on a port below 1024", remedy)
 
 
 def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
@@ -192,8 +194,8 @@ def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
     if ours and wanted not in ours:
         known = (ipaddress.ip_address(address) for address in sorted(ours))
         there = ", ".join(str(address) for address in known if not address.is_loopback) or "none but its own"
-        mend = "ip -brief address   # take one of these into altd.toml, or 0.0.0.0 for all of them"
-        yield wrong(subject, f"no interface of this computer has the address; it has {there}", mend)
+        remedy = "ip -brief address   # take one of these into altd.toml, or 0.0.0.0 for all of them"
+        yield wrong(subject, f"no interface of this computer has the address; it has {there}", remedy)
 
 
 def _addresses(machine: Machine) -> set[bytes]:

@@ -36,15 +36,15 @@ def libraries(config: Config | None) -> Iterator[Finding]:
 
 def clock(now: datetime, synchronised: bool | None) -> Iterator[Finding]:
     """UTC is in every output. ``synchronised``: what the kernel says; None when it does not say."""
-    subject, mend = "clock", "sudo timedatectl set-ntp true   # or install chrony, and name it a server"
+    subject, remedy = "clock", "sudo timedatectl set-ntp true   # or install chrony, and name it a server"
     if now.year < MIN_YEAR:
-        yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", mend)
+        yield wrong(subject, f"shows {now:%Y-%m-%d %H:%M}, which is over: it was never set", remedy)
     elif synchronised:
         yield good(subject, f"{now:%Y-%m-%d %H:%M} UTC, kept by a time server")
     elif synchronised is None:
         yield better(subject, f"{now:%Y-%m-%d %H:%M} UTC; whether it is kept is not known", "timedatectl")
     else:
-        yield wrong(subject, f"{now:%Y-%m-%d %H:%M} UTC, but no time server keeps it", mend)
+        yield wrong(subject, f"{now:%Y-%m-%d %H:%M} UTC, but no time server keeps it", remedy)
 
 
 def disk(machine: Machine) -> Iterator[Finding]:
@@ -53,11 +53,11 @@ def disk(machine: Machine) -> Iterator[Finding]:
     while not folder.is_dir() and folder != machine.root:
         folder = folder.parent
     free = shutil.disk_usage(folder).free
-    subject, says = f"disk of {STATE}", f"{free / 1e9:.1f} GB free"
+    subject, text = f"disk of {STATE}", f"{free / 1e9:.1f} GB free"
     if free >= MIN_FREE_BYTES:
-        yield good(subject, says)
+        yield good(subject, text)
     else:
-        yield wrong(subject, says, f"sudo du -xhd1 {STATE} /var | sort -h   # what fills it")
+        yield wrong(subject, text, f"sudo du -xhd1 {STATE} /var | sort -h   # what fills it")
 
 
 def calibration(config: Config, place: Path) -> Iterator[Finding]:
@@ -74,15 +74,15 @@ def calibration(config: Config, place: Path) -> Iterator[Finding]:
     try:
         found = calibration_of(config, cameras)
     except BadInputError as error:
-        mend = f"altd calibrate SCAN -o {path}   # or copy the unit's own there, or correct {place}"
-        yield wrong("calibration", str(error), mend)
+        remedy = f"altd calibrate SCAN -o {path}   # or copy the unit's own there, or correct {place}"
+        yield wrong("calibration", str(error), remedy)
     else:
-        says = f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}"
+        text = f"{path} fits {config.unit.serial}, made on {found.created:%Y-%m-%d}"
         if found.simulated:
-            mend = f"altd calibrate SCAN -o {path}   # with a scan of the unit itself, made by altd scan"
-            yield better("calibration", f"{says}, of SIMULATED frames: for trying out only", mend)
+            remedy = f"altd calibrate SCAN -o {path}   # with a scan of the unit itself, made by altd scan"
+            yield better("calibration", f"{text}, of SIMULATED frames: for trying out only", remedy)
         else:
-            yield good("calibration", says)
+            yield good("calibration", text)
 
 
 def now() -> datetime:
@@ -115,7 +115,7 @@ def _library(name: str, module: str) -> Finding:
 
 def _aravis(needed: bool) -> Finding:
     """PyGObject and Aravis' description of itself; only GigE Vision cameras need them."""
-    subject, mend = (
+    subject, remedy = (
         "library aravis",
         "sudo apt-get install python3-gi gir1.2-aravis-0.8   # see docs/install.md",
     )
@@ -125,7 +125,7 @@ def _aravis(needed: bool) -> Finding:
         importlib.import_module("gi.repository.Aravis")
     except Exception as error:
         return (wrong if needed else better)(
-            subject, f"GigE Vision cameras need it: {_one_line(error)}", mend
+            subject, f"GigE Vision cameras need it: {_one_line(error)}", remedy
         )
     return good(subject, "is there")
 

@@ -123,7 +123,7 @@ class Grabbed:
     """With the instant of delivery, monotonic ns."""
     errors: list[CameraError] = field(default_factory=list)
     longest_call_s: float = 0.0
-    _stop: threading.Event = field(default_factory=threading.Event)
+    stopping: threading.Event = field(default_factory=threading.Event)
 
     def __enter__(self) -> Self:
         self._thread = threading.Thread(target=self._run, name="grabbing")
@@ -131,7 +131,7 @@ class Grabbed:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
+        self.stopping.set()
         self._thread.join()
 
     def await_frames(self, count: int, within_s: float = 5.0) -> None:
@@ -146,10 +146,10 @@ class Grabbed:
 
     def _run(self) -> None:
         retry_s = RETRY_S
-        while not self._stop.is_set():
+        while not self.stopping.is_set():
             try:
                 self._timed(self.camera.open)
-                while not self._stop.is_set():
+                while not self.stopping.is_set():
                     try:
                         frame = self._timed(lambda: self.camera.next_frame(0.25))
                     except CameraTimeoutError:
@@ -160,7 +160,7 @@ class Grabbed:
                 self.errors.append(error)
             finally:
                 self._timed(self.camera.close)
-            self._stop.wait(retry_s)
+            self.stopping.wait(retry_s)
             retry_s = min(2 * retry_s, _LONGEST_RETRY_S)
 
     def _timed(self, call: Callable[[], Result]) -> Result:

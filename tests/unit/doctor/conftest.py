@@ -81,7 +81,7 @@ def configured() -> Configured:
 
 def says(findings: list[Finding], verdict: Verdict, words: str) -> Finding:
     """The finding with that verdict whose sentence has these words."""
-    found = [finding for finding in findings if finding.verdict is verdict and words in finding.says]
+    found = [finding for finding in findings if finding.verdict is verdict and words in finding.text]
     assert len(found) == 1, findings
-    assert found[0].mend or verdict is not Verdict.WRONG
+    assert found[0].remedy or verdict is not Verdict.WRONG
     return found[0]

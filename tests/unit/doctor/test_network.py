@@ -59,17 +59,17 @@ def test_a_good_network(computer: Tree, configured: Configured) -> None:
 
 def test_a_slow_link(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", speed=100)
-    assert "ethtool" in says(found(gige(configured), computer), Verdict.WRONG, "runs at 100 Mbit/s").mend
+    assert "ethtool" in says(found(gige(configured), computer), Verdict.WRONG, "runs at 100 Mbit/s").remedy
 
 
 def test_a_link_that_is_down(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", state="down")
-    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.WRONG, "is down").mend
+    assert "ip link set eth1 up" in says(found(gige(configured), computer), Verdict.WRONG, "is down").remedy
 
 
 def test_packets_that_do_not_fit(computer: Tree, configured: Configured) -> None:
     interface(computer, "eth1", mtu=1500)
-    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.BETTER, "its MTU is 1500").mend
+    assert "mtu 9000" in says(found(gige(configured), computer), Verdict.BETTER, "its MTU is 1500").remedy
     findings = found(gige(configured, packet_bytes=8000), computer)
     assert says(findings, Verdict.WRONG, "its MTU is 1500 but packet_bytes 8000")
 
@@ -77,7 +77,7 @@ def test_packets_that_do_not_fit(computer: Tree, configured: Configured) -> None
 def test_a_small_receive_buffer(computer: Tree, configured: Configured) -> None:
     computer.write("/proc/sys/net/core/rmem_max", 212992)
     finding = says(found(gige(configured), computer), Verdict.BETTER, "is 212992 bytes at most")
-    assert "sysctl" in finding.mend
+    assert "sysctl" in finding.remedy
 
 
 @pytest.mark.parametrize(("of_all", "of_eth0", "is_well"), [(1, 0, True), (0, 0, False), (1, 2, False)])
@@ -90,14 +90,14 @@ def test_a_camera_s_name_in_another_network(
     computer.write("/proc/sys/net/ipv4/conf/eth1/rp_filter", 1)
     (finding,) = (one for one in found(gige(configured), computer) if one.subject == "network source check")
     assert finding.verdict is (Verdict.GOOD if is_well else Verdict.BETTER)
-    assert ("net.ipv4.conf.eth0.rp_filter=1" in finding.mend) != is_well
+    assert ("net.ipv4.conf.eth0.rp_filter=1" in finding.remedy) != is_well
 
 
 def test_a_camera_in_a_network_of_nobodys(computer: Tree, configured: Configured) -> None:
     finding = says(
         found(gige(configured, "169.254.3.4"), computer)[:1], Verdict.WRONG, "to the gateway at eth0"
     )
-    assert "ip address add 169.254.3.1/24" in finding.mend
+    assert "ip address add 169.254.3.1/24" in finding.remedy
     computer.write("/proc/net/route", ROUTES)
     assert says(found(gige(configured), computer)[:1], Verdict.WRONG, "nothing leads there")
 
@@ -114,7 +114,7 @@ def test_two_interfaces_with_the_same_network(
     finding = says(
         found(gige(configured), computer)[:1], Verdict.WRONG, "eth1 and eth2 have the same network"
     )
-    assert ("rp_filter" in finding.says) == drops
+    assert ("rp_filter" in finding.text) == drops
 
 
 def test_a_camera_by_its_serial_number_may_be_on_any_interface(
@@ -184,8 +184,8 @@ class TestListening:
         with socket.create_server(("127.0.0.1", 0)) as server:
             port = server.getsockname()[1]
             finding = says(self.findings(configured, port, Machine(), host), Verdict.WRONG, "listens there")
-            assert f"(process {os.getpid()})" in finding.says
-            assert f":{port}" in finding.mend
+            assert f"(process {os.getpid()})" in finding.text
+            assert f":{port}" in finding.remedy
         assert says(self.findings(configured, port, Machine(), host), Verdict.GOOD, "is free")
 
     def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
@@ -213,7 +213,9 @@ class TestListening:
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
         tree.write("/etc/systemd/system/altd.service", "[Service]\nUser=altd")
         words = "the service may not listen on a port below 1024"
-        assert "CAP_NET_BIND" in says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words).mend
+        assert (
+            "CAP_NET_BIND" in says(self.findings(configured, 502, tree.machine), Verdict.WRONG, words).remedy
+        )
         tree.write("/etc/systemd/system/altd.service", "[Service]\nAmbientCapabilities=CAP_NET_BIND_SERVICE")
         assert says(self.findings(configured, 502, tree.machine), Verdict.GOOD, "is free")
 
@@ -226,7 +228,7 @@ class TestListening:
             finding = says(
                 self.findings(configured, 8080, Machine(), host), Verdict.WRONG, "no interface of this"
             )
-            assert finding.mend.startswith("ip -brief address")
+            assert finding.remedy.startswith("ip -brief address")
 
     def test_addresses_that_it_has(self, tree: Tree, configured: Configured) -> None:
         tree.write(

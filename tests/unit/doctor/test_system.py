@@ -41,7 +41,7 @@ class TestLibraries:
         self, monkeypatch: pytest.MonkeyPatch, configured: Configured
     ) -> None:
         monkeypatch.setitem(sys.modules, "gi", None)
-        assert says(list(system.libraries(None)), Verdict.BETTER, "GigE Vision").mend.startswith(
+        assert says(list(system.libraries(None)), Verdict.BETTER, "GigE Vision").remedy.startswith(
             "sudo apt-get"
         )
         camera = {"driver": "aravis", "device": "192.168.77.20"}
@@ -56,7 +56,7 @@ class TestClock:
         assert says(list(system.clock(NOON, True)), Verdict.GOOD, "kept by a time server")
 
     def test_one_that_nobody_keeps(self) -> None:
-        assert "set-ntp" in says(list(system.clock(NOON, False)), Verdict.WRONG, "no time server").mend
+        assert "set-ntp" in says(list(system.clock(NOON, False)), Verdict.WRONG, "no time server").remedy
         assert says(list(system.clock(NOON, None)), Verdict.BETTER, "not known")
 
     def test_one_that_was_never_set(self) -> None:
@@ -78,7 +78,7 @@ class TestClock:
 def test_a_disk_that_is_full(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     assert says(list(system.disk(tree.machine)), Verdict.GOOD, "GB free")
     monkeypatch.setattr(system, "MIN_FREE_BYTES", 1 << 62)
-    assert "du" in says(list(system.disk(tree.machine)), Verdict.WRONG, "GB free").mend
+    assert "du" in says(list(system.disk(tree.machine)), Verdict.WRONG, "GB free").remedy
 
 
 @pytest.fixture(scope="module")
@@ -113,24 +113,24 @@ class TestCalibration:
         save_calibration(replace(known, targets=real), unit / "real.json")
         (finding,) = examined(unit, "cal.json", "real.json")
         assert finding.verdict is Verdict.GOOD
-        assert "real.json fits" in finding.says
+        assert "real.json fits" in finding.text
 
     def test_that_of_a_simulated_unit(self, unit: Path) -> None:
         (finding,) = examined(unit, "window", "window")
         assert finding.verdict is Verdict.BETTER
-        assert "cal.json fits" in finding.says
-        assert "SIMULATED" in finding.says
+        assert "cal.json fits" in finding.text
+        assert "SIMULATED" in finding.text
 
     def test_that_of_another_unit(self, unit: Path) -> None:
         (finding,) = examined(unit, 'serial = "', 'serial = "OTHER-')
         assert finding.verdict is Verdict.WRONG
-        assert "cal.json" in finding.says
-        assert "altd calibrate" in finding.mend
+        assert "cal.json" in finding.text
+        assert "altd calibrate" in finding.remedy
 
     def test_one_that_is_not_there(self, unit: Path) -> None:
         (finding,) = examined(unit, "cal.json", "none.json")
         assert finding.verdict is Verdict.WRONG
-        assert "none.json" in finding.says
+        assert "none.json" in finding.text
 
     def test_a_recording_that_is_not_there(self, unit: Path) -> None:
         findings = examined(unit, "/scan", "/nowhere")

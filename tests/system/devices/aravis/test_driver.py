@@ -276,7 +276,7 @@ class TestOutputLine:
         cameras.start()
         camera = driver()
         camera.open()
-        opened = camera._opened
+        opened = camera._opened  # noqa: SLF001  as a second thread still has it
         camera.close()
         assert opened is not None
         with pytest.raises(CameraLostError, match="closed"):

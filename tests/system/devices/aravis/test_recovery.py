@@ -123,7 +123,7 @@ class TestControl:
             with Grabbed(driver()) as second:
                 wait_for(lambda: bool(second.errors), 6)
                 assert isinstance(second.errors[0], CameraBusyError)
-                first._stop.set()
+                first.stopping.set()
                 second.await_frames(5, 8)
 
 

@@ -45,7 +45,7 @@ def ours() -> dict[str, int]:
             field = f"((struct {name} *)0)->{path}"
             facts[f"offsetof(struct {name}, {path})"] = offset
             facts[f"sizeof({field})"] = ctypes.sizeof(field_kind)
-            if issubclass(field_kind, ctypes._SimpleCData):  # type: ignore[type-arg]
+            if not issubclass(field_kind, ctypes.Structure | ctypes.Union | ctypes.Array):
                 facts[f"(__typeof__({field}))-1 < 0"] = int(field_kind(-1).value < 0)
     for pixel_format in PIXEL_FORMATS.values():
         facts[f"V4L2_PIX_FMT_{pixel_format.name}"] = abi.v4l2_fourcc(pixel_format.fourcc)
