@@ -305,7 +305,7 @@ class TestRecord:
 async def test_a_scan_with_simulated_cameras_is_simulated(tmp_path: Path) -> None:
     unit = Unit(UnitConfig(seed=11, fps=50.0))
     with GrblTable(unit) as table:
-        table.controller.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
+        table.machine.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
         scan = Scan(columns=4, rows=4, pitch_mm=25.0, exposures=1, settle_s=0.02, led_pairs=0)
         config = scan_config(unit, table.device, scan)
         assert config.stage is not None
