@@ -14,9 +14,9 @@ from altd.reasons import Reason
 from altd.records import FloatArray, Frame, Measurement
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
 from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge, truth_of
-from benchmarks.campaign.numbers import Misnumbered, accepted
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
+from benchmarks.campaign.ways.numbers import Misnumbered, accepted
 
 WINDOW = 6
 _WARMING_UP = (str(Reason.WARMING_UP),)

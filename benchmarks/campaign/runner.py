@@ -18,13 +18,13 @@ from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
 from benchmarks.campaign.episode import run_episode, run_misnumbered
 from benchmarks.campaign.judge import Outcome, Tally
-from benchmarks.campaign.numbers import Misnumbered
 from benchmarks.campaign.table import UNSEEN
 from benchmarks.campaign.timed import run_timed
-from benchmarks.campaign.times import Mistimed
 from benchmarks.campaign.units import SIMULATED
 from benchmarks.campaign.unseen import Subject
 from benchmarks.campaign.way import Draw, Spoil, Way, both
+from benchmarks.campaign.ways.numbers import Misnumbered
+from benchmarks.campaign.ways.times import Mistimed
 
 PAIRS = "pairs"
 _ONE_IS_HIDDEN = "one of the two could not be seen by itself"

@@ -21,8 +21,8 @@ from altd.status.health import Health
 from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
 from benchmarks.campaign.held_clock import HeldClock
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Judged, Outcome, Verdict, arrays, judge
-from benchmarks.campaign.times import MS, PERIOD_NS, Delivery, Mistimed
 from benchmarks.campaign.way import CAMERAS
+from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
 from hw_sim.beam import BeamPose
 
 WINDOW = 8

@@ -10,10 +10,10 @@ import pytest
 from altd.records import PixelArray
 from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
 from benchmarks.campaign.catalogue import WAYS
-from benchmarks.campaign.numbers import Misnumbered
 from benchmarks.campaign.scene import Exposing, Noise, Scene, SpotShape, snapshot
-from benchmarks.campaign.times import MS, Delivery, Mistimed
 from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
+from benchmarks.campaign.ways.numbers import Misnumbered
+from benchmarks.campaign.ways.times import MS, Delivery, Mistimed
 
 ROWS, COLUMNS, PX_PER_MM = 240, 376, 4.0
 RADIUS_PX, PEAK = 20.0, 100.0

@@ -14,7 +14,7 @@ from benchmarks.campaign.unseen import near_on_both, near_on_one
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("spots")
-BEAMS = Path(__file__).resolve().parents[3] / "shared/data/beams"
+BEAMS = Path(__file__).resolve().parents[4] / "shared/data/beams"
 
 
 def _aside(draw: Draw, low_mm: float = 1.0, high_mm: float = 15.0) -> tuple[float, float, str]:

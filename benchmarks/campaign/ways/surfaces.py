@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene, blurred
-from benchmarks.campaign.spots import edge
 from benchmarks.campaign.unseen import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+from benchmarks.campaign.ways.spots import edge
 
 WAYS = Registry("surfaces")
 

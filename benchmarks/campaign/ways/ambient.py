@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from benchmarks.campaign.scene import Image, Scene
-from benchmarks.campaign.spots import edge
 from benchmarks.campaign.unseen import never_hidden
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+from benchmarks.campaign.ways.spots import edge
 from hw_sim.sensor import FULL_WELL_E
 
 WAYS = Registry("ambient")
