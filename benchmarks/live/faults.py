@@ -37,7 +37,7 @@ def measure_fault(
     restore: Callable[[], float],
     lasts_s: float,
 ) -> Recovery:
-    """Inject a fault, restore, wait for recovery; ``restore`` returns when the camera was back, monotonic s."""
+    """Inject a fault, restore, wait for recovery; ``restore`` returns the time of its return, s."""
     watch.first(lambda seen: seen.valid, time.monotonic(), _RECOVERY_TIMEOUT_S)
     injected_s = time.monotonic()
     inject()
