@@ -27,7 +27,7 @@ pages := \
     tables:tools.pages.tables \
     config:tools.pages.config \
     decisions/README:tools.pages.decisions \
-    licences:tools.licences.page
+    licences:tools.licences.licence_page
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile

@@ -69,11 +69,11 @@ CASES = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Held:
+class Comparison:
     """A beam against its truth: x mm, y mm, yaw °, pitch °, NaN where it is not measured."""
 
     is_outer: bool
-    off: npt.NDArray[np.float64]
+    errors: npt.NDArray[np.float64]
     sigma: npt.NDArray[np.float64]
     reasons: tuple[str, ...]
 
@@ -83,7 +83,7 @@ class Held:
         return not self.reasons
 
 
-def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
+def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison]:
     """The beams of one unit, after its calibration."""
     of_unit = UnitConfig(seed=seed, field_half_mm=case.field_half_mm, speckle_contrast=case.speckle_contrast)
     unit = Unit(of_unit)
@@ -102,7 +102,7 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Held]:
         for sequence in range(number * WINDOW, (number + 1) * WINDOW):
             for camera in CAMERAS:
                 frame = unit.expose(camera, sequence, sequence * unit.config.period_ns)
-                held += [_held(of, pose, unit.config.target_distance_mm) for of in chain.push(frame)]
+                held += [_compared(of, pose, unit.config.target_distance_mm) for of in chain.push(frame)]
     return held
 
 
@@ -120,35 +120,35 @@ def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
     return calibrate([open_recording(folder / "scan")], flat, quiet).calibration
 
 
-def _held(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Held:
+def _compared(measurement: Measurement, pose: BeamPose, distance_mm: float) -> Comparison:
     spots = np.abs([pose.at(0.0), pose.at(distance_mm)])
     is_outer = bool(np.any(spots > np.array(HALF_AREA_MM) - OUTER_MM))
     if not measurement.valid:
         unknown = np.full(4, np.nan)
-        return Held(is_outer, unknown, unknown, tuple(map(str, measurement.status)))
+        return Comparison(is_outer, unknown, unknown, tuple(map(str, measurement.status)))
     values = [measurement.values[key] for key in KEYS]
-    off = np.array([value.value - getattr(pose, key) for key, value in zip(KEYS, values, strict=True)])
+    errors = np.array([value.value - getattr(pose, key) for key, value in zip(KEYS, values, strict=True)])
     sigma = np.array([value.sigma for value in values], dtype=np.float64)
-    return Held(is_outer, off, sigma, ())
+    return Comparison(is_outer, errors, sigma, ())
 
 
-def line(name: str, beams: Sequence[Held]) -> str:
+def line(name: str, beams: Sequence[Comparison]) -> str:
     """Figures of some beams."""
     valid = [beam for beam in beams if beam.is_valid]
     if not valid:
         return f"{name:<24}{len(beams):>6}     0 %"
-    off = np.array([beam.off for beam in valid])
-    normalised = off / np.array([beam.sigma for beam in valid])
-    x_mm, y_mm, yaw_deg, pitch_deg = np.sqrt(np.mean(np.square(off), axis=0))
+    errors = np.array([beam.errors for beam in valid])
+    normalised = errors / np.array([beam.sigma for beam in valid])
+    x_mm, y_mm, yaw_deg, pitch_deg = np.sqrt(np.mean(np.square(errors), axis=0))
     each = "  ".join(f"{value:.2f}" for value in np.sqrt(np.mean(np.square(normalised), axis=0)))
     return (
         f"{name:<24}{len(beams):>6}  {len(valid) / len(beams):>6.1%}   {x_mm:.4f} {y_mm:.4f} mm  "
         f"{yaw_deg:.4f} {pitch_deg:.4f}°   {each}   {np.sqrt(np.mean(np.square(normalised))):.2f}   "
-        f"{np.abs(normalised).max():.1f}   {np.abs(off[:, :2]).max():.3f}"
+        f"{np.abs(normalised).max():.1f}   {np.abs(errors[:, :2]).max():.3f}"
     )
 
 
-def reasons(beams: Iterable[Held]) -> str:
+def reasons(beams: Iterable[Comparison]) -> str:
     """What the invalid ones say, with how many do."""
     counted = Counter(reason for beam in beams for reason in beam.reasons)
     return ", ".join(f"{reason} {count}" for reason, count in counted.most_common()) or "none"
@@ -168,7 +168,7 @@ def main(arguments: list[str] | None = None) -> int:
     for case in CASES:
         if case.name not in options.cases:
             continue
-        held: list[Held] = []
+        held: list[Comparison] = []
         for seed in options.seeds:
             with tempfile.TemporaryDirectory() as folder:
                 held += measured(case, seed, options.beams, Path(folder))

@@ -7,7 +7,7 @@ import time
 
 from altd.ports import CameraTimeoutError
 from altd.records import Frame, Origin
-from benchmarks.frames import CAMERAS, Material
+from benchmarks.material import CAMERAS, Material
 
 _LEAD_NS = 50_000_000
 """From the first camera's opening to the first exposure: both threads are waiting by then."""

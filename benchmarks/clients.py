@@ -47,12 +47,12 @@ def main() -> int:
                 answers["telegrams"] += data.count(b"\r\n")
 
 
-def _connected(port: int, patience_s: float = 5.0) -> socket.socket:
+def _connected(port: int, timeout_s: float = 5.0) -> socket.socket:
     """A connection to a server that may still be starting."""
-    give_up_s = time.monotonic() + patience_s
+    give_up_s = time.monotonic() + timeout_s
     while True:
         try:
-            return socket.create_connection((_HOST, port), timeout=patience_s)
+            return socket.create_connection((_HOST, port), timeout=timeout_s)
         except ConnectionRefusedError:
             if time.monotonic() > give_up_s:
                 raise

@@ -20,7 +20,7 @@ import numpy as np
 from altd.app.daemon import Daemon
 from altd.config import Config
 from benchmarks.cameras import Source
-from benchmarks.frames import CAMERAS, FPS, WINDOW, Material, make_config
+from benchmarks.material import CAMERAS, FPS, WINDOW, Material, make_config
 from benchmarks.stages import pure_rate
 
 _SETTLE_S = 1.2

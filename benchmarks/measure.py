@@ -14,11 +14,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.bench_table import Figures, lines
 from benchmarks.daemon import measure_load, measure_rate
-from benchmarks.frames import FPS, make_material
+from benchmarks.material import FPS, make_material
 from benchmarks.stages import measure_stages
 from benchmarks.startup import measure_start
-from benchmarks.table import Figures, lines
 
 IDLE, BARE, FACES = "cameras silent", "no publishers", "Modbus, HTTP, serial"
 

@@ -27,16 +27,16 @@ FRAME, REGION, FRAME_FLAT, FLAT = "frame", "region", "frame, flat", "region, fla
 
 _SETTINGS = SpotSettings()
 _SIGMA_PX = SMOOTHING_PX
-_DARK = 0.3
+_MIN_RESPONSE = 0.3
 """Of a flat's mean: where a pixel shows less, dividing by the flat gives noise."""
-_OF_PEAK = 0.05
-_OF_PEAK_SOFT = 0.1
+_PEAK_SHARE = 0.05
+_SOFT_SHARE = 0.1
 _CONTOUR = math.exp(-2.0)
 """Shares of the peak: of those tried (5, 10, 20 %; 14, 30, 50 % for the ellipse) the best on the window."""
 
 _FEATURE_PX = 75
 """The feature's extent that trackpy must be told: of 41, 51, 61 and 75 px the best on the window's frames."""
-_LEAST_COUNTS = 10
+_MIN_COUNTS = 10
 """Below this trackpy clips its band pass: the noise of a whole frame else makes it look for minutes."""
 
 Place = tuple[float, float]
@@ -112,7 +112,7 @@ def _brightest(pixels: npt.NDArray[Any]) -> Place:
         _FEATURE_PX,
         topn=1,
         noise_size=_SIGMA_PX,
-        threshold=_LEAST_COUNTS,
+        threshold=_MIN_COUNTS,
         characterize=False,
         engine="numba",
     )
@@ -130,7 +130,7 @@ def _skimage(sample: Sample) -> Place:
 
 def _scipy(sample: Sample) -> Place:
     smooth = ndimage.gaussian_filter(sample.excess, _SIGMA_PX)
-    labels, _ = ndimage.label(smooth > _OF_PEAK * smooth.max())
+    labels, _ = ndimage.label(smooth > _PEAK_SHARE * smooth.max())
     v, u = ndimage.center_of_mass(
         sample.excess, labels, labels[np.unravel_index(smooth.argmax(), smooth.shape)]
     )
@@ -139,21 +139,21 @@ def _scipy(sample: Sample) -> Place:
 
 def _opencv_moments(sample: Sample) -> Place:
     smooth = cv2.GaussianBlur(sample.excess, (0, 0), _SIGMA_PX)
-    _, above = cv2.threshold(smooth, _OF_PEAK * float(smooth.max()), 0, cv2.THRESH_TOZERO)
+    _, above = cv2.threshold(smooth, _PEAK_SHARE * float(smooth.max()), 0, cv2.THRESH_TOZERO)
     moments = cv2.moments(above)
     return _in_frame(sample, moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
 
 
 def _opencv_soft_moments(sample: Sample) -> Place:
     smooth = cv2.GaussianBlur(sample.excess, (0, 0), _SIGMA_PX)
-    over = np.maximum(smooth - np.float32(_OF_PEAK_SOFT * smooth.max()), np.float32(0))
+    over = np.maximum(smooth - np.float32(_SOFT_SHARE * smooth.max()), np.float32(0))
     moments = cv2.moments(over)
     return _in_frame(sample, moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
 
 
 def _photutils_2dg_with_flat(sample: Sample) -> Place:
     response = sample.flat.response[sample.window]
-    dark = response < _DARK
+    dark = response < _MIN_RESPONSE
     corrected = sample.excess / np.where(dark, np.float32(1), response)
     return _in_frame(sample, *centroid_2dg(corrected, mask=dark))
 
@@ -161,7 +161,7 @@ def _photutils_2dg_with_flat(sample: Sample) -> Place:
 def _opencv_moments_with_flat(sample: Sample) -> Place:
     weighted = sample.excess * sample.flat.response[sample.window]
     smooth = cv2.GaussianBlur(weighted, (0, 0), _SIGMA_PX) / sample.flat.smooth_square[sample.window]
-    _, above = cv2.threshold(smooth, _OF_PEAK * float(smooth.max()), 0, cv2.THRESH_TOZERO)
+    _, above = cv2.threshold(smooth, _PEAK_SHARE * float(smooth.max()), 0, cv2.THRESH_TOZERO)
     moments = cv2.moments(above)
     return _in_frame(sample, moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
 
@@ -220,7 +220,7 @@ LOCALISERS = (
         "trackpy `locate`",
         FRAME,
         f"diameter {_FEATURE_PX} px, topn 1, noise_size {_SIGMA_PX:g} px (bridges the dots), threshold"
-        f" {_LEAST_COUNTS} counts, its own band pass, numba engine (compiled before), no extras",
+        f" {_MIN_COUNTS} counts, its own band pass, numba engine (compiled before), no extras",
         _trackpy,
     ),
     Localiser(
@@ -242,7 +242,7 @@ LOCALISERS = (
         "scipy",
         "scipy `ndimage.center_of_mass`",
         REGION,
-        f"gaussian_filter {_SIGMA_PX:g} px, label above {_OF_PEAK:.0%} of the peak, center_of_mass of the"
+        f"gaussian_filter {_SIGMA_PX:g} px, label above {_PEAK_SHARE:.0%} of the peak, center_of_mass of the"
         " excess in that label",
         _scipy,
     ),
@@ -250,14 +250,14 @@ LOCALISERS = (
         "opencv-python-headless",
         "OpenCV `moments`",
         REGION,
-        f"GaussianBlur {_SIGMA_PX:g} px, THRESH_TOZERO at {_OF_PEAK:.0%} of the peak, m10/m00 and m01/m00",
+        f"GaussianBlur {_SIGMA_PX:g} px, THRESH_TOZERO at {_PEAK_SHARE:.0%} of the peak, m10/m00 and m01/m00",
         _opencv_moments,
     ),
     Localiser(
         "opencv-python-headless",
         "OpenCV `moments`, (I − T)₊",
         REGION,
-        f"the same with T = {_OF_PEAK_SOFT:.0%} of the peak subtracted, which its documentation does not say",
+        f"the same with T = {_SOFT_SHARE:.0%} of the peak subtracted, which its documentation does not say",
         _opencv_soft_moments,
     ),
     Localiser(
@@ -271,7 +271,7 @@ LOCALISERS = (
         "photutils",
         "photutils `centroid_2dg`",
         FLAT,
-        f"the cutout divided by the flat, mask where the flat is below {_DARK:.0%} of its mean",
+        f"the cutout divided by the flat, mask where the flat is below {_MIN_RESPONSE:.0%} of its mean",
         _photutils_2dg_with_flat,
     ),
     Localiser(

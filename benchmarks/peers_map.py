@@ -25,7 +25,7 @@ NOISE_PX = 0.05
 _FIRST_SEED = 301
 _DENSE = (50, 40)
 _SIZE = (WIDTH_PX, HEIGHT_PX)
-_MOST_DROPPED_SHARE = 0.2
+_MAX_DROPPED_SHARE = 0.2
 """What ``altd calibrate`` allows itself."""
 
 ToMm = Callable[[FloatArray], FloatArray]
@@ -79,7 +79,7 @@ def _grid(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
 
 
 def _altd(task: Task) -> ToMm:
-    most_dropped = int(_MOST_DROPPED_SHARE * len(task.nodes_mm))
+    most_dropped = int(_MAX_DROPPED_SHARE * len(task.nodes_mm))
     fitted = fit_nodes(task.nodes_mm, task.nodes_px, _SIZE, None, most_dropped)
     inverse = InverseMap.of(fitted.fit.map)
     return lambda px: inverse.to_mm(px)[0]

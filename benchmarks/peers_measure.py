@@ -28,8 +28,8 @@ from benchmarks.peers_page import Cell, Figures, MapFigures, Scatter, SpotFigure
 UNITS, POSES, LENSES = 5, 30, 12
 QUICK = 2, 14, 2
 
-_LARGEST_ERROR_PX = 3.0
-_LARGEST_ERROR_MM = 5.0
+_MAX_ERROR_PX = 3.0
+_MAX_ERROR_MM = 5.0
 _MAP_DEGREE = 3
 
 
@@ -90,7 +90,7 @@ class _SpotRun:
             u = v = math.nan
         self._times_ns.append(time.process_time_ns() - before_ns)
         true_u, true_v = sample.truth_px
-        if math.hypot(u - true_u, v - true_v) <= _LARGEST_ERROR_PX:
+        if math.hypot(u - true_u, v - true_v) <= _MAX_ERROR_PX:
             group = sample.kind, sample.seed, sample.frame.camera
             self._found[group].append((true_u, true_v, u - true_u, v - true_v))
         else:
@@ -184,7 +184,7 @@ class _MapRun:
         self._fit_ns.append(fitted_ns - begun_ns)
         self._among_many_ns.append((mapped_ns - fitted_ns) / len(errors_mm))
         self._point_ns.append((last_ns - first_ns) / len(points))
-        if errors_mm.max() <= _LARGEST_ERROR_MM:
+        if errors_mm.max() <= _MAX_ERROR_MM:
             self._errors_mm[key].append(errors_mm)
         else:
             self._failed[key] += 1

@@ -29,7 +29,7 @@ from altd.records import Exposure, Fault, Frame, MeanSpots, Spot, TargetPoint
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import locate, spot_in
 from altd.vision.search import Search
-from benchmarks.frames import CAMERAS, WINDOW, Material, make_config
+from benchmarks.material import CAMERAS, WINDOW, Material, make_config
 
 PERIOD_NS = 50_000_000
 COPY, SEARCH, CHAIN = "memory pass: copy", "coarse search", "whole chain"

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.daemon import free_port
-from benchmarks.frames import FPS, WINDOW, Material, write_run_folder
+from benchmarks.material import FPS, WINDOW, Material, write_run_folder
 
-_PATIENCE_S = 15.0
+_TIMEOUT_S = 15.0
 _IMPORTS = "import altd.cli.main, altd.config, altd.app.daemon, altd.publish.http.publisher"
 
 
@@ -59,7 +59,7 @@ def _start(config: Path, port: int) -> tuple[float, float]:
     ):
         try:
             first_answer_s = None
-            while (passed_s := time.monotonic() - begun_s) < _PATIENCE_S and daemon.poll() is None:
+            while (passed_s := time.monotonic() - begun_s) < _TIMEOUT_S and daemon.poll() is None:
                 valid = _ask(port)
                 if valid is None:
                     time.sleep(0.005)

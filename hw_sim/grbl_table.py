@@ -20,20 +20,21 @@ import numpy as np
 
 from hw_sim.beam import BeamPose
 from hw_sim.grbl import Controller
+from hw_sim.grbl_machine import Machine
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit
 
 TICK_S = 0.002
-MEMORY = 4000
-"""Places that are kept, one a tick: a frame is drawn after its exposure."""
+MAX_POSES = 4000
+"""Poses that are kept, one a tick: a frame is rendered after its exposure."""
 
 MIDDLE_MM = (-100.0, -100.0)
 """The middle of the targets as seen from the switches, which sit at the upper ends of a travel of 200 mm. The
 table stands there when the simulation begins, and the work zero is set there."""
 
-FAST = {110: "30000", 111: "30000", 120: "3000", 121: "3000", 25: "20000"}
+FAST_SETTINGS = {110: "30000", 111: "30000", 120: "3000", 121: "3000", 25: "20000"}
 """Settings of a quick table, so that a person or a test need not wait: 0.5 m/s, 3 m/s²."""
-SWITCHES = {20: "1", 21: "1", 22: "1"}
+SWITCH_SETTINGS = {20: "1", 21: "1", 22: "1"}
 """Settings of a table with limit switches."""
 
 LOST_STEPS_MM = 0.4
@@ -50,14 +51,15 @@ class GrblTable:
     def __init__(
         self, unit: Unit | None = None, rng: np.random.Generator | None = None, *, switches: bool = True
     ) -> None:
-        self.controller = Controller(work_zero_mm=MIDDLE_MM if switches else (0.0, 0.0))
-        self.controller.settings |= FAST | (SWITCHES if switches else {})
+        self.machine = Machine(work_zero_mm=MIDDLE_MM if switches else (0.0, 0.0))
+        self.machine.settings |= FAST_SETTINGS | (SWITCH_SETTINGS if switches else {})
+        self.controller = Controller(self.machine)
         self.controller.power_on()
         self.noise = 0.0
         self.changed_bytes = 0
         self._rng = rng or np.random.default_rng(0)
         self._stage = Stage(self._rng)
-        self._slip_mm = MIDDLE_MM
+        self._displacement_mm = MIDDLE_MM
         self._power = self._answers = True
         self._lock = threading.RLock()
         self._ending = threading.Event()
@@ -65,11 +67,11 @@ class GrblTable:
         self._terminal, self._line = os.openpty()
         tty.setraw(self._line)
         self.device = Path(os.ttyname(self._line))
-        self._times_ns: deque[int] = deque(maxlen=MEMORY)
-        self._poses: deque[BeamPose] = deque(maxlen=MEMORY)
-        self._target_mm = self.controller.planner.target_mm
+        self._times_ns: deque[int] = deque(maxlen=MAX_POSES)
+        self._poses: deque[BeamPose] = deque(maxlen=MAX_POSES)
+        self._target_mm = self.machine.planner.target_mm
         self._error = self._stage.place(0.0, 0.0)
-        self._remember(time.monotonic_ns())
+        self._record_pose(time.monotonic_ns())
         if unit is not None:
             unit.follow(self.beam)
 
@@ -96,7 +98,7 @@ class GrblTable:
                 os.close(self._line)
                 self._terminal = self._line = -1
 
-    def hang(self) -> None:
+    def stop_answering(self) -> None:
         """Let the controller's firmware stop answering; a move that is under way is finished."""
         with self._lock:
             self._answers = False
@@ -110,51 +112,51 @@ class GrblTable:
     def power_on(self) -> None:
         """Power again: the controller believes to be at its zero, wherever the table is."""
         with self._lock:
-            self.shove(*self.controller.planner.place_mm)
-            said = self.controller.power_on()
+            self.displace(*self.machine.planner.place_mm)
+            sent = self.controller.power_on()
             self._power = self._answers = True
-            self._say(said)
+            self._send(sent)
 
     def hit_limit(self) -> None:
         """Let somebody lean on a limit switch."""
         with self._lock:
-            self._say(self.controller.hit_limit(_now_s()))
+            self._send(self.controller.hit_limit(_now_s()))
 
-    def shove(self, x_mm: float, y_mm: float) -> None:
-        """Push the table, its motors without noticing."""
+    def displace(self, x_mm: float, y_mm: float) -> None:
+        """Push the table without its controller noticing."""
         with self._lock:
-            self._slip_mm = self._slip_mm[0] + x_mm, self._slip_mm[1] + y_mm
+            self._displacement_mm = self._displacement_mm[0] + x_mm, self._displacement_mm[1] + y_mm
 
     def _serve(self) -> None:
         while not self._ending.is_set():
             with self._lock:
                 if self._terminal < 0:
                     return
-                self._turn()
+                self._exchange()
             self._ending.wait(TICK_S)
 
-    def _turn(self) -> None:
+    def _exchange(self) -> None:
         now_ns = time.monotonic_ns()
         data = b""
         if select.select([self._terminal], [], [], 0)[0]:
-            data = self._through_noise(os.read(self._terminal, 4096))
+            data = self._with_line_noise(os.read(self._terminal, 4096))
         if self._power:
             if self._answers:
-                homing = self.controller.state == "Home"
-                self._say(self.controller.receive(data, now_ns * 1e-9))
-                if homing and self.controller.state == "Idle":
-                    self._slip_mm = 0.0, 0.0
+                homing = self.machine.state == "Home"
+                self._send(self.controller.receive(data, now_ns * 1e-9))
+                if homing and self.machine.state == "Idle":
+                    self._displacement_mm = 0.0, 0.0
             else:
                 self.controller.tick(now_ns * 1e-9)
-        self._remember(now_ns)
+        self._record_pose(now_ns)
 
-    def _say(self, text: str) -> None:
+    def _send(self, text: str) -> None:
         if "ALARM:1" in text or "ALARM:3" in text:
-            self.shove(LOST_STEPS_MM, -LOST_STEPS_MM)
+            self.displace(LOST_STEPS_MM, -LOST_STEPS_MM)
         if text and self._terminal >= 0:
-            os.write(self._terminal, self._through_noise(text.encode("ascii")))
+            os.write(self._terminal, self._with_line_noise(text.encode("ascii")))
 
-    def _through_noise(self, data: bytes) -> bytes:
+    def _with_line_noise(self, data: bytes) -> bytes:
         if self.noise == 0 or not data:
             return data
         changed = np.frombuffer(data, np.uint8).copy()
@@ -163,16 +165,16 @@ class GrblTable:
         changed[hit] = self._rng.integers(1, 256, int(hit.sum()))
         return changed.tobytes()
 
-    def _remember(self, t_ns: int) -> None:
-        if self.controller.planner.target_mm != self._target_mm:
-            self._target_mm = self.controller.planner.target_mm
+    def _record_pose(self, t_ns: int) -> None:
+        if self.machine.planner.target_mm != self._target_mm:
+            self._target_mm = self.machine.planner.target_mm
             self._error = self._stage.place(0.0, 0.0)
-        x_mm, y_mm = self.controller.planner.at(t_ns * 1e-9)
+        x_mm, y_mm = self.machine.planner.at(t_ns * 1e-9)
         self._times_ns.append(t_ns)
         self._poses.append(
             BeamPose(
-                x_mm + self._slip_mm[0] + self._error.x_mm - MIDDLE_MM[0],
-                y_mm + self._slip_mm[1] + self._error.y_mm - MIDDLE_MM[1],
+                x_mm + self._displacement_mm[0] + self._error.x_mm - MIDDLE_MM[0],
+                y_mm + self._displacement_mm[1] + self._error.y_mm - MIDDLE_MM[1],
             )
         )
 

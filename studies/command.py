@@ -46,9 +46,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise BadInputError("matplotlib", "is not installed: pip install 'altd[report]'") from error
     if arguments.output is not None and arguments.output.exists() and not arguments.output.is_dir():
         raise BadInputError(arguments.output, "is not a folder")
-    from studies.page import verdict, write_index, write_page
     from studies.plot import style
-    from studies.table import table
+    from studies.result_table import table
+    from studies.study_page import verdict, write_index, write_page
 
     for name in names:
         study = _module(name)

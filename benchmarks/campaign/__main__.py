@@ -7,13 +7,13 @@ import sys
 from pathlib import Path
 
 from altd.errors import BadInputError
-from benchmarks.campaign import table
+from benchmarks.campaign import tally_table
 from benchmarks.campaign.cache import folder
+from benchmarks.campaign.campaign_page import RunDescription, write_page
 from benchmarks.campaign.catalogue import WAYS, chosen
 from benchmarks.campaign.episode import WINDOW
 from benchmarks.campaign.good_run import lines as good_lines
 from benchmarks.campaign.good_run import run_good
-from benchmarks.campaign.page import write_page
 from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.units import NAMES
 
@@ -62,14 +62,15 @@ def _campaign(options: argparse.Namespace) -> int:
     tallies, took_s = run(plan, Effort(seconds, options.measurements, options.processes), _show)
     if sys.stderr.isatty():
         sys.stderr.write("\r\033[K")
-    print("\n".join(table.text(tallies)))
+    print("\n".join(tally_table.text(tallies)))
     if options.worst:
-        print("\n".join(("", *table.worst(tallies))))
+        print("\n".join(("", *tally_table.worst(tallies))))
     if options.page is not None:
         command = "python -m benchmarks.campaign " + " ".join(_given(options))
-        write_page(options.page, tallies, command, plan.seed, ", ".join(plan.units), took_s, WINDOW)
+        run_of_page = RunDescription(command, plan.seed, ", ".join(plan.units), took_s, WINDOW)
+        write_page(options.page, tallies, run_of_page)
     print(f"{took_s:.0f} s, seed {plan.seed}, {options.processes} processes, units {', '.join(plan.units)}")
-    return 1 if table.wrong_count(tallies) else 0
+    return 1 if tally_table.wrong_count(tallies) else 0
 
 
 def _given(options: argparse.Namespace) -> list[str]:

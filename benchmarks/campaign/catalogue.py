@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from altd.errors import BadInputError
-from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
 from benchmarks.campaign.way import Draw, Spoil, Way
+from benchmarks.campaign.ways import (
+    ambient,
+    cameras,
+    frame_order,
+    grey_values,
+    numbers,
+    spots,
+    surfaces,
+    times,
+)
 
 CLEAN, ANOTHER_UNIT = "clean", "another_unit"
 
@@ -25,7 +34,8 @@ WAYS: dict[str, Way] = {
         *spots.WAYS.ways,
         *surfaces.WAYS.ways,
         *ambient.WAYS.ways,
-        *frames.WAYS.ways,
+        *grey_values.WAYS.ways,
+        *frame_order.WAYS.ways,
         *cameras.WAYS.ways,
         Way(ANOTHER_UNIT, "cameras", _foreign),
         *times.WAYS,

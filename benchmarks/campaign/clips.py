@@ -15,7 +15,7 @@ from altd.measuring.calibration import Calibration
 from altd.recording.reader import Recording, open_recording
 from altd.records import FloatArray, PixelArray
 from benchmarks.campaign.cache import RECORDINGS, calibrated
-from benchmarks.campaign.scene import Exposing, Image, Noise, Scene, SpotShape, exposing, snapshot
+from benchmarks.campaign.scene import Image, MeanImage, Noise, Scene, SpotShape, mean_image, noisy_image
 from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose
@@ -29,7 +29,7 @@ START_NS = 1_000_000_000_000
 
 _DRIVING_MM_PER_S, _DRIVING_RAD_PER_S = 5.0, 0.01
 """A machine in a hurry: four times as fast as hw_sim's drive."""
-_SHAKES = Vibration(rms_mm=0.02, rms_mrad=0.05)
+_VIBRATION = Vibration(rms_mm=0.02, rms_mrad=0.05)
 """Nothing that drives does so without: a steady way alone would hide that one camera is late."""
 
 
@@ -147,11 +147,11 @@ class SimulatedClip:
         self._speed = speed
         self._late_ns = late_ns
         self.length = length
-        shakes = bool(speed.any()) and rig.spec.vibration is None
-        self._shaking = vibrating(_SHAKES, rng) if shakes else None
+        vibrates = bool(speed.any()) and rig.spec.vibration is None
+        self._vibration = vibrating(_VIBRATION, rng) if vibrates else None
         self.still = not speed.any() and rig.spec.vibration is None and rig.spec.lux_of is None
         self._kept: dict[str, Scene] = {}
-        self._means: dict[str, tuple[Scene, Exposing]] = {}
+        self._means: dict[str, tuple[Scene, MeanImage]] = {}
         rig.unit.follow(self._at)
 
     def _at(self, t_ns: int) -> BeamPose:
@@ -159,7 +159,7 @@ class SimulatedClip:
         x, y, slope_x, slope_y = self._speed * middle_s
         pose = self._pose
         moved = BeamPose(pose.x_mm + x, pose.y_mm + y, pose.slope_x + slope_x, pose.slope_y + slope_y)
-        return moved if self._shaking is None else self._shaking.moved(moved, t_ns)
+        return moved if self._vibration is None else self._vibration.moved(moved, t_ns)
 
     def scene(self, camera: str, k: int) -> Scene:
         """The light of a camera's exposure."""
@@ -174,9 +174,9 @@ class SimulatedClip:
         """A frame with noise of its own."""
         kept = self._means.get(scene.camera)
         if kept is None or kept[0] is not scene:
-            kept = self._means[scene.camera] = scene, exposing(scene.electrons, self._rig.sensor)
+            kept = self._means[scene.camera] = scene, mean_image(scene.electrons, self._rig.sensor)
         noise = self._rig.noise.picture(scene.beam.shape, rng)
-        return snapshot(kept[1], noise, self._rig.bits)
+        return noisy_image(kept[1], noise, self._rig.bits)
 
     def truth(self, k: int) -> FloatArray:
         """As the unit's formulas have it, vibration included."""
@@ -277,8 +277,8 @@ class RecordedClip:
         mean = scene.electrons
         added = np.maximum(np.minimum(mean, FULL_WELL_E) - kept.electrons, 0.0)
         slope = self._sensor.counts_per_electron(1.0)
-        spoilt = Exposing(self._sensor.mean_counts(mean, 1.0), np.float32(slope) * np.sqrt(added))
-        return snapshot(spoilt, self._rig.noise.picture(mean.shape, rng), self._rig.bits)
+        spoilt = MeanImage(self._sensor.mean_counts(mean, 1.0), np.float32(slope) * np.sqrt(added))
+        return noisy_image(spoilt, self._rig.noise.picture(mean.shape, rng), self._rig.bits)
 
     def truth(self, k: int) -> FloatArray:
         """As the recording's maker gives it."""

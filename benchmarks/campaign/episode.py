@@ -13,10 +13,10 @@ from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, Measurement
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
-from benchmarks.campaign.judge import Judged, Outcome, Verdict, judge, truth_of
-from benchmarks.campaign.numbers import Misnumbered, accepted
+from benchmarks.campaign.judge import Judgement, Outcome, Verdict, judge, truth_of
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
+from benchmarks.campaign.ways.numbers import Misnumbered, accepted
 
 WINDOW = 6
 _WARMING_UP = (str(Reason.WARMING_UP),)
@@ -67,7 +67,7 @@ def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Out
     """Measure with what the files give where a number in them is none; a refusal counts as invalid."""
     taken = accepted(way, rig.calibration)
     if taken is None:
-        return Outcome((), (Judged(Verdict.INVALID, reasons=("refused",)),))
+        return Outcome((), (Judgement(Verdict.INVALID, reasons=("refused",)),))
     calibration, measuring, installation = taken
     measuring = measuring.model_copy(update={"window": WINDOW})
     clip = rig.clip(rng, WINDOW, False)

@@ -21,7 +21,7 @@ from altd.measuring.chain import MeasuringChain, View
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
-from benchmarks.campaign.scene import Noise, exposing, snapshot
+from benchmarks.campaign.scene import Noise, mean_image, noisy_image
 from benchmarks.campaign.units import SIMULATED
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose, Footprint
@@ -169,7 +169,7 @@ class _GoodUnit:
         region, beam_e = imager.view.beam_e(spots, self.exposure_ms)
         electrons[region] += beam_e
         noise = self.noise.picture(electrons.shape, rng)
-        pixels = snapshot(exposing(electrons, self.sensor), noise, self.sensor.bits)
+        pixels = noisy_image(mean_image(electrons, self.sensor), noise, self.sensor.bits)
         pixels.flags.writeable = False
         return Frame(camera, sequence, t_ns, pixels, self.sensor.bits)
 

@@ -1,4 +1,4 @@
-"""What a measurement is worth against the truth, and the sums of many."""
+"""Compares measurements with the truth, and sums up many."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Judgement:
     """A measurement beside the truth: the largest errors in mm, in ° and in sigmas; 0 where it is invalid."""
 
     verdict: Verdict
@@ -36,20 +36,20 @@ class Judged:
     warnings: tuple[str, ...] = ()
 
 
-def judge(measurement: Measurement, truth: FloatArray | None) -> Judged:
-    """Hold a measurement against x mm, y mm, yaw °, pitch °; without a truth every number is wrong."""
+def judge(measurement: Measurement, truth: FloatArray | None) -> Judgement:
+    """Compare a measurement with x mm, y mm, yaw °, pitch °; without a truth every number is wrong."""
     reasons = tuple(str(fault) for fault in measurement.status if not fault.reason.is_warning)
     warnings = tuple(str(fault) for fault in measurement.status if fault.reason.is_warning)
     if not measurement.valid:
-        return Judged(Verdict.INVALID, reasons=reasons, warnings=warnings)
+        return Judgement(Verdict.INVALID, reasons=reasons, warnings=warnings)
     if truth is None:
-        return Judged(Verdict.WRONG, np.inf, np.inf, np.inf, warnings=warnings)
+        return Judgement(Verdict.WRONG, np.inf, np.inf, np.inf, warnings=warnings)
     values, sigma = arrays(measurement)
     error = np.abs(values - truth)
     error[~np.isfinite(values)] = np.inf
     in_sigmas = error / sigma
     wrong = bool(np.any((in_sigmas > SIGMAS) & (error > LIMITS))) or not np.isfinite(in_sigmas).all()
-    return Judged(
+    return Judgement(
         Verdict.WRONG if wrong else Verdict.RIGHT,
         float(error[:2].max()),
         float(error[2:].max()),
@@ -85,8 +85,8 @@ class Outcome:
     ``recovered_s``: where a disturbance ended, how long until a measurement was valid again.
     """
 
-    clean: tuple[Judged, ...]
-    spoilt: tuple[Judged, ...]
+    clean: tuple[Judgement, ...]
+    spoilt: tuple[Judgement, ...]
     recovered_s: float | None = None
 
 
@@ -140,7 +140,7 @@ class Tally:
         if first is not None:
             self.noticed.append(first + 1)
 
-    def _remember(self, wrong: Sequence[Judged], note: str) -> None:
+    def _remember(self, wrong: Sequence[Judgement], note: str) -> None:
         if not wrong:
             return
         self.wrong_episodes += 1

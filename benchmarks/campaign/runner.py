@@ -16,15 +16,15 @@ import numpy as np
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
+from benchmarks.campaign.detectability import Subject
 from benchmarks.campaign.episode import run_episode, run_misnumbered
 from benchmarks.campaign.judge import Outcome, Tally
-from benchmarks.campaign.numbers import Misnumbered
-from benchmarks.campaign.table import UNSEEN
+from benchmarks.campaign.tally_table import HIDDEN_SUFFIX
 from benchmarks.campaign.timed import run_timed
-from benchmarks.campaign.times import Mistimed
 from benchmarks.campaign.units import SIMULATED
-from benchmarks.campaign.unseen import Subject
 from benchmarks.campaign.way import Draw, Spoil, Way, both
+from benchmarks.campaign.ways.numbers import Misnumbered
+from benchmarks.campaign.ways.times import Mistimed
 
 PAIRS = "pairs"
 _ONE_IS_HIDDEN = "one of the two could not be seen by itself"
@@ -70,7 +70,9 @@ def run(plan: Plan, effort: Effort, progress: Callable[[int, float], None]) -> t
             break
     order = {
         name: number
-        for number, name in enumerate(name + suffix for name in (*WAYS, PAIRS) for suffix in ("", UNSEEN))
+        for number, name in enumerate(
+            name + suffix for name in (*WAYS, PAIRS) for suffix in ("", HIDDEN_SUFFIX)
+        )
     }
     return dict(sorted(tallies.items(), key=lambda item: order[item[0]])), time.monotonic() - began_s
 
@@ -158,10 +160,10 @@ def _spoilt(
             rig = _rig("plain")
             alike = _units_alike(rig)
         foreign = _rig(alike[int(rng.integers(len(alike)))])
-    hidden = spoil.unseen(Subject.of(SIMULATED.get(rig.name)))
+    hidden = spoil.undetectable(Subject.of(SIMULATED.get(rig.name)))
     outcome = run_episode(rig, spoil, rng, moving, foreign)
     invisible = way.invisible or (_ONE_IS_HIDDEN if hidden and name == PAIRS else hidden)
-    return name + UNSEEN * bool(hidden), f"#{number} {rig.name}: {note}", outcome, invisible
+    return name + HIDDEN_SUFFIX * bool(hidden), f"#{number} {rig.name}: {note}", outcome, invisible
 
 
 def _units_alike(rig: Rig) -> list[str]:

@@ -128,16 +128,16 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Exposing:
+class MeanImage:
     """Mean grey values of a scene and their noise (1 sigma), before quantisation."""
 
     counts: Image
     noise_counts: Image
 
 
-def exposing(electrons: Image, sensor: Sensor) -> Exposing:
+def mean_image(electrons: Image, sensor: Sensor) -> MeanImage:
     """What a chip makes of mean electrons."""
-    return Exposing(sensor.mean_counts(electrons, 1.0), sensor.noise_counts(electrons, 1.0))
+    return MeanImage(sensor.mean_counts(electrons, 1.0), sensor.noise_counts(electrons, 1.0))
 
 
 class Noise:
@@ -153,7 +153,7 @@ class Noise:
         return self._numbers[start : start + size].reshape(shape)
 
 
-def snapshot(mean: Exposing, noise: Image, bits: int) -> PixelArray:
+def noisy_image(mean: MeanImage, noise: Image, bits: int) -> PixelArray:
     """Grey values of one exposure."""
     counts = cv2.multiply(noise, mean.noise_counts)
     if bits <= 8:

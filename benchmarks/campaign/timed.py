@@ -19,10 +19,10 @@ from altd.records import FloatArray, Frame, Measurement, PixelArray
 from altd.status.board import Board
 from altd.status.health import Health
 from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
-from benchmarks.campaign.held_clock import HeldClock
-from benchmarks.campaign.judge import LIMITS, SIGMAS, Judged, Outcome, Verdict, arrays, judge
-from benchmarks.campaign.times import MS, PERIOD_NS, Delivery, Mistimed
+from benchmarks.campaign.judge import LIMITS, SIGMAS, Judgement, Outcome, Verdict, arrays, judge
+from benchmarks.campaign.stepped_clock import SteppedClock
 from benchmarks.campaign.way import CAMERAS
+from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
 from hw_sim.beam import BeamPose
 
 WINDOW = 8
@@ -32,7 +32,7 @@ BEFORE, AFTER = 20, 60
 START_NS = 1_000_000_000_000
 _FIRST_NUMBER = 100_000
 _TRANSFER_NS = 5 * MS
-_OLDEST_NS = 1_000 * MS + WINDOW * PERIOD_NS
+_MAX_AGE_NS = 1_000 * MS + WINDOW * PERIOD_NS
 """What a reader may be shown: the default of ``stale_after_s``, and the length of a window."""
 
 
@@ -62,16 +62,16 @@ def run_timed(rig: Rig, way: Mistimed, rng: np.random.Generator) -> Outcome:
         (camera, k): clip.snap(clip.scene(camera, k), k, rng) for k in range(count) for camera in CAMERAS
     }
     read = asyncio.run(_read(rig, way, arrivals, shots, onset_ns, START_NS + count * PERIOD_NS))
-    truth = _without_shaking(np.array([clip.truth(k) for k in range(count)]))
+    truth = _without_vibration(np.array([clip.truth(k) for k in range(count)]))
     judged = [(now_ns, _judged(one, truth, now_ns)) for now_ns, one in read if one is not None]
-    told = [(now_ns, one) for now_ns, one in judged if one.reasons != ("warming_up",)]
+    shown = [(now_ns, one) for now_ns, one in judged if one.reasons != ("warming_up",)]
     recovered_s = None
     if way.end_ns is not None:
-        valid = [now_ns for now_ns, one in told if now_ns >= end_ns and one.verdict is not Verdict.INVALID]
+        valid = [now_ns for now_ns, one in shown if now_ns >= end_ns and one.verdict is not Verdict.INVALID]
         recovered_s = (valid[0] - end_ns) * 1e-9 if valid else math.inf
     return Outcome(
-        tuple(one for now_ns, one in told if now_ns < onset_ns),
-        tuple(one for now_ns, one in told if now_ns >= onset_ns),
+        tuple(one for now_ns, one in shown if now_ns < onset_ns),
+        tuple(one for now_ns, one in shown if now_ns >= onset_ns),
         recovered_s,
     )
 
@@ -85,7 +85,7 @@ async def _read(
     end_ns: int,
 ) -> list[tuple[int, Measurement | None]]:
     """The board as it is found every 50 ms."""
-    clock = HeldClock(START_NS)
+    clock = SteppedClock(START_NS)
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
     instrument = BeamInstrument(rig.calibration, measuring)
     board = Board(clock, Measuring().stale_after_s, instrument.quantities)
@@ -129,20 +129,20 @@ async def _read(
     return found
 
 
-def _without_shaking(places: FloatArray) -> FloatArray:
+def _without_vibration(places: FloatArray) -> FloatArray:
     """The way itself, (exposures, 4): what shakes about it is no place where the machine was."""
     k = np.arange(len(places))
     return np.stack([np.polyval(np.polyfit(k, column, 2), k) for column in places.T], axis=1)
 
 
-def _judged(measurement: Measurement, truth: FloatArray, now_ns: int) -> Judged:
+def _judged(measurement: Measurement, truth: FloatArray, now_ns: int) -> Judgement:
     """Against where the machine was at the time that fits best, of those that a reader may be shown."""
     if not measurement.valid:
         return judge(measurement, None)
     values, sigma = arrays(measurement)
-    oldest, newest = (int((t_ns - START_NS) // PERIOD_NS) for t_ns in (now_ns - _OLDEST_NS, now_ns))
+    oldest, newest = (int((t_ns - START_NS) // PERIOD_NS) for t_ns in (now_ns - _MAX_AGE_NS, now_ns))
     fine = np.linspace(max(oldest, 0), min(newest, len(truth) - 1), 8 * (newest - max(oldest, 0)) + 1)
     places = np.stack([np.interp(fine, np.arange(len(truth)), column) for column in truth.T], axis=1)
     errors = np.abs(places - values)
-    worth = np.minimum(errors / (SIGMAS * sigma), errors / LIMITS).max(axis=1)
-    return judge(measurement, places[int(worth.argmin())])
+    penalty = np.minimum(errors / (SIGMAS * sigma), errors / LIMITS).max(axis=1)
+    return judge(measurement, places[int(penalty.argmin())])

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import PixelArray
+from benchmarks.campaign.detectability import Undetectable, always_detectable
 from benchmarks.campaign.scene import Scene
-from benchmarks.campaign.unseen import Unseen, never_hidden
 
 CAMERAS = ("front", "rear")
 
@@ -52,8 +52,8 @@ class Spoil:
     """One way with its parameters drawn; what it does not touch is None.
 
     ``cameras`` are those that light and pixels are spoilt of. ``varies``: its light is another one at each
-    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong. ``unseen`` says on
-    which units nobody could see it.
+    exposure. ``no_beam``: no laser is left that could be measured, any number is wrong. ``undetectable`` says
+    on which units it cannot be detected.
     """
 
     note: str
@@ -63,7 +63,7 @@ class Spoil:
     cameras: frozenset[str] = frozenset(CAMERAS)
     varies: bool = False
     no_beam: bool = False
-    unseen: Unseen = never_hidden
+    undetectable: Undetectable = always_detectable
 
 
 class Draw:
@@ -157,7 +157,7 @@ def both(first: Spoil, second: Spoil) -> Spoil:
         pixels=None,
         varies=first.varies or second.varies,
         no_beam=first.no_beam or second.no_beam,
-        unseen=lambda subject: first.unseen(subject) or second.unseen(subject),
+        undetectable=lambda subject: first.undetectable(subject) or second.undetectable(subject),
     )
 
 

@@ -25,8 +25,8 @@ FOREIGN = "127.0.0.66"
 _GVCP_PORT = 3956
 _HEADER = struct.Struct(">HHI")
 _IP_UDP = struct.Struct(">BBHHHBBH4s4sHHHH")
-_LISTEN_S = 0.3
-_LOOK_INTERVAL_S = 0.25
+_CAPTURE_S = 0.3
+_PORT_SCAN_INTERVAL_S = 0.25
 _IDLE_S = 0.05
 _TRAILER = struct.pack(">HHI", 0, 1, 0)
 _KILLER = bytes.fromhex("00000000820000000000000000000001f00000000000000100000000")
@@ -38,7 +38,7 @@ Ends = list[tuple[str, int]]
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class CapturedFrame:
     """A frame on its way from a camera to the daemon."""
 
     at_s: float
@@ -54,7 +54,7 @@ class Target:
 
     source: tuple[str, int]
     goal: tuple[str, int]
-    heard: Heard
+    captured: CapturedFrame
 
 
 Phase = Callable[[random.Random, Ends, list[Target]], Datagrams]
@@ -74,7 +74,7 @@ def main() -> int:
         targets = list(_targets(list(udp_ports(int(cameras))), goals))
         looked_s, sent = began_s, 0
         while (now_s := time.monotonic()) < min(began_s + phase_s, end_s):
-            if now_s - looked_s > _LOOK_INTERVAL_S:
+            if now_s - looked_s > _PORT_SCAN_INTERVAL_S:
                 looked_s, goals = now_s, list(udp_ports(int(daemon)))
             burst = list(made_in(dice, goals, targets)) if goals else []
             for source, goal, data in burst:
@@ -167,13 +167,13 @@ def _anything(dice: random.Random) -> bytes:
 
 def _frame(target: Target, source: tuple[str, int], ahead: int) -> Datagrams:
     """A frame like the one that was heard, its picture 200 columns aside."""
-    heard = target.heard
-    block_id = (heard.block_id + int((time.monotonic() - heard.at_s) * 20) + ahead - 1) % 65535 + 1
-    width = struct.unpack_from(">I", heard.leader, 16)[0]
-    picture = np.frombuffer(heard.image, np.uint8).reshape(-1, width)
+    captured = target.captured
+    block_id = (captured.block_id + int((time.monotonic() - captured.at_s) * 20) + ahead - 1) % 65535 + 1
+    width = struct.unpack_from(">I", captured.leader, 16)[0]
+    picture = np.frombuffer(captured.image, np.uint8).reshape(-1, width)
     image = np.roll(picture, 200, axis=1).tobytes()
-    bodies = [heard.leader]
-    bodies += [image[at : at + heard.data_bytes] for at in range(0, len(image), heard.data_bytes)]
+    bodies = [captured.leader]
+    bodies += [image[at : at + captured.data_bytes] for at in range(0, len(image), captured.data_bytes)]
     bodies += [_TRAILER]
     for number, body in enumerate(bodies):
         kind = 1 if number == 0 else 2 if number == len(bodies) - 1 else 3
@@ -187,7 +187,7 @@ def _targets(sources: Ends, goals: Ends) -> Iterator[Target]:
         ear.settimeout(0.1)
         wanted = {source for source in sources if source[1] != _GVCP_PORT}
         parts: dict[tuple[str, int], dict[int, bytes]] = {}
-        until_s = time.monotonic() + _LISTEN_S
+        until_s = time.monotonic() + _CAPTURE_S
         while wanted and time.monotonic() < until_s:
             try:
                 packet = ear.recv(65536)
@@ -207,7 +207,9 @@ def _targets(sources: Ends, goals: Ends) -> Iterator[Target]:
                 of = parts.pop(source)
                 image = b"".join(of[n] for n in range(1, number))
                 wanted.discard(source)
-                yield Target(source, goal, Heard(time.monotonic(), block_id, of[0], image, len(of[1])))
+                yield Target(
+                    source, goal, CapturedFrame(time.monotonic(), block_id, of[0], image, len(of[1]))
+                )
 
 
 def udp_ports(process: int) -> Iterator[tuple[str, int]]:

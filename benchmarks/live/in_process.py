@@ -1,7 +1,7 @@
 """``python -m benchmarks.live.in_process CONFIG SEED SECONDS``: the unit without a wire, at the same time.
 
-The drive and the shaking of a simulated unit are functions of the machine's clock: this daemon, whose cameras
-are handed to it, sees the very scene that the one on the wire sees. Prints how true it was, as JSON.
+The drive and the vibration of a simulated unit are functions of the machine's clock: this daemon, whose
+cameras are handed to it, sees the very scene that the one on the wire sees. Prints how true it was, as JSON.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def main() -> int:
     """Measure so long, and say how true it was."""
     config, seed, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     unit = make_unit(seed, drive=True)
-    said = asyncio.run(_measured(config, unit, seconds))
-    print(json.dumps(dataclasses.asdict(truthfulness(unit, said))))
+    measurements = asyncio.run(_measured(config, unit, seconds))
+    print(json.dumps(dataclasses.asdict(truthfulness(unit, measurements))))
     return 0
 
 
@@ -41,15 +41,15 @@ async def _measured(config_file: Path, unit: Unit, seconds: float) -> list[dict[
     daemon = Daemon(config, calibration_of(config, cameras), cameras)
     task = asyncio.create_task(daemon.run())
     cursor = daemon.board.cursor()
-    said: list[dict[str, Any]] = []
+    measurements: list[dict[str, Any]] = []
     try:
         async with asyncio.timeout(seconds):
             while True:
                 measurement = await cursor.next()
                 if measurement.valid:
-                    said.append(as_object(measurement))
+                    measurements.append(as_object(measurement))
     except TimeoutError:
-        return said
+        return measurements
     finally:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):

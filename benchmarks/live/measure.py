@@ -34,7 +34,7 @@ from benchmarks.live.unit import (
 from benchmarks.live.watch import Watch
 from hw_sim.gige.command import make_unit
 
-_WITHIN_S = 30.0
+_VALID_TIMEOUT_S = 30.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,12 +67,12 @@ def _undisturbed(folder: Path, calibration: Path, seconds: float) -> tuple[Stead
         both_cameras(folder, "--drive"),
         measuring_daemon(folder, calibration, (FRONT, REAR)) as (daemon, watch),
     ):
-        watch.first(lambda seen: seen.valid, 0.0, _WITHIN_S)
+        watch.first(lambda seen: seen.valid, 0.0, _VALID_TIMEOUT_S)
         beside = [sys.executable, "-m", "benchmarks.live.in_process", str(folder / "altd.toml")]
         with running([*beside, str(SEED), str(seconds)], folder / "in_process.log") as in_process:
             steady = measure_steady(watch, daemon, make_unit(SEED, drive=True), seconds)
-            in_process.process.wait(_WITHIN_S)
-            return steady, Truthfulness(**json.loads(in_process.said))
+            in_process.process.wait(_VALID_TIMEOUT_S)
+            return steady, Truthfulness(**json.loads(in_process.output))
 
 
 def _faults(folder: Path, calibration: Path) -> Iterator[Recovery]:
@@ -109,9 +109,9 @@ def _faults(folder: Path, calibration: Path) -> Iterator[Recovery]:
 
 
 def _told(
-    watch: Watch, fault: str, strike: Callable[[], object], mend: Callable[[], float], lasts_s: float
+    watch: Watch, fault: str, inject: Callable[[], object], restore: Callable[[], float], lasts_s: float
 ) -> Recovery:
-    recovery = measure_fault(watch, fault, "front", strike, mend, lasts_s)
+    recovery = measure_fault(watch, fault, "front", inject, restore, lasts_s)
     print(_fault_line(recovery), flush=True)
     return recovery
 

@@ -12,12 +12,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from hw_sim.unit import EXPOSURES_MS
 
 ROOT = Path(__file__).resolve().parents[2]
-_STARTS_WITHIN_S = 20.0
-_DAEMONS_CORE = min(os.sched_getaffinity(0))
+_START_TIMEOUT_S = 20.0
+_DAEMON_CORE = min(os.sched_getaffinity(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,16 +29,16 @@ class Running:
     log: Path
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """All that it wrote so far."""
         return self.log.read_text()
 
-    def await_word(self, word: str, within_s: float = _STARTS_WITHIN_S) -> None:
+    def await_text(self, word: str, timeout_s: float = _START_TIMEOUT_S) -> None:
         """Wait until it has written ``word``; raises RuntimeError with what it wrote instead."""
-        deadline_s = time.monotonic() + within_s
-        while word not in self.said:
+        deadline_s = time.monotonic() + timeout_s
+        while word not in self.output:
             if self.process.poll() is not None or time.monotonic() > deadline_s:
-                raise RuntimeError(f"{self.process.args!r} did not say {word!r} but {self.said!r}")
+                raise RuntimeError(f"{self.process.args!r} did not say {word!r} but {self.output!r}")
             time.sleep(0.01)
 
     def send(self, number: signal.Signals) -> None:
@@ -92,7 +93,7 @@ def daemon_command(config: Path) -> list[str]:
     return [
         "taskset",
         "-c",
-        str(_DAEMONS_CORE),
+        str(_DAEMON_CORE),
         sys.executable,
         "-m",
         "altd.cli",
@@ -106,7 +107,7 @@ def daemon_command(config: Path) -> list[str]:
 def off_the_daemons_core() -> Iterator[None]:
     """Our process and those that it starts leave the daemon's processor alone, where there is another."""
     allowed = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, allowed - {_DAEMONS_CORE} or allowed)
+    os.sched_setaffinity(0, allowed - {_DAEMON_CORE} or allowed)
     try:
         yield
     finally:
@@ -134,14 +135,21 @@ def free_port() -> int:
         return port
 
 
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The TCP ports of a unit's faces."""
+
+    http: int
+    modbus: int
+
+    @classmethod
+    def free(cls) -> Self:
+        """Ports that nobody has at the moment."""
+        return cls(free_port(), free_port())
+
+
 def write_config(
-    path: Path,
-    serial: str,
-    calibration: Path,
-    addresses: Sequence[str],
-    http_port: int,
-    modbus_port: int,
-    more: str = "",
+    path: Path, serial: str, calibration: Path, addresses: Sequence[str], ports: Ports, more: str = ""
 ) -> Path:
     """The settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
     cameras = "".join(
@@ -155,7 +163,7 @@ def write_config(
         '[[targets]]\nname = "rear"\nz_mm = 280.0\ncamera = "rear"\n\n'
         f"{cameras}"
         '[measuring]\npair_by = "time"\n\n'
-        f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n\n'
-        f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus_port}\n{more}'
+        f'[http]\nhost = "127.0.0.1"\nport = {ports.http}\n\n'
+        f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {ports.modbus}\n{more}'
     )
     return path

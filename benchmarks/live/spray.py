@@ -20,16 +20,16 @@ from benchmarks.live.attacker import FOREIGN, PHASES
 from benchmarks.live.parts import Running, calibrate, running
 from benchmarks.live.truth import QUANTITIES
 from benchmarks.live.unit import FRONT, REAR, SEED, both_cameras, ip, measuring_daemon
-from benchmarks.live.watch import Seen
+from benchmarks.live.watch import Received
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import Unit
 
 WRONG_SIGMAS = 5.0
-WRONG_BY = {"x_mm": 0.05, "y_mm": 0.05, "yaw_deg": 0.01, "pitch_deg": 0.01}
-_WITHIN_S = 30.0
+MIN_WRONG_ERRORS = {"x_mm": 0.05, "y_mm": 0.05, "yaw_deg": 0.01, "pitch_deg": 0.01}
+_VALID_TIMEOUT_S = 30.0
 _RSS_INTERVAL_S = 5.0
 _PHASE_S = 4.0
-_SETTLES_S = 0.5
+_SETTLE_S = 0.5
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class Phase:
 
 
 @dataclass(frozen=True, slots=True)
-class Sprayed:
+class SprayResult:
     """What became of a daemon under attack. ``rss_mb`` are resident sizes, one in five seconds."""
 
     seconds: float
@@ -72,38 +72,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if sprayed.wrong else 0
 
 
-def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: int) -> Sprayed:
+def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: int) -> SprayResult:
     """Attack a daemon with two cameras; raises RuntimeError with its log when it does not survive."""
     unit = make_unit(SEED, drive=True)
     with (
         both_cameras(folder, "--drive") as cameras,
         measuring_daemon(folder, calibration, (FRONT, REAR)) as (daemon, watch),
     ):
-        watch.first(lambda seen: seen.valid, 0.0, _WITHIN_S)
+        watch.first(lambda seen: seen.valid, 0.0, _VALID_TIMEOUT_S)
         pids = str(daemon.process.pid), str(cameras.process.pid)
         phase_s = min(_PHASE_S, seconds / len(PHASES))
         how = [str(value) for value in (seconds, phase_s, rate, seed)]
         attacker = [sys.executable, "-m", "benchmarks.live.attacker", *pids, *how]
         first, rss_mb = len(watch.seen), []
         with running(attacker, folder / "attacker.log") as attack:
-            until_s = time.monotonic() + seconds + _WITHIN_S
+            until_s = time.monotonic() + seconds + _VALID_TIMEOUT_S
             while {attack.process.poll(), daemon.process.poll()} == {None} and time.monotonic() < until_s:
                 with suppress(StopIteration):  # it is ending
                     rss_mb.append(_rss_mb(daemon))
                 time.sleep(min(_RSS_INTERVAL_S, seconds / 4))
-        said = attack.said.strip()
+        output = attack.output.strip()
         if daemon.process.poll() is not None:
             status = daemon.process.returncode
-            raise RuntimeError(f"the daemon ended with {status}: {daemon.said[-2000:]}")
+            raise RuntimeError(f"the daemon ended with {status}: {daemon.output[-2000:]}")
         if attack.process.returncode != 0:
-            raise RuntimeError(f"the attack ended with {attack.process.returncode}: {said}")
+            raise RuntimeError(f"the attack ended with {attack.process.returncode}: {output}")
         ended_s = time.monotonic()
-        back = watch.first(lambda seen: seen.valid, ended_s, _WITHIN_S)
+        back = watch.first(lambda seen: seen.valid, ended_s, _VALID_TIMEOUT_S)
         seen = watch.seen[first:]
         if watch.failure is not None:
             raise watch.failure
     reasons = Counter(reason for one in seen if not one.valid for reason in one.reasons)
-    return Sprayed(
+    return SprayResult(
         seconds=seconds,
         measurements=len(seen),
         valid=sum(one.valid for one in seen),
@@ -111,16 +111,16 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
         reasons=reasons,
         rss_mb=rss_mb,
         valid_again_after_s=back.arrived_s - ended_s,
-        phases=_phases(said, ended_s, seen),
+        phases=_phases(output, ended_s, seen),
     )
 
 
-def _phases(told: str, ended_s: float, seen: list[Seen]) -> dict[str, Phase]:
-    rows = [line.split(maxsplit=2) for line in told.splitlines()]
+def _phases(log: str, ended_s: float, seen: list[Received]) -> dict[str, Phase]:
+    rows = [line.split(maxsplit=2) for line in log.splitlines()]
     began_s = [float(row[0]) for row in rows]
     phases = {name: Phase() for name in PHASES}
     for (_, sent, name), begin_s, to_s in zip(rows, began_s, [*began_s[1:], ended_s], strict=True):
-        from_s = begin_s + _SETTLES_S
+        from_s = begin_s + _SETTLE_S
         inside = [one.valid for one in seen if from_s <= one.arrived_s < to_s]
         phase = phases[name]
         phase.seconds += max(to_s - from_s, 0.0)
@@ -130,13 +130,13 @@ def _phases(told: str, ended_s: float, seen: list[Seen]) -> dict[str, Phase]:
     return phases
 
 
-def _wrong(seen: Seen, unit: Unit) -> Iterator[str]:
-    said = seen.said
-    truth = unit.truth(round(said["t_s"] * 1e9), vibration=False)
+def _wrong(seen: Received, unit: Unit) -> Iterator[str]:
+    measurement = seen.measurement
+    truth = unit.truth(round(measurement["t_s"] * 1e9), vibration=False)
     for name in QUANTITIES:
-        error = said[name] - getattr(truth, name)
-        if abs(error) > max(WRONG_SIGMAS * said["sigma"][name], WRONG_BY[name]):
-            yield f"{said['time']} {name} wrong by {error:.4f}, sigma {said['sigma'][name]:.4f}"
+        error = measurement[name] - getattr(truth, name)
+        if abs(error) > max(WRONG_SIGMAS * measurement["sigma"][name], MIN_WRONG_ERRORS[name]):
+            yield f"{measurement['time']} {name} wrong by {error:.4f}, sigma {measurement['sigma'][name]:.4f}"
 
 
 def _rss_mb(daemon: Running) -> float:
@@ -144,7 +144,7 @@ def _rss_mb(daemon: Running) -> float:
     return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
 
 
-def _lines(sprayed: Sprayed) -> Iterator[str]:
+def _lines(sprayed: SprayResult) -> Iterator[str]:
     yield f"sprayed for {sprayed.seconds:.0f} s from {FOREIGN} and in the cameras' names"
     yield f"{'way':<32}{'s':>7}{'datagrams':>11}{'measurements':>14}{'valid':>7}{'valid/s':>9}"
     for name, phase in sprayed.phases.items():

@@ -56,29 +56,29 @@ def measure_steady(watch: Watch, daemon: Running, unit: Unit, seconds: float) ->
         raise watch.failure
     intervals_ms = 1e3 * np.diff([one.arrived_s for one in seen])
     p50_ms, p99_ms = (float(value) for value in np.percentile(intervals_ms, (50, 99)))
-    frames = {name: _grown(before, after, f"camera {name}", "frames") for name in CAMERAS}
+    frames = {name: _increase(before, after, f"camera {name}", "frames") for name in CAMERAS}
     return Steady(
         seconds=seconds,
         measurements=len(seen),
         invalid=Counter(", ".join(sorted(one.reasons)) for one in seen if not one.valid),
         lost=_lost(before, after),
-        unpaired=_grown(before, after, "measuring", "measurements") - min(frames.values()),
+        unpaired=_increase(before, after, "measuring", "measurements") - min(frames.values()),
         interval_p50_ms=p50_ms,
         interval_p99_ms=p99_ms,
         interval_max_ms=float(intervals_ms.max()),
         cpu_ms_a_pair=1e3 * cpu_s / len(seen),
         cpu_share=cpu_s / seconds,
-        errors=truthfulness(unit, (one.said for one in seen if one.valid)),
+        errors=truthfulness(unit, (one.measurement for one in seen if one.valid)),
         modbus_p99_ms=1e3 * float(np.percentile(watch.polled.took_s, 99)),
         lag_ms=float(after["measuring"].get("lag_rear_ms", math.nan)),
     )
 
 
 def _lost(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, int]:
-    lost = {f"{name} camera": _grown(before, after, f"camera {name}", "lost") for name in CAMERAS}
-    lost |= {f"{name} dropped": _grown(before, after, "measuring", f"dropped_{name}") for name in CAMERAS}
-    return lost | {"late": _grown(before, after, "measuring", "late_frames")}
+    lost = {f"{name} camera": _increase(before, after, f"camera {name}", "lost") for name in CAMERAS}
+    lost |= {f"{name} dropped": _increase(before, after, "measuring", f"dropped_{name}") for name in CAMERAS}
+    return lost | {"late": _increase(before, after, "measuring", "late_frames")}
 
 
-def _grown(before: Mapping[str, Any], after: Mapping[str, Any], component: str, counter: str) -> int:
+def _increase(before: Mapping[str, Any], after: Mapping[str, Any], component: str, counter: str) -> int:
     return int(after[component].get(counter, 0)) - int(before[component].get(counter, 0))

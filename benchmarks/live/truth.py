@@ -20,11 +20,11 @@ class Truthfulness:
     rms_in_sigmas: dict[str, float]
 
 
-def truthfulness(unit: Unit, said: Iterable[dict[str, Any]]) -> Truthfulness:
-    """The errors of measurements against where the machine was, its shaking aside, at their times."""
+def truthfulness(unit: Unit, measurements: Iterable[dict[str, Any]]) -> Truthfulness:
+    """The errors of measurements against where the machine was, without its vibration, at their times."""
     errors: dict[str, list[float]] = {name: [] for name in QUANTITIES}
     ratios: dict[str, list[float]] = {name: [] for name in QUANTITIES}
-    for one in said:
+    for one in measurements:
         truth = unit.truth(round(one["t_s"] * 1e9), vibration=False)
         for name in QUANTITIES:
             errors[name].append(one[name] - getattr(truth, name))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.live.parts import Running, cameras_command, daemon_command, free_port, running, write_config
+from benchmarks.live.parts import Ports, Running, cameras_command, daemon_command, running, write_config
 from benchmarks.live.watch import Watch
 
 SEED = 1
@@ -36,7 +36,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
         """Serve; returns when the camera was there, monotonic s."""
         self._log.write_bytes(b"")
         self._running = self._life.enter_context(running(self._command, self._log))
-        self._running.await_word(_READY)
+        self._running.await_text(_READY)
         return time.monotonic()
 
     def kill(self) -> None:
@@ -58,7 +58,7 @@ class Camera(contextlib.AbstractContextManager["Camera"]):
 def both_cameras(folder: Path, *more: str) -> Iterator[Running]:
     """Both in one process, once they serve."""
     with running(cameras_command(SEED, *more), folder / "cameras.log") as cameras:
-        cameras.await_word(_READY)
+        cameras.await_text(_READY)
         yield cameras
 
 
@@ -73,7 +73,7 @@ def camera_behind_link(folder: Path) -> Iterator[Running]:
         ip("link", "add", "near", "type", "veth", "peer", "name", "far", "netns", str(camera.process.pid))
         ip("address", "add", f"{_UNITS_END}/24", "dev", "near")
         set_link("up")
-        camera.await_word(_READY)
+        camera.await_text(_READY)
         yield camera
 
 
@@ -88,15 +88,13 @@ def measuring_daemon(
     folder: Path, calibration: Path, addresses: tuple[str, str], more: str = ""
 ) -> Iterator[tuple[Running, Watch]]:
     """The daemon on the cameras at these addresses, with ``more`` tables, and somebody who reads from it."""
-    http_port, modbus_port = free_port(), free_port()
-    config = write_config(
-        folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, http_port, modbus_port, more
-    )
+    ports = Ports.free()
+    config = write_config(folder / "altd.toml", f"SIM-{SEED}", calibration, addresses, ports, more)
     log = folder / "altd.log"
     log.write_bytes(b"")
     with running(daemon_command(config), log) as daemon:
-        daemon.await_word("measuring")
-        with Watch(http_port, modbus_port) as watch:
+        daemon.await_text("measuring")
+        with Watch(ports) as watch:
             yield daemon, watch
 
 

@@ -12,28 +12,30 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from benchmarks.live.parts import Ports
+
 _HOST = "127.0.0.1"
 _REGISTERS = 100
-_POLL_EVERY_S = 0.05
-_LONGEST_ANSWER_S = 5.0
+_POLL_INTERVAL_S = 0.05
+_ANSWER_TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class Received:
     """A measurement as the stream gave it, and when it arrived on the monotonic clock."""
 
     arrived_s: float
-    said: dict[str, Any]
+    measurement: dict[str, Any]
 
     @property
     def valid(self) -> bool:
         """Whether the unit calls it valid."""
-        return bool(self.said["valid"])
+        return bool(self.measurement["valid"])
 
     @property
     def reasons(self) -> frozenset[str]:
         """Its status codes, less those that say where it comes from."""
-        return frozenset(self.said["status"]) - {"playback", "simulated"}
+        return frozenset(self.measurement["status"]) - {"playback", "simulated"}
 
 
 @dataclass(slots=True)
@@ -46,14 +48,13 @@ class Polled:
 
 
 class Watch:
-    """``with Watch(http_port, modbus_port) as watch``: two threads that listen until the end."""
+    """``with Watch(ports) as watch``: two threads that listen until the end."""
 
-    def __init__(self, http_port: int, modbus_port: int) -> None:
-        self.seen: list[Seen] = []
+    def __init__(self, ports: Ports) -> None:
+        self.seen: list[Received] = []
         self.polled = Polled()
         self.failure: BaseException | None = None
-        self._http_port = http_port
-        self._modbus_port = modbus_port
+        self._ports = ports
         self._ended = threading.Event()
         self._news = threading.Condition()
         self._threads = [
@@ -71,24 +72,24 @@ class Watch:
         for thread in self._threads:
             thread.join()
 
-    def first(self, wanted: Callable[[Seen], bool], since_s: float, within_s: float) -> Seen:
+    def first(self, wanted: Callable[[Received], bool], since_s: float, timeout_s: float) -> Received:
         """The first measurement that arrived after ``since_s`` and is wanted; raises TimeoutError."""
-        deadline_s = time.monotonic() + within_s
-        looked_at = 0
+        deadline_s = time.monotonic() + timeout_s
+        examined = 0
         while self.failure is None and time.monotonic() < deadline_s:
             with self._news:
-                if len(self.seen) == looked_at:
+                if len(self.seen) == examined:
                     self._news.wait(0.1)
-            for seen in self.seen[looked_at:]:
-                looked_at += 1
+            for seen in self.seen[examined:]:
+                examined += 1
                 if seen.arrived_s > since_s and wanted(seen):
                     return seen
-        last = self.seen[-1].said if self.seen else None
-        raise TimeoutError(f"not within {within_s:g} s; the last measurement was {last}") from self.failure
+        last = self.seen[-1].measurement if self.seen else None
+        raise TimeoutError(f"not within {timeout_s:g} s; the last measurement was {last}") from self.failure
 
     def status(self) -> dict[str, Any]:
         """What the unit says of its components."""
-        connection = http.client.HTTPConnection(_HOST, self._http_port, timeout=_LONGEST_ANSWER_S)
+        connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         try:
             connection.request("GET", "/api/status")
             answer: dict[str, Any] = json.loads(connection.getresponse().read())
@@ -104,7 +105,7 @@ class Watch:
                 self.failure = error
 
     def _listen(self) -> None:
-        connection = http.client.HTTPConnection(_HOST, self._http_port, timeout=_LONGEST_ANSWER_S)
+        connection = http.client.HTTPConnection(_HOST, self._ports.http, timeout=_ANSWER_TIMEOUT_S)
         connection.request("GET", "/api/stream")
         stream = connection.getresponse()
         try:
@@ -113,7 +114,7 @@ class Watch:
                 arrived_s = time.monotonic()
                 if line.startswith(b"data: "):
                     with self._news:
-                        self.seen.append(Seen(arrived_s, json.loads(line[6:])))
+                        self.seen.append(Received(arrived_s, json.loads(line[6:])))
                         self._news.notify_all()
                 elif not line:
                     raise ConnectionError("the stream ended")
@@ -121,8 +122,8 @@ class Watch:
             connection.close()
 
     def _poll(self) -> None:
-        with socket.create_connection((_HOST, self._modbus_port), timeout=_LONGEST_ANSWER_S) as link:
-            while not self._ended.wait(_POLL_EVERY_S):
+        with socket.create_connection((_HOST, self._ports.modbus), timeout=_ANSWER_TIMEOUT_S) as link:
+            while not self._ended.wait(_POLL_INTERVAL_S):
                 asked_s = time.monotonic()
                 link.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, _REGISTERS))
                 answer = b""

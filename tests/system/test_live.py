@@ -14,11 +14,10 @@ import pytest
 from support.gige import register
 from support.held import hold
 from support.own_network import inside
-from support.ports import free_port
 
 from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate, daemon_command, running, write_config
+from benchmarks.live.parts import Ports, calibrate, daemon_command, running, write_config
 from benchmarks.live.spray import spray
 from benchmarks.live.unit import (
     FRONT,
@@ -69,7 +68,7 @@ def test_cameras_that_die_are_measured_with_again_once_they_are_back(
         assert_it_was_said_and_is_over(measure_fault(watch, "killed", "front", front.kill, front.start, 1.0))
         assert_it_was_said_and_is_over(measure_fault(watch, "stopped", "front", front.stop, front.go_on, 5.0))
         assert_it_was_said_and_is_over(measure_fault(watch, "both", "front", kill_both, rear_first, 2.0))
-        assert "simulated" in watch.seen[-1].said["status"]
+        assert "simulated" in watch.seen[-1].measurement["status"]
 
 
 def test_a_pulled_link_is_said_and_survived(calibration: Path, tmp_path: Path) -> None:
@@ -111,8 +110,7 @@ def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path:
             f"SIM-{SEED}",
             calibration,
             (FRONT, REAR),
-            free_port(),
-            free_port(),
+            Ports.free(),
             LAMPS,
         )
         command = [sys.executable, "-m", "altd.cli", "lamps", "on", "--config", str(config)]
@@ -132,15 +130,15 @@ def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path:
             assert outputs() == [0, 0]
 
 
-def await_outputs(wanted: list[int | None], within_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + within_s
+def await_outputs(wanted: list[int | None], timeout_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
     while outputs() != wanted:
         assert time.monotonic() < deadline_s, outputs()
         time.sleep(0.05)
 
 
-def await_lamps(watch: Watch, state: str, within_s: float = 20.0) -> None:
-    deadline_s = time.monotonic() + within_s
+def await_lamps(watch: Watch, state: str, timeout_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
     while (lamps := watch.status()["components"]["lamps"])["state"] != state:
         assert time.monotonic() < deadline_s, lamps
         time.sleep(0.05)
@@ -150,10 +148,8 @@ def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
     calibration: Path, tmp_path: Path
 ) -> None:
     """Its cameras go on sending meanwhile; takes ten seconds of holding."""
-    http_port, modbus_port = free_port(), free_port()
-    config = write_config(
-        tmp_path / "altd.toml", f"SIM-{SEED}", calibration, (FRONT, REAR), http_port, modbus_port
-    )
+    ports = Ports.free()
+    config = write_config(tmp_path / "altd.toml", f"SIM-{SEED}", calibration, (FRONT, REAR), ports)
     log = tmp_path / "altd.log"
     log.write_bytes(b"")
     with (
@@ -161,8 +157,8 @@ def test_a_daemon_that_was_held_for_ten_seconds_never_calls_an_old_value_valid(
         Camera(tmp_path, "rear", REAR),
         running(daemon_command(config), log) as daemon,
     ):
-        daemon.await_word("measuring")
-        answers = hold(daemon.process.pid, modbus_port, http_port, hold_s=10.0, polls_s=6.0)
+        daemon.await_text("measuring")
+        answers = hold(daemon.process.pid, ports.modbus, ports.http, hold_s=10.0, polls_s=6.0)
     settings = load_config(config).measuring
     oldest_s = settings.stale_after_s + settings.window / 2 / 20.0 + 0.1
     assert [each for each in answers if each.valid and each.age_s > oldest_s] == []

@@ -34,6 +34,7 @@ from support.unit_toml import write_config
 
 from altd.app.scan import scanner_of
 from altd.config import Config, Scan
+from benchmarks.live.parts import Ports
 from benchmarks.live.parts import write_config as write_live_config
 from benchmarks.live.unit import FRONT, REAR, both_cameras
 from hw_sim.beam import BeamPose
@@ -286,7 +287,7 @@ class TestRecord:
         record_scan(scan, unit, Stage(np.random.default_rng([1, STAGE_STREAM])), 1, quiet)
         said_to_be(scan, "camera", "camera")
         calibrated(scan, fitted)
-        config = write_live_config(tmp_path / "altd.toml", "SIM-1", fitted, (FRONT, REAR), 8080, 5020, "")
+        config = write_live_config(tmp_path / "altd.toml", "SIM-1", fitted, (FRONT, REAR), Ports(8080, 5020))
         with both_cameras(tmp_path):
             outcome = altd("record", "--config", config, "-o", tmp_path / "kept", "--seconds", "1")
         assert outcome.status == 0
@@ -305,7 +306,7 @@ class TestRecord:
 async def test_a_scan_with_simulated_cameras_is_simulated(tmp_path: Path) -> None:
     unit = Unit(UnitConfig(seed=11, fps=50.0))
     with GrblTable(unit) as table:
-        table.controller.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
+        table.machine.settings |= {110: "300000", 111: "300000", 120: "100000", 121: "100000"}
         scan = Scan(columns=4, rows=4, pitch_mm=25.0, exposures=1, settle_s=0.02, led_pairs=0)
         config = scan_config(unit, table.device, scan)
         assert config.stage is not None

@@ -64,7 +64,7 @@ def unit(made: Unit, monkeypatch: pytest.MonkeyPatch) -> Iterator[Unit]:
 @pytest.fixture
 def table(unit: Unit) -> Iterator[GrblTable]:
     with GrblTable(unit) as table:
-        table.controller.settings |= QUICK_TABLE
+        table.machine.settings |= QUICK_TABLE
         yield table
 
 
@@ -189,21 +189,21 @@ async def test_cancellation_brings_the_stage_to_a_stand(unit: Unit, table: GrblT
     task = asyncio.create_task(scanned(unit, table, tmp_path / "scan", listener))
 
     def cancel_on_the_way() -> None:
-        table.controller.settings |= {110: "1500", 111: "1500"}
+        table.machine.settings |= {110: "1500", 111: "1500"}
         asyncio.get_running_loop().call_later(0.3, task.cancel)
 
     listener.at["node x -12.5 y -37.5 mm"] = cancel_on_the_way
     with pytest.raises(asyncio.CancelledError):
         await task
-    assert table.controller.state == "Idle"
-    x_mm = table.controller.planner.place_mm[0] + 100.0
+    assert table.machine.state == "Idle"
+    x_mm = table.machine.planner.place_mm[0] + 100.0
     assert -37.5 < x_mm < -12.5
     assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 1
 
 
 async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp_path: Path) -> None:
     with GrblTable(unit, switches=False) as table:
-        table.controller.settings |= QUICK_TABLE
+        table.machine.settings |= QUICK_TABLE
         listener = Listener()
 
         def blink() -> None:
@@ -219,8 +219,8 @@ async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp
         assert "node x 37.5 y -12.5 mm" in str(caught.value)
         assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 5
 
-        table.controller.planner.place_mm = (0.0, 0.0)
-        table._slip_mm = (-100.3, -100.0)  # somebody set the zero by hand, 0.3 mm off
+        table.machine.planner.place_mm = (0.0, 0.0)
+        table._displacement_mm = (-100.3, -100.0)  # somebody set the zero by hand, 0.3 mm off
         with pytest.raises(
             ScanStoppedError, match=r"spot lies \d\.\d px from where it was before the interr"
         ):

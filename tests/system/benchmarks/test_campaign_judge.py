@@ -11,8 +11,8 @@ from support.measurements import measured as measurement_of
 from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
-from benchmarks.campaign import table
-from benchmarks.campaign.judge import Judged, Outcome, Tally, Verdict, judge, truth_of
+from benchmarks.campaign import tally_table
+from benchmarks.campaign.judge import Judgement, Outcome, Tally, Verdict, judge, truth_of
 
 TRUTH = np.array([10.0, -5.0, 1.0, -2.0])
 SIGMA = (0.004, 0.004, 0.001, 0.001)
@@ -70,11 +70,14 @@ def test_an_invalid_measurement_brings_its_reasons_and_no_errors() -> None:
     assert (one.error_mm, one.error_deg, one.sigmas) == (0.0, 0.0, 0.0)
 
 
-RIGHT, REFUSED = Judged(Verdict.RIGHT, 0.01, 0.001, 1.0), Judged(Verdict.INVALID, reasons=("distorted",))
+RIGHT, REFUSED = (
+    Judgement(Verdict.RIGHT, 0.01, 0.001, 1.0),
+    Judgement(Verdict.INVALID, reasons=("distorted",)),
+)
 
 
-def wrong(sigmas: float) -> Judged:
-    return Judged(Verdict.WRONG, 0.1 * sigmas, 0.01 * sigmas, sigmas)
+def wrong(sigmas: float) -> Judgement:
+    return Judgement(Verdict.WRONG, 0.1 * sigmas, 0.01 * sigmas, sigmas)
 
 
 def test_a_tally_counts_frames_from_the_onset_to_the_first_invalid_measurement() -> None:
@@ -102,19 +105,19 @@ def test_two_processes_sums_are_those_of_one() -> None:
 def test_wrong_ones_decide_the_exit_status_unless_physics_hides_them() -> None:
     tally = Tally()
     tally.add(Outcome((), (wrong(8.0), wrong(9.0))), "a")
-    assert table.wrong_count({"reflection": tally}) == 2
+    assert tally_table.wrong_count({"reflection": tally}) == 2
     tally.add(Outcome((), (wrong(7.0),)), "b", "it is a shift")
-    assert table.wrong_count({"reflection (hidden)": tally}) == 0
-    assert table.invisible_count({"reflection (hidden)": tally}) == 3
+    assert tally_table.wrong_count({"reflection (hidden)": tally}) == 0
+    assert tally_table.invisible_count({"reflection (hidden)": tally}) == 3
     spoilt_before = Tally()
     spoilt_before.add(Outcome((wrong(8.0),), (REFUSED,)), "b")
-    assert table.wrong_count({"reflection": spoilt_before}) == 1
+    assert tally_table.wrong_count({"reflection": spoilt_before}) == 1
 
 
 def test_the_table_says_what_was_counted() -> None:
     tally = Tally()
     tally.add(Outcome((REFUSED,), (RIGHT, wrong(8.0), REFUSED)), "a")
-    lines = list(table.text({"reflection": tally}))
+    lines = list(tally_table.text({"reflection": tally}))
     assert lines[1].split() == [
         "reflection",
         "spots",

@@ -10,10 +10,10 @@ import pytest
 from altd.records import PixelArray
 from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
 from benchmarks.campaign.catalogue import WAYS
-from benchmarks.campaign.numbers import Misnumbered
-from benchmarks.campaign.scene import Exposing, Noise, Scene, SpotShape, snapshot
-from benchmarks.campaign.times import MS, Delivery, Mistimed
+from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, noisy_image
 from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
+from benchmarks.campaign.ways.numbers import Misnumbered
+from benchmarks.campaign.ways.times import MS, Delivery, Mistimed
 
 ROWS, COLUMNS, PX_PER_MM = 240, 376, 4.0
 RADIUS_PX, PEAK = 20.0, 100.0
@@ -339,9 +339,9 @@ def test_numbers_that_are_none_are_drawn_for_config_and_calibration() -> None:
 def test_noise_belongs_to_the_light_that_is_left() -> None:
     """The scatter of many exposures of even light is what the exposing says, at 8 and at 12 bits."""
     for bits in (8, 12):
-        mean = Exposing(np.full((ROWS, COLUMNS), 60, np.float32), np.full((ROWS, COLUMNS), 3, np.float32))
+        mean = MeanImage(np.full((ROWS, COLUMNS), 60, np.float32), np.full((ROWS, COLUMNS), 3, np.float32))
         rng = np.random.default_rng(1)
-        pictures = [snapshot(mean, Noise(1).picture((ROWS, COLUMNS), rng), bits) for _ in range(4)]
+        pictures = [noisy_image(mean, Noise(1).picture((ROWS, COLUMNS), rng), bits) for _ in range(4)]
         assert np.std(pictures) == pytest.approx(math.hypot(3, math.sqrt(1 / 12)), rel=0.01)
         assert not np.array_equal(pictures[0], pictures[1])
 

@@ -28,7 +28,7 @@ from altd.ports import (
     StageStoppedError,
     StageTimeoutError,
 )
-from hw_sim.grbl_table import FAST, LOST_STEPS_MM, MIDDLE_MM, GrblTable
+from hw_sim.grbl_table import FAST_SETTINGS, LOST_STEPS_MM, MIDDLE_MM, GrblTable
 
 SLOW = {110: "1500", 111: "1500"}
 """25 mm/s: there is time to disturb a move."""
@@ -151,13 +151,13 @@ def test_signs_and_offsets_put_the_stage_into_the_unit_frame(table: GrblTable, c
 
 
 def test_a_report_in_work_coordinates_does_as_well(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings[10] = "0"
+    table.machine.settings[10] = "0"
     stage.move_to(25.0, -25.0)
     assert stage.position() == (25.0, -25.0)
 
 
 def test_a_stage_without_switches_is_told_how(table: GrblTable) -> None:
-    table.controller.settings |= {20: "0", 22: "0"}
+    table.machine.settings |= {20: "0", 22: "0"}
     stage = GrblStage(settings(table.device))
     stage.open()
     with pytest.raises(
@@ -179,7 +179,7 @@ def test_a_stage_without_switches_is_taken_as_it_stands() -> None:
 
 
 def test_a_locked_controller_is_unlocked_on_request_only(table: GrblTable) -> None:
-    table.controller.settings[20] = "0"
+    table.machine.settings[20] = "0"
     stage = GrblStage(settings(table.device))
     stage.open()
     with pytest.raises(StageAlarmError, match="locked: it must be homed"):
@@ -188,7 +188,7 @@ def test_a_locked_controller_is_unlocked_on_request_only(table: GrblTable) -> No
     stage = GrblStage(settings(table.device, start="unlock"))
     stage.open()
     stage.home()
-    assert table.controller.state == "Idle"
+    assert table.machine.state == "Idle"
     stage.close()
 
 
@@ -205,7 +205,7 @@ def test_a_place_beyond_the_travel_is_an_alarm_in_words_and_homing_gets_out_of_i
 
 
 def test_a_limit_switch_ends_a_move(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
+    table.machine.settings |= SLOW
     timer = soon(table.hit_limit)
     with pytest.raises(StageAlarmError, match="ALARM:1, a limit switch was hit"):
         stage.move_to(25.0, 0.0)
@@ -213,15 +213,15 @@ def test_a_limit_switch_ends_a_move(table: GrblTable, stage: GrblStage) -> None:
 
 
 def test_a_controller_that_hangs_is_given_up(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
-    timer = soon(table.hang)
+    table.machine.settings |= SLOW
+    timer = soon(table.stop_answering)
     with pytest.raises(StageTimeoutError, match="does not report its position"):
         stage.move_to(25.0, 0.0)
     timer.join()
 
 
 def test_after_a_loss_of_power_nobody_knows_where_the_stage_is(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
+    table.machine.settings |= SLOW
 
     def blink() -> None:
         table.lose_power()
@@ -235,7 +235,7 @@ def test_after_a_loss_of_power_nobody_knows_where_the_stage_is(table: GrblTable,
     x_mm, _ = beam(table)
     assert 26.0 < x_mm < 98.0  # half way, and the controller believes to be at 0
     stage.close()
-    table.controller.settings |= FAST
+    table.machine.settings |= FAST_SETTINGS
     stage.open()
     stage.home()
     stage.move_to(25.0, 0.0)
@@ -243,7 +243,7 @@ def test_after_a_loss_of_power_nobody_knows_where_the_stage_is(table: GrblTable,
 
 
 def test_a_pulled_cable_is_said(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
+    table.machine.settings |= SLOW
     timer = soon(table.unplug)
     with pytest.raises(StageLostError, match=f"{table.device}: the port is gone"):
         stage.move_to(25.0, 0.0)
@@ -270,15 +270,15 @@ def test_noise_on_the_line_delays_but_never_misplaces(table: GrblTable, stage: G
 
 
 def test_stopping_brakes_and_loses_no_step(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
+    table.machine.settings |= SLOW
     timer = soon(stage.stop)
     with pytest.raises(StageStoppedError):
         stage.move_to(50.0, 0.0)
     timer.join()
-    assert table.controller.state == "Idle"
+    assert table.machine.state == "Idle"
     stands = beam(table)
     assert 51.0 < stands[0] < 98.0
-    reported = tuple(at - zero for at, zero in zip(table.controller.planner.place_mm, MIDDLE_MM, strict=True))
+    reported = tuple(at - zero for at, zero in zip(table.machine.planner.place_mm, MIDDLE_MM, strict=True))
     assert stands == pytest.approx(reported, abs=0.015)  # the table's slip would be LOST_STEPS_MM
     assert LOST_STEPS_MM > 0.1
     with pytest.raises(StageStoppedError):
@@ -287,16 +287,16 @@ def test_stopping_brakes_and_loses_no_step(table: GrblTable, stage: GrblStage) -
 
 def test_homing_is_stopped_at_once(table: GrblTable, stage: GrblStage) -> None:
     stage.move_to(0.0, 0.0)
-    table.controller.settings[25] = "500"  # it would take 12 s
+    table.machine.settings[25] = "500"  # it would take 12 s
     timer = soon(stage.stop)
     with pytest.raises(StageStoppedError):
         stage.home()
     timer.join()
-    assert table.controller.state == "Alarm"
+    assert table.machine.state == "Alarm"
 
 
 def test_a_move_that_a_killed_program_left_behind_is_let_finish(table: GrblTable, stage: GrblStage) -> None:
-    table.controller.settings |= SLOW
+    table.machine.settings |= SLOW
     stage.controller.send(b"G90 G1 X90 Y90 F1500\n")
     time.sleep(0.1)
     stage.close()
@@ -309,7 +309,7 @@ def test_a_move_that_a_killed_program_left_behind_is_let_finish(table: GrblTable
 
 
 def test_inches_are_refused(table: GrblTable) -> None:
-    table.controller.settings[13] = "1"
+    table.machine.settings[13] = "1"
     with pytest.raises(StageRefusedError, match=r"inches: set \$13=0"):
         GrblStage(settings(table.device)).open()
 

@@ -7,6 +7,7 @@ import pytest
 from support.grbl_conversation import CONVERSATION
 
 from hw_sim.grbl import Controller
+from hw_sim.grbl_machine import Machine
 from hw_sim.grbl_motion import Move, braking
 
 
@@ -44,7 +45,7 @@ def test_a_move_speeds_up_runs_and_brakes(way: float) -> None:
     assert move.end_s == pytest.approx(3.0 + takes)
     h = 1e-4
     for t in (3.0 + takes * k / 21 for k in range(1, 21)):
-        numeric = (move.gone_mm(t + h) - move.gone_mm(t - h)) / (2 * h)
+        numeric = (move.travelled_mm(t + h) - move.travelled_mm(t - h)) / (2 * h)
         assert move.speed_at(t) == pytest.approx(numeric, abs=2e-3)
         assert numeric <= speed + 1e-6
     assert move.at(2.0) == (1.0, 2.0)
@@ -68,32 +69,32 @@ def test_a_hold_goes_on_where_it_stopped_and_ends_at_the_target() -> None:
     controller.receive(b"G1 X5 F500\n", 0.0)
     controller.receive(b"!", 0.5)
     listen(controller, 0.5, 2.0)
-    assert 0 < controller.planner.at(2.5)[0] < 5
+    assert 0 < controller.machine.planner.at(2.5)[0] < 5
     controller.receive(b"~", 2.5)
     listen(controller, 2.5, 3.0)
-    assert controller.planner.at(5.5) == (5.0, 0.0)
-    assert controller.state == "Idle"
+    assert controller.machine.planner.at(5.5) == (5.0, 0.0)
+    assert controller.machine.state == "Idle"
 
 
 def test_homing_takes_time_without_answers_and_ends_at_the_pull_off() -> None:
     controller = Controller()
-    controller.settings[22] = "1"
+    controller.machine.settings[22] = "1"
     assert "to unlock" in controller.power_on()
-    controller.planner.place_mm = (-50.0, 0.0)
+    controller.machine.planner.place_mm = (-50.0, 0.0)
     assert controller.receive(b"G1 X1 F100\n", 0.0) == "error:9\r\n"
     assert controller.receive(b"$H\n", 0.0) == ""
     assert controller.receive(b"?", 0.1) == ""
     assert controller.tick(50 / (500 / 60)) == ""
     assert listen(controller, 6.0, 0.2) == "ok\r\n"
-    assert controller.planner.at(6.2) == (-1.0, -1.0)
+    assert controller.machine.planner.at(6.2) == (-1.0, -1.0)
 
 
 def test_a_wall_stops_the_table_and_only_a_reset_helps() -> None:
-    controller = Controller(walls_mm=(-10.0, 10.0, -10.0, 10.0))
-    controller.settings[21] = "1"
+    controller = Controller(Machine(limit_switches_mm=(-10.0, 10.0, -10.0, 10.0)))
+    controller.machine.settings[21] = "1"
     controller.receive(b"G1 X20 F500\n", 0.0)
     assert listen(controller, 0.0, 3.0).splitlines() == ["ALARM:1", "[MSG:Reset to continue]"]
-    assert controller.planner.at(3.0)[0] == pytest.approx(10.0, abs=0.3)
+    assert controller.machine.planner.at(3.0)[0] == pytest.approx(10.0, abs=0.3)
     assert controller.receive(b"?$X\n", 3.0) == ""
     assert "to unlock" in controller.receive(b"\x18", 3.1)
     assert "Caution" in controller.receive(b"$X\n", 3.2)

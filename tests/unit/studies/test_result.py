@@ -13,10 +13,10 @@ from altd.errors import BadInputError
 from studies import command
 from studies.__main__ import main
 from studies.bench import pooled_std
-from studies.page import page, verdict, write_index, write_page
 from studies.plot import as_svg, panels, round_below
 from studies.result import Column, Progress, Result, Row
-from studies.table import table
+from studies.result_table import table
+from studies.study_page import page, verdict, write_index, write_page
 
 
 def result(

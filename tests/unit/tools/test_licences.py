@@ -18,7 +18,7 @@ from support.places import ROOT
 from tools.licences import installed
 from tools.licences.check import faults
 from tools.licences.installed import Component, NotAsLockedError, run_time_packages
-from tools.licences.page import page
+from tools.licences.licence_page import page
 from tools.licences.spdx import canonical, goes, names
 
 GPL = "License :: OSI Approved :: GNU General Public License v3 (GPLv3)"

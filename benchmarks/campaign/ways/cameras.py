@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from altd.records import PixelArray
-from benchmarks.campaign.unseen import on_a_plate
+from benchmarks.campaign.detectability import on_a_plate
 from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil, grey
 
 WAYS = Registry("cameras")
@@ -123,7 +123,9 @@ def turned(draw: Draw) -> Spoil:
     degrees = draw.sign() * draw.log(0.1, 1.0)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
     cameras = draw.targets()
-    return Spoil(f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=cameras, unseen=on_a_plate(cameras))
+    return Spoil(
+        f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=cameras, undetectable=on_a_plate(cameras)
+    )
 
 
 @WAYS.add()
@@ -132,7 +134,9 @@ def scaled(draw: Draw) -> Spoil:
     scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
     cameras = draw.targets()
-    return Spoil(f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=cameras, unseen=on_a_plate(cameras))
+    return Spoil(
+        f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=cameras, undetectable=on_a_plate(cameras)
+    )
 
 
 @WAYS.add()
@@ -152,4 +156,4 @@ def tilted(draw: Draw) -> Spoil:
         return grey(warped, pixels)
 
     cameras = draw.one()
-    return Spoil(f"by {lean:.3f}", pixels=change, cameras=cameras, unseen=on_a_plate(cameras))
+    return Spoil(f"by {lean:.3f}", pixels=change, cameras=cameras, undetectable=on_a_plate(cameras))

@@ -1,15 +1,14 @@
-"""Ways by the electronics: what happens to grey values and to whole frames on their way."""
+"""Ways by the electronics: what happens to the grey values of a frame on their way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from altd.records import PixelArray
-from benchmarks.campaign.way import CAMERAS, Draw, OnPixels, Registry, Shot, Spoil, grey
+from benchmarks.campaign.way import Draw, OnPixels, Registry, Spoil, grey
 
 WAYS = Registry("frames")
 
@@ -330,91 +329,3 @@ def row_noise(draw: Draw) -> Spoil:
         return _recounted(pixels, pixels + np.float32(level * ((1 << bits) - 1)) * jumps, bits)
 
     return Spoil(f"{level:.1%} of full scale", pixels=change, cameras=draw.targets())
-
-
-def _pixels_from(
-    draw: Draw, cameras: frozenset[str], source: Callable[[int, int], int]
-) -> Callable[[list[Shot], int], list[Shot]]:
-    """A stream in which exposure k of some cameras shows what exposure ``source(k, onset)`` showed."""
-
-    def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
-        first = min(shot.k for shot in shots)
-        return [
-            replace(shot, pixels=pictures[shot.camera, max(source(shot.k, onset), first)])
-            if shot.k >= onset and shot.camera in cameras
-            else shot
-            for shot in shots
-        ]
-
-    return stream
-
-
-@WAYS.add(moving=True)
-def frozen(draw: Draw) -> Spoil:
-    """The same picture again and again, with new numbers and times."""
-    cameras = draw.targets()
-    return Spoil(
-        " and ".join(sorted(cameras)), stream=_pixels_from(draw, cameras, lambda k, onset: onset - 1)
-    )
-
-
-@WAYS.add(moving=True)
-def loop(draw: Draw) -> Spoil:
-    """The last pictures before the onset, over and over."""
-    length, cameras = draw.whole(2, 4), draw.targets()
-    source = lambda k, onset: onset - length + (k - onset) % length  # noqa: E731
-    return Spoil(f"of {length} frames", stream=_pixels_from(draw, cameras, source))
-
-
-@WAYS.add(moving=True)
-def every_second_repeated(draw: Draw) -> Spoil:
-    """Every second frame is the one before once more."""
-    cameras = draw.targets()
-    return Spoil(
-        " and ".join(sorted(cameras)),
-        stream=_pixels_from(draw, cameras, lambda k, onset: k - (k - onset) % 2),
-    )
-
-
-@WAYS.add(
-    moving=True,
-    invisible="one camera late differs from a yaw of its own only in how the machine shakes, which takes "
-    "some 5 s to tell; until then speed × delay: up to 0.75 mm at 5 mm/s and three frames",
-)
-def one_camera_late(draw: Draw) -> Spoil:
-    """One camera shows what was some frames ago, with the number and the time of now."""
-    late, cameras = draw.whole(1, 3), draw.one()
-    return Spoil(
-        f"{', '.join(cameras)} {late} late", stream=_pixels_from(draw, cameras, lambda k, onset: k - late)
-    )
-
-
-@WAYS.add(
-    moving=True,
-    invisible="what comes late from both cameras and is stamped now is a steady delay: 50 to 150 ms, "
-    "up to 1 mm of a machine's way at 5 mm/s",
-)
-def both_cameras_late(draw: Draw) -> Spoil:
-    """Both cameras show what was some frames ago, with the number and the time of now."""
-    late = draw.whole(1, 3)
-    return Spoil(f"{late} late", stream=_pixels_from(draw, frozenset(CAMERAS), lambda k, onset: k - late))
-
-
-@WAYS.add(moving=True)
-def played_backwards(draw: Draw) -> Spoil:
-    """Buffers come in the wrong order: pairs of pictures exchanged."""
-    cameras = draw.targets()
-
-    def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
-
-        def swapped(shot: Shot) -> Shot:
-            other = (shot.camera, shot.k + 1 - 2 * ((shot.k - onset) % 2))
-            if shot.k < onset or shot.camera not in cameras or other not in pictures:
-                return shot
-            return replace(shot, pixels=pictures[other])
-
-        return [swapped(shot) for shot in shots]
-
-    return Spoil(" and ".join(sorted(cameras)), stream=stream)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Tally, Verdict
 
-UNSEEN = " (hidden)"
+HIDDEN_SUFFIX = " (hidden)"
 """After the name of a way: its episodes in which nobody could see it, on that unit, as it was drawn."""
 
 HEAD = (
@@ -30,7 +30,7 @@ HEAD = (
 
 def cells(name: str, tally: Tally) -> tuple[str, ...]:
     """One row."""
-    way = WAYS.get(name.removesuffix(UNSEEN))
+    way = WAYS.get(name.removesuffix(HIDDEN_SUFFIX))
     kind = way.kind if way is not None else "two at once"
     seen = f"{statistics.median(tally.noticed):.0f} / {max(tally.noticed)}" if tally.noticed else "–"
     back = (

@@ -12,7 +12,7 @@ _TURNS = 6
 """Turns of the loop in which every task that was woken reaches its next wait."""
 
 
-class HeldClock:
+class SteppedClock:
     """Behind ``altd.ports.Clock``; time stands still until it is set."""
 
     def __init__(self, now_ns: int) -> None:

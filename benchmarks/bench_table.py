@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmarks.daemon import LoadFigures, RateFigures
-from benchmarks.frames import FPS, SEED
+from benchmarks.material import FPS, SEED
 from benchmarks.stages import StageFigures
 from benchmarks.startup import StartFigures
 

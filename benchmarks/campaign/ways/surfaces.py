@@ -7,10 +7,10 @@ import math
 import cv2
 import numpy as np
 
+from benchmarks.campaign.detectability import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
 from benchmarks.campaign.scene import Image, Scene, blurred
-from benchmarks.campaign.spots import edge
-from benchmarks.campaign.unseen import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+from benchmarks.campaign.ways.spots import edge
 
 WAYS = Registry("surfaces")
 
@@ -259,7 +259,7 @@ def wet_window(draw: Draw) -> Spoil:
         f"{share:.0%} {far_px:.0f} px aside",
         light=light,
         cameras=cameras,
-        unseen=merged_on_a_plate(cameras, far_px),
+        undetectable=merged_on_a_plate(cameras, far_px),
     )
 
 
@@ -291,7 +291,9 @@ def _bent(draw: Draw, camera: str) -> Spoil:
         f"by {shift_px:.1f} px within {size_px:.0f} px",
         light=light,
         cameras=frozenset((camera,)),
-        unseen=by_a_step_of_the_print(shift_px) if camera == "front" else on_a_plate(frozenset((camera,))),
+        undetectable=by_a_step_of_the_print(shift_px)
+        if camera == "front"
+        else on_a_plate(frozenset((camera,))),
     )
 
 

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from benchmarks.campaign.detectability import always_detectable
 from benchmarks.campaign.scene import Image, Scene
-from benchmarks.campaign.spots import edge
-from benchmarks.campaign.unseen import never_hidden
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+from benchmarks.campaign.ways.spots import edge
 from hw_sim.sensor import FULL_WELL_E
 
 WAYS = Registry("ambient")
@@ -53,7 +53,7 @@ def _lamp_alone(draw: Draw, shape: str) -> Spoil:
         f"{words} mm, {level:.0%} as bright",
         light=light,
         no_beam=True,
-        unseen=(lambda subject: _LIKE_A_LASER) if like_a_laser else never_hidden,
+        undetectable=(lambda subject: _LIKE_A_LASER) if like_a_laser else always_detectable,
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from altd.errors import BadInputError
 from studies.plot import as_svg
 from studies.result import Result
-from studies.table import table
+from studies.result_table import table
 
 LINE = 120
 PEERS = "peers.md"

@@ -9,12 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.campaign.detectability import near_on_both, near_on_one
 from benchmarks.campaign.scene import Image, Scene, SpotShape, blurred
-from benchmarks.campaign.unseen import near_on_both, near_on_one
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 
 WAYS = Registry("spots")
-BEAMS = Path(__file__).resolve().parents[3] / "shared/data/beams"
+BEAMS = Path(__file__).resolve().parents[4] / "shared/data/beams"
 
 
 def _aside(draw: Draw, low_mm: float = 1.0, high_mm: float = 15.0) -> tuple[float, float, str]:
@@ -36,7 +36,7 @@ def reflection(draw: Draw) -> Spoil:
         f"{share:.0%} {words}",
         light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
         cameras=draw.one(),
-        unseen=near_on_one(share, math.hypot(right, down)),
+        undetectable=near_on_one(share, math.hypot(right, down)),
     )
 
 
@@ -47,7 +47,7 @@ def reflection_on_both(draw: Draw) -> Spoil:
     return Spoil(
         f"{share:.0%} {words}",
         light=lambda scene, since: _second_spot(scene, right, down, 1.0, share),
-        unseen=near_on_both(math.hypot(right, down)),
+        undetectable=near_on_both(math.hypot(right, down)),
     )
 
 
@@ -103,8 +103,10 @@ def reflection_fixed(draw: Draw) -> Spoil:
         return scene.beam_plus(ghost)
 
     cameras, far_mm = draw.targets(), math.hypot(right, down)
-    unseen = near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
-    return Spoil(f"{share:.0%} {words}, at rest", light=light, cameras=cameras, varies=True, unseen=unseen)
+    undetectable = near_on_one(share, far_mm) if len(cameras) == 1 else near_on_both(far_mm)
+    return Spoil(
+        f"{share:.0%} {words}, at rest", light=light, cameras=cameras, varies=True, undetectable=undetectable
+    )
 
 
 @WAYS.add()

@@ -1,4 +1,4 @@
-"""What nobody could see on a unit: the limits that physics sets, as far as they depend on the unit."""
+"""What cannot be detected on a unit: the limits that physics sets, as far as they depend on the unit."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class Subject:
         return 3 * math.sqrt(2 * of_nodes**2 + 0.001**2)
 
 
-Unseen = Callable[[Subject], str]
-"""Why nobody could see it on a unit; empty where it can be seen."""
+Undetectable = Callable[[Subject], str]
+"""Why it cannot be detected on a unit; empty where it can."""
 
 
-def never_hidden(subject: Subject) -> str:
-    """It can be seen on every unit."""
+def always_detectable(subject: Subject) -> str:
+    """It can be detected on every unit."""
     return ""
 
 
-def near_on_one(share: float, far_mm: float) -> Unseen:
+def near_on_one(share: float, far_mm: float) -> Undetectable:
     """A second spot on one target, merged with the first: a shift, but for the stretch p (1 − p) d²/4."""
 
-    def unseen(subject: Subject) -> str:
+    def undetectable(subject: Subject) -> str:
         p, d = share / (1 + share), 2 * far_mm / subject.radius_mm
         if d > 1.2 or p * (1 - p) * d * d / 4 > subject.stretch_known_to:
             return ""
@@ -58,13 +58,13 @@ def near_on_one(share: float, far_mm: float) -> Unseen:
             "with a flat) is a shift: share × distance, up to 0.5 mm"
         )
 
-    return unseen
+    return undetectable
 
 
-def near_on_both(far_mm: float) -> Unseen:
+def near_on_both(far_mm: float) -> Undetectable:
     """A second spot beside both: one laser of another shape, as long as the two merge."""
 
-    def unseen(subject: Subject) -> str:
+    def undetectable(subject: Subject) -> str:
         if 2 * far_mm / subject.radius_mm > 1.0:
             return ""
         return (
@@ -72,13 +72,13 @@ def near_on_both(far_mm: float) -> Unseen:
             "× distance, up to 1.5 mm for two equal spots 3 mm apart"
         )
 
-    return unseen
+    return undetectable
 
 
-def on_a_plate(cameras: frozenset[str]) -> Unseen:
+def on_a_plate(cameras: frozenset[str]) -> Undetectable:
     """The view of a plain plate alone has moved."""
 
-    def unseen(subject: Subject) -> str:
+    def undetectable(subject: Subject) -> str:
         if subject.has_flat or "front" in cameras:
             return ""
         return (
@@ -86,24 +86,24 @@ def on_a_plate(cameras: frozenset[str]) -> Unseen:
             "up to 1° or 1 %, 0.5 mm on the plate, 0.1°; the frame LEDs will show it (`altd selfcheck`)"
         )
 
-    return unseen
+    return undetectable
 
 
-def by_a_step_of_the_print(shift_px: float) -> Unseen:
+def by_a_step_of_the_print(shift_px: float) -> Undetectable:
     """The view has moved by about as much as the print's dots lie apart."""
 
-    def unseen(subject: Subject) -> str:
+    def undetectable(subject: Subject) -> str:
         if shift_px < 3.3:
             return ""
         return "a print looks the same one step of its dots (4 to 5 px, 0.9 mm) further on"
 
-    return unseen
+    return undetectable
 
 
-def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Unseen:
+def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Undetectable:
     """A plain plate is seen doubled by less than half a spot's radius."""
 
-    def unseen(subject: Subject) -> str:
+    def undetectable(subject: Subject) -> str:
         if "front" in cameras or far_px > 0.6 * 4.7 * subject.radius_mm:
             return ""
         return (
@@ -111,4 +111,4 @@ def merged_on_a_plate(cameras: frozenset[str], far_px: float) -> Unseen:
             "2 mm; grain is too faint to show it"
         )
 
-    return unseen
+    return undetectable

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from altd.errors import BadInputError
-from benchmarks.campaign import table
+from benchmarks.campaign import tally_table
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.judge import Tally
 
@@ -26,35 +27,42 @@ that is driven, and a reader of the board is judged every 25 ms: its numbers mus
 within the last second and a window. Stamps of a clock in the camera are mapped as the GigE driver maps them.
 
 What is *(hidden)* was drawn so that on that unit nobody could see it, by the limits of
-`benchmarks/campaign/unseen.py`, which are written down below; such ways were found by this campaign, and what
-it counts as wrong rests on where these limits lie.
+`benchmarks/campaign/detectability.py`, which are written down below; such ways were found by this campaign,
+and what it counts as wrong rests on where these limits lie.
 
 What it is worth: all but unit-a is simulated, and ways are those that their authors thought of.
 
 """
 
 
-def write_page(
-    path: Path, tallies: Mapping[str, Tally], command: str, seed: int, units: str, took_s: float, window: int
-) -> None:
+@dataclass(frozen=True, slots=True)
+class RunDescription:
+    """How a campaign was run: its command, the seed and units drawn from, its duration and window."""
+
+    command: str
+    seed: int
+    units: str
+    took_s: float
+    window: int
+
+
+def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) -> None:
     """Write the page; raises BadInputError when the disk refuses."""
-    wrong = table.wrong_count(tallies)
+    wrong = tally_table.wrong_count(tallies)
     total = sum(tally.measurements + tally.clean for tally in tallies.values())
-    ways = {name.removesuffix(table.UNSEEN) for name in tallies} & WAYS.keys()
+    ways = {name.removesuffix(tally_table.HIDDEN_SUFFIX) for name in tallies} & WAYS.keys()
     headline = (
         f"Of {total:,} measurements in {len(ways)} ways, and in pairs of them, {wrong:,} wrong ones were "
-        f"called valid, beside {table.invisible_count(tallies):,} where nobody could tell (marked *)."
+        f"called valid, beside {tally_table.invisible_count(tallies):,} where nobody could tell (marked *)."
     )
-    text = _HEAD.format(
-        headline=headline, command=command, took_s=took_s, seed=seed, units=units, window=window
-    )
-    head, *rows = table.rows(tallies)
+    text = _HEAD.format(headline=headline, **asdict(run))
+    head, *rows = tally_table.rows(tallies)
     lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
     lines += ["| " + " | ".join(row) + " |" for row in rows]
-    hidden = [f"- {line[2:]}" for line in table.invisible(tallies)]
+    hidden = [f"- {line[2:]}" for line in tally_table.invisible(tallies)]
     if hidden:
         lines += ["", "What physics forbids to see (marked *), with its size:", "", *hidden]
-    lines += ["", *(f"{line}.  " for line in table.totals(tallies)), "", "## The ways", ""]
+    lines += ["", *(f"{line}.  " for line in tally_table.totals(tallies)), "", "## The ways", ""]
     lines += [f"- `{name}` ({way.kind}): {_first_line(way.make)}" for name, way in WAYS.items()]
     try:
         path.write_text(text + "\n".join(lines) + "\n")

@@ -1,0 +1,1 @@
+"""The ways to spoil measurements, by what they spoil."""
