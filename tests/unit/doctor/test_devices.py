@@ -6,7 +6,6 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support.guest import run_in_guest
 
 from altd.devices.gpio import find_chips
 from altd.devices.gpio.find_chips import GpioChip, GpioLine
@@ -179,15 +178,6 @@ def test_without_a_config_the_devices_that_are_there_are_tried(tree: Tree, port:
     port.chmod(0o600)
     findings = list(devices.found_devices(tree.machine))
     assert says(findings, Verdict.WRONG, "somebody may not open it").subject == "serial /dev/ttyUSB0"
-
-
-def test_a_real_gpio_chip_by_its_label_its_name_and_its_path(tmp_path: Path) -> None:
-    found = run_in_guest(tmp_path, "doctor_gpio.py").results
-    for chip in ("lamp-board", "gpiochip0", "/dev/gpiochip0"):
-        assert [finding["verdict"] for finding in found[chip]] == ["good"]
-    (finding,) = found["other-board"]
-    assert finding["verdict"] == "WRONG"
-    assert "there is /dev/gpiochip0" in finding["says"]
 
 
 def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:
