@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -14,7 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from support.cli import altd_here
+from altd.calibration.calibrating import calibrate
+from altd.calibration.file import save_calibration
+from altd.calibration.result import CalibrationResult
+from altd.recording.reader import open_recording
 from support.ports import free_port
 from support.recordings import write_beams, write_scan
 from support.unit_toml import write_config
@@ -40,12 +44,20 @@ class PlayedUnit:
     def config(self) -> Path:
         return self.folder / "altd.toml"
 
+    @property
+    def result(self) -> CalibrationResult:
+        """What its calibration file was written from."""
+        made: CalibrationResult = pickle.loads((self.folder / "result.pickle").read_bytes())
+        return made
+
     @classmethod
     def made(cls, folder: Path) -> PlayedUnit:
         unit = cls(folder)
         write_scan(folder / "scan")
         write_beams(unit.beams, BEAMS)
-        assert altd_here("calibrate", folder / "scan", "-o", unit.calibration).status == 0
+        result = calibrate([open_recording(folder / "scan")])
+        save_calibration(result.calibration, unit.calibration)
+        (folder / "result.pickle").write_bytes(pickle.dumps(result))
         write_config(unit.config, unit.calibration, unit.beams)
         return unit
 

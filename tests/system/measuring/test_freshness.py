@@ -1,4 +1,4 @@
-"""A camera whose dark is cut off at black: thousands of its pixels are equal from frame to frame."""
+"""Series of new frames in which nothing comes again, also where the dark is cut off at black."""
 
 from __future__ import annotations
 
@@ -27,3 +27,12 @@ def test_a_camera_that_cuts_its_dark_off_at_black_is_no_repeat(background: float
         frames.append(replace(taken, pixels=np.where(hot, 255, taken.pixels).astype(np.uint8)))
     check = FreshnessCheck()
     assert not any(check.repeated(frame) for frame in frames)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 16])
+@pytest.mark.parametrize("noise", [0.3, 2.0])
+def test_what_was_exposed_is_new(bits: int, noise: float) -> None:
+    rng = np.random.default_rng(0)
+    image, check = SPOT * (1 << bits) / 256, FreshnessCheck()
+    for n in range(150):
+        assert not check.repeated(frame(image, rng, noise, 8.0, bits, sequence=n, t_ns=n * PERIOD_NS))

@@ -5,90 +5,12 @@ import threading
 from dataclasses import replace
 
 import pytest
-from support.clock import FakeClock, settle, stop
-from support.frames import Blob, frame, light
-from support.measurements import measurement
+from support.clock import settle, stop
+from support.pipeline_bench import Bench, shot
 
 from altd.acquisition.inbox import Inbox
-from altd.acquisition.pipeline import Pipeline
-from altd.instruments.beam.quantities import QUANTITIES
-from altd.reasons import Reason
 from altd.records import Frame, Measurement
-from altd.status.board import Board
-from altd.status.health import Health, State
-
-PIXELS = frame(light(Blob(300, 200))).pixels
-
-
-def shot(camera: str, sequence: int, t_ns: int = 0) -> Frame:
-    return Frame(camera, sequence, t_ns, PIXELS)
-
-
-class Chain:
-    """Stands in for the measuring chain: a measurement for every frame of the rear camera."""
-
-    late_frames = 0
-
-    def __init__(self) -> None:
-        self.broken = False
-        self.exposures = 0
-        self.spot = "spot_missing"
-        self.shift: dict[str, float | str] = {}
-
-    def push(self, frame: Frame) -> list[Measurement]:
-        if self.broken:
-            raise ZeroDivisionError("a defect")
-        return [measurement(frame.sequence, frame.t_ns)] if frame.camera == "rear" else []
-
-    def silence(self, t_ns: int) -> Measurement:
-        return measurement(0, t_ns, Reason.CAMERA_SILENT)
-
-    def seen(self) -> str:
-        return f"front: {self.spot}"
-
-    def step(self) -> dict[str, float]:
-        return {"skew_ms": 0.25}
-
-    def views(self) -> dict[str, float | str]:
-        return self.shift
-
-
-class Bench:
-    """A pipeline with its surroundings."""
-
-    def __init__(self) -> None:
-        self.clock = FakeClock()
-        self.board = Board(self.clock, 1.0, QUANTITIES)
-        self.inbox = Inbox(("front", "rear"))
-        self.chain = Chain()
-        self.component = Health(self.clock).component("measuring")
-        self.progress = 0
-        self.pipeline = Pipeline(
-            self.inbox,
-            self.chain,  # type: ignore[arg-type]
-            self.board,
-            self.component,
-            self.clock,
-            0.4,
-            self.count,
-        )
-        self.task = asyncio.create_task(self.pipeline.run())
-
-    def count(self) -> None:
-        self.progress += 1
-
-
-async def test_an_hour_of_exposures_passes_without_a_loss() -> None:
-    bench = Bench()
-    for number in range(72_000):
-        for camera in ("front", "rear"):
-            bench.inbox.put(shot(camera, number, bench.clock.monotonic_ns()), wait=False)
-        await bench.clock.advance(0.05)
-    await settle()
-    assert bench.board.published == bench.progress == 72_000
-    assert bench.component.counters["valid"] == 72_000
-    assert bench.inbox.dropped == {"front": 0, "rear": 0}
-    await stop(bench.task)
+from altd.status.health import State
 
 
 async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> None:

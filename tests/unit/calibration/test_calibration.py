@@ -21,9 +21,8 @@ from altd.vision.flat import Flat
 
 @pytest.fixture(scope="module")
 def calibration(played_unit: PlayedUnit) -> Calibration:
-    result = calibrate([open_recording(played_unit.folder / "scan")])
-    assert result.refused == ()
-    return result.calibration
+    assert played_unit.result.refused == ()
+    return played_unit.result.calibration
 
 
 @pytest.fixture

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
-from support.foreign import need, need_program
-from support.unit_toml import unit_toml
 
 from altd.config import Config
 from altd.doctor import network
@@ -130,47 +125,6 @@ def test_a_camera_by_its_serial_number_may_be_on_any_interface(
     assert says(
         found(gige(configured, "Maker-1234"), computer)[:1], Verdict.WRONG, "no network interface is up"
     )
-
-
-CONFIG = unit_toml(
-    "ALT-0007",
-    "calibration.json",
-    'driver = "aravis"\ndevice = "192.168.77.20"\npacket_bytes = 1500',
-    'driver = "aravis"\ndevice = "10.9.8.7"',
-    '[measuring]\npair_by = "time"\n',
-)
-
-A_SMALL_MTU = """
-mount -t sysfs sys /sys
-ip link add cam type veth peer name far
-ip address add 192.168.77.1/24 dev cam
-ip link set cam mtu 1400
-ip link set far up
-ip link set cam up
-exec "$@"
-"""
-
-
-def test_on_a_real_link_with_a_small_mtu(tmp_path: Path) -> None:
-    unshare = [need_program("unshare", "util-linux"), "--user", "--map-root-user", "--net", "--mount"]
-    need_program("ip", "iproute2")
-    possible = subprocess.run(
-        [*unshare, "mount", "-t", "sysfs", "sys", "/sys"], capture_output=True, check=False
-    )
-    need(possible.returncode == 0, "this machine allows no network namespaces")
-    (tmp_path / "altd.toml").write_text(CONFIG)
-    doctor = [sys.executable, "-m", "altd.cli", "doctor", "--config", str(tmp_path / "altd.toml")]
-    done = subprocess.run(
-        [*unshare, "sh", "-ec", A_SMALL_MTU, "sh", *doctor], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1, done.stderr
-    assert "good    camera front 192.168.77.20: is in the network of cam" in done.stdout
-    assert "WRONG   network cam: its MTU is 1400 but packet_bytes 1500" in done.stdout
-    assert (
-        "WRONG   camera rear 10.9.8.7: no interface has an address in its network: nothing leads there"
-        in done.stdout
-    )
-    assert done.stderr == ""
 
 
 class TestListening:

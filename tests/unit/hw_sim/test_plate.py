@@ -100,18 +100,6 @@ def test_its_axis_is_no_special_place() -> None:
     )
 
 
-@pytest.mark.parametrize("fisheye_lens", [False, True])
-def test_tilted_cameras_see_all_of_the_plate(fisheye_lens: bool) -> None:
-    plate = Plate(pitch_mm=25.0, tilt_deg=30.0, fisheye=fisheye_lens)
-    unit = with_plate(Unit(UnitConfig(seed=2)), plate)
-    for imager in unit.imagers.values():
-        lens = imager.view.lens
-        u, v = lens.project([-77.5, 77.5, 77.5, -77.5], [-52.5, -52.5, 52.5, 52.5])
-        assert 0 < u.min() < u.max() < 751
-        assert 0 < v.min() < v.max() < 479
-        assert np.degrees(np.arccos(lens.rotation[2, 2])) == pytest.approx(30.0, abs=2.0)
-
-
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -133,11 +121,3 @@ def test_a_wrong_argument_gives_one_line_and_status_2(
     assert complaint in captured.err
     assert captured.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_line_records_a_plate(tmp_path: Path) -> None:
-    assert (
-        main(["plate", "-o", str(tmp_path / "p"), "--seed", "4", "--exposures", "1", "--dark", "0,0", "6,4"])
-        == 0
-    )
-    assert open_recording(tmp_path / "p").header.unit.serial == "SIM-4"

@@ -7,8 +7,6 @@ import pytest
 
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
-from hw_sim.motion import Drive, Vibration
-from hw_sim.targets import DotPattern
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 
 
@@ -24,15 +22,6 @@ def spots(unit: Unit, camera: str) -> list[tuple[int, int]]:
     bright = (smoothed(unit, camera) > 8.0).astype(np.uint8)
     _, _, _, middles = cv2.connectedComponentsWithStats(bright)
     return [(round(u), round(v)) for u, v in middles[1:]]
-
-
-def test_the_same_seed_makes_the_same_unit_and_the_same_frames() -> None:
-    first, second = (Unit(UnitConfig(seed=11)) for _ in range(2))
-    for camera in CAMERAS:
-        for exact in (True, False):
-            frames = [unit.expose(camera, 3, 150_000_000, exact=exact).pixels for unit in (first, second)]
-            assert np.array_equal(*frames)
-        assert first.imagers[camera].view.lens.focal_mm == second.imagers[camera].view.lens.focal_mm
 
 
 def test_frames_of_a_sequence_differ_in_noise_and_other_seeds_in_everything(unit: Unit) -> None:
@@ -52,32 +41,11 @@ def test_quick_frames_have_the_mean_and_the_noise_of_exact_ones(unit: Unit) -> N
         assert quick.var(axis=0).mean() == pytest.approx(exact.var(axis=0).mean(), rel=0.02)
 
 
-def test_without_dots_the_window_is_as_even_as_the_plate() -> None:
-    for dots in (DotPattern(), None):
-        bare = Unit(UnitConfig(seed=11, dots=dots, speckle_contrast=0.0))
-        response = bare.imagers[FRONT].view.response
-        ripple = float(np.std(response / cv2.GaussianBlur(response, (0, 0), 4.0)))
-        assert ripple > 0.2 if dots else ripple < 1e-3
-
-
 def test_hot_pixels_stay_where_they_are(unit: Unit) -> None:
     unit.inject(Fault.NO_LASER)
     hot = [set(np.flatnonzero(unit.expose(REAR, k, 0).pixels > 40)) for k in range(3)]
     assert len(hot[0]) >= 10
     assert len(hot[0] & hot[1] & hot[2]) >= len(hot[0]) - 1
-
-
-def test_stray_light_rises_with_the_lux_and_slopes_across_the_picture() -> None:
-    dim, bright = (
-        Unit(UnitConfig(seed=2, lux=lux, faults=frozenset({Fault.NO_LASER}))).expose(REAR, 0, 0).pixels
-        for lux in (0.0, 1000.0)
-    )
-    assert dim.mean() == pytest.approx(4.0, abs=0.3)
-    assert bright.mean() > 20.0
-    quarters = [
-        float(np.median(part)) for half in np.array_split(bright, 2) for part in np.array_split(half, 2, 1)
-    ]
-    assert max(quarters) > 1.1 * min(quarters)
 
 
 def test_the_signal_goes_with_exposure_times_gain(unit: Unit) -> None:
@@ -122,16 +90,6 @@ def test_the_bits_of_one_camera_change_its_scale_and_nothing_else(unit: Unit) ->
     assert np.array_equal(unit.expose(REAR, 0, 0).pixels, before.pixels)
 
 
-def test_the_truth_is_told_with_and_without_vibration() -> None:
-    shaking = Unit(UnitConfig(seed=2, vibration=Vibration(), drive=Drive()))
-    still = Unit(UnitConfig(seed=2, drive=Drive()))
-    shaking.place(BeamPose(3.0, 4.0, 0.01, 0.02))
-    still.place(BeamPose(3.0, 4.0, 0.01, 0.02))
-    t_ns = 7_350_000_000
-    assert shaking.truth(t_ns, vibration=False) == still.truth(t_ns)
-    assert 0.0 < abs(shaking.truth(t_ns).x_mm - still.truth(t_ns).x_mm) < 0.5
-
-
 def test_a_beam_at_rest_shows_a_spot_on_each_target_where_the_truth_says(unit: Unit) -> None:
     unit.place(BeamPose(-20.0, 10.0, 0.05, -0.08))
     for camera, z_mm in ((FRONT, 0.0), (REAR, 280.0)):
@@ -148,20 +106,6 @@ def test_a_frame_that_has_grown_takes_the_rear_target_further_along_the_beam() -
     for unit, along_mm in ((near, 280.0), (far, 308.0)):
         u, v = lens.project(0.1 * along_mm, 0.12 * along_mm)
         assert spots(unit, REAR) == [(pytest.approx(u, abs=2.0), pytest.approx(v, abs=2.0))]
-
-
-def test_coarser_dots_leave_the_lenses_and_the_plate_as_they_are() -> None:
-    coarse = Unit(UnitConfig(seed=2, dots=DotPattern(0.8, 1.6)))
-    fine = Unit(UnitConfig(seed=2))
-    for camera in CAMERAS:
-        assert coarse.imagers[camera].view.lens.focal_mm == fine.imagers[camera].view.lens.focal_mm
-    assert not np.array_equal(coarse.imagers[FRONT].view.response, fine.imagers[FRONT].view.response)
-    assert np.array_equal(coarse.imagers[REAR].view.response, fine.imagers[REAR].view.response)
-
-
-def test_the_focal_lengths_can_be_chosen() -> None:
-    unit = Unit(UnitConfig(seed=2, front_focal_mm=(12.0, 12.0), rear_focal_mm=(3.6, 3.6)))
-    assert [unit.imagers[camera].view.lens.focal_mm for camera in CAMERAS] == [12.0, 3.6]
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,9 @@ import math
 from dataclasses import dataclass, replace
 
 import pytest
+from support import evidence
 from support.clock import FakeClock
-from support.played_unit import PlayedUnit
 
-from altd.calibration.file import load_calibration
 from altd.config import Measuring
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
@@ -62,13 +61,8 @@ def measured(calibration: Calibration, u_px: float, toy: Toy | None = None) -> M
 
 
 @pytest.fixture(scope="module")
-def calibration(played_unit: PlayedUnit) -> Calibration:
-    return load_calibration(played_unit.calibration)
-
-
-@pytest.fixture(scope="module")
-def measurement(calibration: Calibration) -> Measurement:
-    return measured(calibration, 250.125)
+def measurement() -> Measurement:
+    return measured(evidence.calibration(), 250.125)
 
 
 def test_the_chain_measures_its_quantities(measurement: Measurement) -> None:
@@ -78,8 +72,8 @@ def test_the_chain_measures_its_quantities(measurement: Measurement) -> None:
     assert measurement.number("heat_deg") is None
 
 
-def test_why_it_does_not_solve_a_window_is_published(calibration: Calibration) -> None:
-    refused = measured(calibration, 301.0)
+def test_why_it_does_not_solve_a_window_is_published() -> None:
+    refused = measured(evidence.calibration(), 301.0)
     assert (refused.valid, refused.status[0].detail) == (False, "too far to the right")
     assert json.loads(as_line(refused))["along_px"] is None
 

@@ -33,12 +33,6 @@ def repeats(frames: list[Frame]) -> list[int]:
     return [frame.sequence for frame in frames if check.repeated(frame)]
 
 
-@pytest.mark.parametrize("bits", [8, 10, 16])
-@pytest.mark.parametrize("noise", [0.3, 2.0])
-def test_what_was_exposed_is_new(bits: int, noise: float) -> None:
-    assert repeats(live(150, bits=bits, noise=noise)) == []
-
-
 @pytest.mark.parametrize("value", [0, 40, 255])
 def test_a_picture_of_one_value_says_nothing(value: int) -> None:
     even = Frame("front", 0, 0, np.full((HEIGHT, WIDTH), value, np.uint8))

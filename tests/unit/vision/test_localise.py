@@ -59,21 +59,6 @@ def test_a_sloping_background_does_not_move_the_spot() -> None:
     assert (spot.u_px, spot.v_px) == pytest.approx((400.25, 222.75), abs=0.05)
 
 
-def test_sigma_is_the_scatter_that_read_and_shot_noise_make() -> None:
-    rng = np.random.default_rng(1)
-    full_well, full_scale, read = 15_000.0, 255.0, 2.0
-    image = light(Blob(380.4, 240.2))
-    positions, sigmas = [], []
-    for _ in range(120):
-        electrons = rng.poisson((image + 8) * full_well / full_scale)
-        noisy = electrons * full_scale / full_well - 8
-        spot = found(locate(frame(noisy, rng, noise=read)))
-        positions.append((spot.u_px, spot.v_px))
-        sigmas.append(spot.sigma_px)
-    scatter = np.sqrt(np.var(positions, axis=0, ddof=1).mean())
-    assert np.mean(sigmas) / scatter == pytest.approx(1.0, abs=0.15)
-
-
 def test_hot_pixels_do_not_move_the_spot() -> None:
     rng = np.random.default_rng(2)
     clean = frame(light(Blob(300.5, 210.25)), rng)

@@ -1,0 +1,23 @@
+"""Fitted simulated lenses, and how far another map lies from the one that checks it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from altd.calibration.fitting import TargetFit, fit_nodes
+from altd.mapping.tensor_map import TensorMap
+from support.lenses import SIZE, LensKind, grid, make_lens, seen
+
+NODES = grid()
+
+
+def fitted_unit(kind: LensKind, seed: int) -> tuple[TargetFit, np.random.Generator]:
+    rng = np.random.default_rng([seed, round(kind.focal_mm * 10)])
+    return fit_nodes(NODES, seen(make_lens(kind, rng), NODES, rng), SIZE, None, 0), rng
+
+
+def apart_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:
+    px = wrong.to_px(points_mm)
+    return np.array(
+        [fitted.cross_check.apart_px(x, y, u, v) for (x, y), (u, v) in zip(points_mm, px, strict=True)]
+    )

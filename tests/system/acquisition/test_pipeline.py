@@ -1,0 +1,19 @@
+"""The pipeline for an hour of the injected clock."""
+
+from __future__ import annotations
+
+from support.clock import settle, stop
+from support.pipeline_bench import Bench, shot
+
+
+async def test_an_hour_of_exposures_passes_without_a_loss() -> None:
+    bench = Bench()
+    for number in range(72_000):
+        for camera in ("front", "rear"):
+            bench.inbox.put(shot(camera, number, bench.clock.monotonic_ns()), wait=False)
+        await bench.clock.advance(0.05)
+    await settle()
+    assert bench.board.published == bench.progress == 72_000
+    assert bench.component.counters["valid"] == 72_000
+    assert bench.inbox.dropped == {"front": 0, "rear": 0}
+    await stop(bench.task)
