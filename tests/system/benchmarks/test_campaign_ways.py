@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 
 from altd.records import PixelArray
-from benchmarks.campaign import ambient, cameras, frames, numbers, spots, surfaces, times
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, noisy_image
 from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
+from benchmarks.campaign.ways import (
+    ambient,
+    cameras,
+    frame_order,
+    grey_values,
+    numbers,
+    spots,
+    surfaces,
+    times,
+)
 from benchmarks.campaign.ways.numbers import Misnumbered
 from benchmarks.campaign.ways.times import MS, Delivery, Mistimed
 
@@ -19,7 +28,7 @@ ROWS, COLUMNS, PX_PER_MM = 240, 376, 4.0
 RADIUS_PX, PEAK = 20.0, 100.0
 SHAPE = SpotShape(180.0, 110.0, (RADIUS_PX**-2, 0.0, RADIUS_PX**-2), 1.0, PEAK)
 OPTICAL = [*spots.WAYS.ways, *surfaces.WAYS.ways, *ambient.WAYS.ways]
-ELECTRONIC = [*frames.WAYS.ways, *cameras.WAYS.ways]
+ELECTRONIC = [*grey_values.WAYS.ways, *frame_order.WAYS.ways, *cameras.WAYS.ways]
 
 
 def draw(seed: int = 0) -> Draw:
@@ -222,7 +231,7 @@ def picture_of(
 
 def test_a_torn_frame_has_the_upper_part_of_the_frame_before() -> None:
     before, now = np.full((100, 40), 7, np.uint8), np.full((100, 40), 9, np.uint8)
-    pictures = [picture_of(made(frames.torn, seed), now, before) for seed in range(8)]
+    pictures = [picture_of(made(grey_values.torn, seed), now, before) for seed in range(8)]
     torn = [picture for picture in pictures if (picture == 7).any()]
     assert torn
     for picture in torn:
@@ -233,7 +242,7 @@ def test_a_torn_frame_has_the_upper_part_of_the_frame_before() -> None:
 
 
 def test_a_frozen_camera_shows_the_last_good_picture_for_ever() -> None:
-    spoil = made(frames.frozen, 0)
+    spoil = made(frame_order.frozen, 0)
     clean, dirty = spoilt_shots(spoil)
     frozen = [
         shot
@@ -249,7 +258,7 @@ def test_a_frozen_camera_shows_the_last_good_picture_for_ever() -> None:
 
 
 def test_a_late_camera_shows_what_was_some_frames_ago() -> None:
-    spoil = made(frames.one_camera_late, 0)
+    spoil = made(frame_order.one_camera_late, 0)
     camera, late = spoil.note.split()[0], int(spoil.note.split()[1])
     clean, dirty = spoilt_shots(spoil)
     pictures = {(shot.camera, shot.k): shot.pixels for shot in clean}
