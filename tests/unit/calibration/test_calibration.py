@@ -136,6 +136,31 @@ def test_damaged_files_are_refused_with_the_place(file: Path, tmp_path: Path) ->
     assert "is not JSON" in complaint(file)
 
 
+def test_a_table_of_the_file_has_all_keys_no_others_and_its_limits(file: Path) -> None:
+    """``SpotSettings`` has a default for each key: a map made with other settings must not take them."""
+    good = file.read_text()
+    for table, key, value, words in (
+        ("localiser", "power", None, "targets.1.localiser.power: Field required"),
+        ("localiser", "colour", 1, "targets.1.localiser.colour: Extra inputs are not permitted, not 1"),
+        ("localiser", "power", 11, "targets.1.localiser.power: Input should be less than or equal to 10"),
+        ("localiser", "max_diameter_px", 0, "max_diameter_px: Input should be greater than 0, not 0"),
+        ("spot", "misfit_ratio", 0.5, "targets.1.spot.misfit_ratio: Input should be greater than or equal"),
+        ("spot", "grain", None, "targets.1.spot.grain: Field required"),
+    ):
+        targets = json.loads(good)["targets"]
+        if value is None:
+            del targets[1][table][key]
+        else:
+            targets[1][table][key] = value
+        assert words in complaint(tampered(file, targets=targets)), (table, key)
+    targets = json.loads(good)["targets"]
+    targets[1]["map"]["x_axis"]["nodes"] = 1
+    assert "targets.1.map.x_axis.nodes: Input should be" in complaint(tampered(file, targets=targets))
+    targets = json.loads(good)["targets"]
+    targets[1]["spot"]["shape"]["mean"][3] = 0
+    assert "targets.1.spot.shape.mean.3: Input should be" in complaint(tampered(file, targets=targets))
+
+
 @pytest.fixture
 def with_flat(calibration: Calibration, tmp_path: Path) -> Path:
     """A calibration whose front target has a flat."""

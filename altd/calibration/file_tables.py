@@ -1,0 +1,178 @@
+"""The tables of the calibration file: its keys, and the limits of its numbers."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema, create_model
+from pydantic_core import CoreSchema, core_schema
+
+from altd.calibration.fingerprint_file import FingerprintTable
+from altd.mapping.grid import Axis
+from altd.mapping.tensor_map import Model
+from altd.records import Origin
+from altd.vision.flat import Source
+from altd.vision.reference import ShapeReference, SpotReference
+from altd.vision.settings import SpotSettings
+
+FORMAT = "altd-calibration/1"
+
+Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
+Pixels = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""A place in or about a picture of at most 20 000 px."""
+PositivePixels = Annotated[float, Field(gt=0, le=1000)]
+"""A misfit, a noise, a limit."""
+Coefficient = Annotated[float, Field(ge=-1e7, le=1e7)]
+"""A place in px times the root of a grid's number of nodes: the Gram polynomials are orthonormal."""
+Side = Annotated[int, Field(ge=16, le=20_000)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _table_of(record: type, **narrower: Any) -> GetPydanticSchema:
+    """Reads a dataclass from a table that has all of its fields and no other.
+
+    ``narrower`` are the types of those fields whose values have limits in a file.
+    """
+    types = get_type_hints(record) | narrower
+    fields: dict[str, Any] = {name: (type_, ...) for name, type_ in types.items()}
+    table = create_model(f"{record.__name__}Table", __base__=_Table, **fields)
+
+    def schema(_: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(
+            lambda read: record(**{name: getattr(read, name) for name in types}),
+            handler.generate_schema(table),
+        )
+
+    return GetPydanticSchema(schema)
+
+
+_Localiser = Annotated[
+    SpotSettings,
+    _table_of(
+        SpotSettings,
+        smoothing_px=Annotated[float, Field(ge=0, le=100)],
+        threshold=Annotated[float, Field(gt=0, lt=1)],
+        power=Annotated[float, Field(gt=0, le=10)],
+        min_diameter_px=Annotated[float, Field(gt=0, le=10_000)],
+        max_diameter_px=Annotated[float, Field(gt=0, le=20_000)] | None,
+        max_aspect=Annotated[float, Field(ge=1, le=100)],
+        min_fill=Annotated[float, Field(ge=0, le=1)],
+        like_size=Annotated[float, Field(gt=0, le=1)],
+        max_saturated=Annotated[float, Field(ge=0, le=1)],
+        max_sigma_px=PositivePixels,
+        full_well_electrons=Annotated[float, Field(ge=100, le=10_000_000)],
+    ),
+]
+_Axis = Annotated[
+    Axis,
+    _table_of(
+        Axis,
+        first_mm=Millimetres,
+        step_mm=Annotated[float, Field(gt=0, le=10_000)],
+        nodes=Annotated[int, Field(ge=2, le=10_000)],
+    ),
+]
+_Feature = Annotated[float, Field(ge=-10, le=10)]
+_Scatter = Annotated[float, Field(ge=0, le=10)]
+_Shape = Annotated[
+    ShapeReference,
+    _table_of(
+        ShapeReference,
+        mean=tuple[_Feature, _Feature, _Feature, Annotated[float, Field(gt=0, le=1000)]],
+        sigma=tuple[_Scatter, _Scatter, _Scatter, _Scatter],
+    ),
+]
+_Spot = Annotated[
+    SpotReference,
+    _table_of(
+        SpotReference,
+        grain=Annotated[float, Field(gt=0, le=10)] | None,
+        misfit_ratio=Annotated[float, Field(ge=1, le=1000)],
+        pattern_px=Annotated[float, Field(ge=0, le=100)] | None,
+        noise_px=Annotated[float, Field(ge=0, le=100)],
+        shape=_Shape | None,
+    ),
+]
+
+
+class MapTable(_Table):
+    """A map, or the one that checks it."""
+
+    basis: Literal["gram"]
+    model: Model
+    x_axis: _Axis
+    y_axis: _Axis
+    degree: tuple[Annotated[int, Field(ge=0, le=100)], Annotated[int, Field(ge=0, le=100)]]
+    spectrum_u_px: list[list[Coefficient]]
+    spectrum_v_px: list[list[Coefficient]]
+    spread_u_px: list[list[Coefficient]]
+    spread_v_px: list[list[Coefficient]]
+    noise_px: PositivePixels
+    hull_mm: Annotated[list[tuple[Millimetres, Millimetres]], Field(min_length=3)]
+    margin_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    beyond_px_per_mm: Annotated[float, Field(ge=0, le=1000)] = 0.0
+
+
+class _CrossCheck(_Table):
+    map: MapTable
+    left_out_px: PositivePixels
+    bound_px: PositivePixels
+    largest_px: Annotated[float, Field(ge=0, le=1000)]
+
+
+class _Residuals(_Table):
+    mean_mm: Annotated[float, Field(ge=0, le=1000)]
+    std_mm: Annotated[float, Field(ge=0, le=1000)]
+    max_mm: Annotated[float, Field(ge=0, le=1000)]
+
+
+class _Flat(_Table):
+    source: Source
+    origin: Origin = Origin.CAMERA
+    png: str
+
+
+class TargetTable(_Table):
+    """One of ``targets``."""
+
+    name: str
+    z_mm: Millimetres
+    camera_serial: str | None
+    camera_model: str | None = None
+    camera_driver: str | None = None
+    origin: Origin = Origin.CAMERA
+    width: Side
+    height: Side
+    localiser: _Localiser
+    flat: _Flat | None
+    map: MapTable
+    cross_check: _CrossCheck
+    left_out_px: PositivePixels
+    residuals: _Residuals
+    repeatability_px: tuple[Annotated[float, Field(ge=0, le=1000)], Annotated[float, Field(ge=0, le=1000)]]
+    leds_px: list[tuple[Pixels, Pixels]]
+    spot: _Spot | None = None
+    fingerprint: FingerprintTable | None = None
+
+
+class _Unit(_Table):
+    serial: str
+
+
+class _Source(_Table):
+    note: str
+    sha256: str
+
+
+class CalibrationTable(_Table):
+    """The whole of the file but for its checksum."""
+
+    format: Literal["altd-calibration/1"]
+    unit: _Unit
+    created: datetime
+    recording: _Source
+    targets: Annotated[list[TargetTable], Field(min_length=1)]
