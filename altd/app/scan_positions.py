@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from altd.calibration.scan_nodes import node_key
 from altd.errors import BadInputError
 from altd.measuring.chain import Place
+from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording
-from altd.recording.table import Row
 from altd.records import Measurement
 
 MAX_WINDOW = 1000

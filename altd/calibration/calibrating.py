@@ -6,10 +6,10 @@ import hashlib
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from altd.calibration.flat import flats_of
-from altd.calibration.plate import calibrate_plates
+from altd.calibration.from_plates import calibrate_plates
+from altd.calibration.from_scans import calibrate_scans
+from altd.calibration.recorded_flat import flats_of
 from altd.calibration.result import CalibrationResult, Progress, cross_check_doubts
-from altd.calibration.scan import calibrate_scans
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration

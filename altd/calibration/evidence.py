@@ -13,8 +13,8 @@ class Candidate:
 
     ``model`` is its name as in the calibration file (``tensor``, ``lens`` …), ``degree`` along x and y of a
     tensor polynomial, ``parameters`` how many numbers per target were fitted. ``gcv_px`` is the root of the
-    generalised cross-validation score, ``left_out_px`` the rms by which a node misses the map fitted without
-    it, ``map_sigma_px`` the rms over the hull of what the nodes' noise leaves in the map: it grows with the
+    generalised cross-validation score, ``leave_one_out_px`` the rms of the leave-one-out residuals,
+    ``map_sigma_px`` the rms over the hull of what the nodes' noise leaves in the map: it grows with the
     degree while the misfit falls (thesis 3.5.6).
     """
 
@@ -22,7 +22,7 @@ class Candidate:
     degree: tuple[int, int] | None
     parameters: int
     gcv_px: float
-    left_out_px: float
+    leave_one_out_px: float
     map_sigma_px: float
 
 
@@ -31,21 +31,22 @@ class TargetEvidence:
     """A target's nodes and the models that were tried on them.
 
     ``nodes_mm`` (n, 2) and ``nodes_px`` (n, 2) are the nodes that were used, ``residuals_px`` (n, 2) measured
-    minus mapped, ``missed_px`` (n, 2) by how much each misses the map made without it, ``scatter_px`` (n, 2)
-    the standard deviation of single exposures at the node (NaN where it has one), ``exposures`` (n,) their
-    number. ``relative_sigma`` (n,) is 1 for a node whose spot is known as well as most, more for one that
-    is known worse and counts less. ``left_out`` holds the nodes (x, y) mm that were not used, each with the
-    reason, ``leds_dropped`` in words the frame LEDs that shine and could not be located.
+    minus mapped, ``leave_one_out_residuals_px`` (n, 2) measured minus mapped without the node,
+    ``scatter_px`` (n, 2) the standard deviation of single exposures at the node (NaN where it has one),
+    ``exposures`` (n,) their number. ``relative_sigma`` (n,) is 1 for a node whose spot is known as well as
+    most, more for one that is known worse and counts less. ``excluded`` holds the nodes (x, y) mm that were
+    not used, each with the reason, ``leds_dropped`` in words the frame LEDs that shine and could not be
+    located.
     """
 
     name: str
     nodes_mm: FloatArray
     nodes_px: FloatArray
     residuals_px: FloatArray
-    missed_px: FloatArray
+    leave_one_out_residuals_px: FloatArray
     relative_sigma: FloatArray
     scatter_px: FloatArray
     exposures: tuple[int, ...]
-    left_out: tuple[tuple[tuple[float, float], str], ...]
+    excluded: tuple[tuple[tuple[float, float], str], ...]
     leds_dropped: tuple[str, ...]
     candidates: tuple[Candidate, ...]

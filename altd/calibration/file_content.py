@@ -9,8 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from altd.calibration.file_fingerprint import as_document, from_table
 from altd.calibration.file_tables import FORMAT, CalibrationTable, MapTable, TargetTable
-from altd.calibration.fingerprint_file import as_document, from_table
 from altd.files.picture import decode_png
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
@@ -46,11 +46,11 @@ def _target_document(target: TargetCalibration) -> dict[str, Any]:
         "map": _map_document(target.map),
         "cross_check": {
             "map": _map_document(target.cross_check.map),
-            "left_out_px": target.cross_check.left_out_px,
-            "bound_px": target.cross_check.bound_px,
-            "largest_px": target.cross_check.largest_px,
+            "left_out_px": target.cross_check.leave_one_out_px,
+            "bound_px": target.cross_check.limit_px,
+            "largest_px": target.cross_check.max_difference_px,
         },
-        "left_out_px": target.left_out_px,
+        "left_out_px": target.leave_one_out_px,
         "residuals": {
             "mean_mm": target.residual_mean_mm,
             "std_mm": target.residual_std_mm,
@@ -80,8 +80,8 @@ def _map_document(fitted: TensorMap) -> dict[str, Any]:
         "degree": list(fitted.degree),
         "spectrum_u_px": fitted.spectra[0].tolist(),
         "spectrum_v_px": fitted.spectra[1].tolist(),
-        "spread_u_px": fitted.spread_px[0].tolist(),
-        "spread_v_px": fitted.spread_px[1].tolist(),
+        "spread_u_px": fitted.covariance_factor_px[0].tolist(),
+        "spread_v_px": fitted.covariance_factor_px[1].tolist(),
         "noise_px": fitted.noise_px,
         "hull_mm": fitted.hull_mm.tolist(),
         "margin_mm": fitted.margin_mm,
@@ -113,11 +113,11 @@ def _from_target(target: TargetTable) -> TargetCalibration:
         map=_from_map(f"targets.{target.name}.map", target.map),
         cross_check=CrossCheck(
             map=_from_map(f"targets.{target.name}.cross_check.map", target.cross_check.map),
-            left_out_px=target.cross_check.left_out_px,
-            bound_px=target.cross_check.bound_px,
-            largest_px=target.cross_check.largest_px,
+            leave_one_out_px=target.cross_check.left_out_px,
+            limit_px=target.cross_check.bound_px,
+            max_difference_px=target.cross_check.largest_px,
         ),
-        left_out_px=target.left_out_px,
+        leave_one_out_px=target.left_out_px,
         residual_mean_mm=target.residuals.mean_mm,
         residual_std_mm=target.residuals.std_mm,
         residual_max_mm=target.residuals.max_mm,
@@ -151,7 +151,7 @@ def _from_map(place: str, content: MapTable) -> TensorMap:
         spectra=_array(
             f"{place}.spectrum", [content.spectrum_u_px, content.spectrum_v_px], (2, rows, columns)
         ),
-        spread_px=_array(
+        covariance_factor_px=_array(
             f"{place}.spread",
             [content.spread_u_px, content.spread_v_px],
             (2, rows * columns, len(content.spread_u_px[0]) if content.spread_u_px else 0),

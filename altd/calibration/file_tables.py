@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema, create_model
 from pydantic_core import CoreSchema, core_schema
 
-from altd.calibration.fingerprint_file import FingerprintTable
+from altd.calibration.file_fingerprint import FingerprintTable
 from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model
 from altd.records import Origin

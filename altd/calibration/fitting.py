@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from altd.calibration.evidence import Candidate
 from altd.calibration.margin import OuterRow, outer_rows, with_margin
-from altd.mapping.camera import Optics
+from altd.mapping.camera_model import Optics
+from altd.mapping.fiducials import Fiducials
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
-from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 from altd.measuring.cross_check import CrossCheck
 from altd.records import FloatArray
@@ -21,10 +21,10 @@ from altd.records import FloatArray
 _OUTLIER_SIGMAS = 6.0
 _RAYLEIGH_MEDIAN = 1.1774
 """Median length of a vector whose two components scatter by 1."""
-_GAIN_OF_FAR, _GAIN_OF_ANY = 0.8, 0.5
+_MAX_RATIO_OF_FAR, _MAX_RATIO_OF_ANY = 0.8, 0.5
 """A node is dropped when the map then misses the others by less than this share of what it did. One that
 lies at a corner bends the map after itself and need not look far off: without it the map is far better."""
-_BEND_GAIN = 0.8
+_BEND_PENALTY = 0.8
 """A polynomial on top of a lens must miss a left-out node by less than this share of what others do: it has
 twice a lens's parameters, and the smallest of many like figures is often small by chance."""
 
@@ -64,12 +64,12 @@ class _Families:
 
     @property
     def lens(self) -> Fit:
-        return min(self.lenses, key=_handicapped_px)
+        return min(self.lenses, key=_penalised_score_px)
 
     @property
     def best(self) -> Fit:
         """Whichever misses a node less that it was not shown."""
-        return min(self.tensor, self.lens, key=_handicapped_px)
+        return min(self.tensor, self.lens, key=_penalised_score_px)
 
     @property
     def other(self) -> Fit:
@@ -82,25 +82,25 @@ def fit_nodes(
     nodes_px: FloatArray,
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
-    most_dropped: int,
-    marks: Marks | None = None,
+    max_dropped: int,
+    fiducials: Fiducials | None = None,
     relative_sigma: FloatArray | None = None,
 ) -> TargetFit:
     """Fit nodes (n, 2) mm at (n, 2) px by every model; the best is the map, the other family's checks it.
 
     A node without which the map of the others is clearly better, such as one at which the stage was bumped,
-    is left out; one after the other, at most ``most_dropped``. ``marks`` of a print guide the lens models.
+    is dropped; one after the other, at most ``max_dropped``. ``fiducials`` of a print guide the lens models.
     ``relative_sigma`` (n,) says by how much one node scatters more than another. Raises ValueError when the
     nodes are no grid or too few.
     """
     each = np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma
 
     def fit(rows: npt.NDArray[np.intp]) -> _Families:
-        return _fit_families(nodes_mm[rows], nodes_px[rows], each[rows], image_size, degree, marks)
+        return _fit_families(nodes_mm[rows], nodes_px[rows], each[rows], image_size, degree, fiducials)
 
     kept = np.arange(len(nodes_mm))
     families = fit(kept)
-    while len(nodes_mm) - len(kept) < most_dropped:
+    while len(nodes_mm) - len(kept) < max_dropped:
         trials = []
         for row, gain in _suspects(families).items():
             others = np.delete(kept, row)
@@ -108,18 +108,18 @@ def fit_nodes(
                 without = fit(others)
             except ValueError:
                 continue
-            if without.best.left_out_px < gain * families.best.left_out_px:
+            if without.best.leave_one_out_px < gain * families.best.leave_one_out_px:
                 trials.append((others, without))
         if not trials:
             break
-        kept, families = min(trials, key=lambda trial: trial[1].best.left_out_px)
+        kept, families = min(trials, key=lambda trial: trial[1].best.leave_one_out_px)
     nodes = _Nodes(nodes_mm[kept], nodes_px[kept], each[kept])
     tensor, lens = families.tensor, families.lens
     try:
         outer = outer_rows(nodes.mm)
         inner = [nodes.without(row) for row in outer]
         tensors = [_tensor_again(others, degree) for others in inner]
-        lenses = [_lens_again(lens, others, image_size, marks) for others in inner]
+        lenses = [_lens_again(lens, others, image_size, fiducials) for others in inner]
         tensor = with_margin(tensor, nodes.mm, nodes.px, outer, tensors)
         lens = with_margin(lens, nodes.mm, nodes.px, outer, lenses)
     except ValueError:  # too few nodes to leave any out: known between them, and no further
@@ -140,10 +140,10 @@ def _suspects(families: _Families) -> dict[int, float]:
     """
     suspects: dict[int, float] = {}
     for fit in (families.tensor, families.lens):
-        off_px = np.linalg.norm(fit.standard_px, axis=1)
+        off_px = np.linalg.norm(fit.standardised_px, axis=1)
         worst = int(off_px.argmax())
         far = off_px[worst] > _OUTLIER_SIGMAS * float(np.median(off_px)) / _RAYLEIGH_MEDIAN
-        suspects[worst] = max(suspects.get(worst, 0.0), _GAIN_OF_FAR if far else _GAIN_OF_ANY)
+        suspects[worst] = max(suspects.get(worst, 0.0), _MAX_RATIO_OF_FAR if far else _MAX_RATIO_OF_ANY)
     return suspects
 
 
@@ -153,14 +153,14 @@ def _fit_families(
     relative_sigma: FloatArray,
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
-    marks: Marks | None,
+    fiducials: Fiducials | None,
 ) -> _Families:
     hull_mm = convex_hull_mm(nodes_mm)
     if degree is None:
         tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm, relative_sigma)
     else:
         tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree, relative_sigma)]
-    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, marks, relative_sigma)
+    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, fiducials, relative_sigma)
     return _Families(_unfolded(tensors), _unfolded(lenses))
 
 
@@ -169,7 +169,7 @@ def _tensor_again(nodes: _Nodes, degree: tuple[int, int] | None) -> Fit:
     return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), degree, nodes.relative_sigma)
 
 
-def _lens_again(fit: Fit, nodes: _Nodes, image_size: tuple[int, int], marks: Marks | None) -> Fit:
+def _lens_again(fit: Fit, nodes: _Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:
     """The same lens model through other nodes."""
     optics: Optics = "fisheye" if fit.map.model.startswith("fisheye") else "brown"
     return fit_lens_map(
@@ -179,13 +179,13 @@ def _lens_again(fit: Fit, nodes: _Nodes, image_size: tuple[int, int], marks: Mar
         image_size,
         optics,
         0 if fit.degree is None else fit.degree[0],
-        marks,
+        fiducials,
         nodes.relative_sigma,
     )
 
 
-def _handicapped_px(fit: Fit) -> float:
-    return fit.left_out_px / (_BEND_GAIN if fit.map.model.endswith("+tensor") else 1.0)
+def _penalised_score_px(fit: Fit) -> float:
+    return fit.leave_one_out_px / (_BEND_PENALTY if fit.map.model.endswith("+tensor") else 1.0)
 
 
 def _unfolded(fits: list[Fit]) -> list[Fit]:
@@ -201,6 +201,6 @@ def _candidate(fit: Fit) -> Candidate:
         degree=fit.degree,
         parameters=fit.parameters,
         gcv_px=fit.gcv_px,
-        left_out_px=fit.left_out_px,
-        map_sigma_px=fit.map.spread_sigma_px,
+        leave_one_out_px=fit.leave_one_out_px,
+        map_sigma_px=fit.map.sigma_px,
     )

@@ -2,7 +2,7 @@
 
 Its covariance carries the nodes' noise outside the hull; that the model itself goes wrong there, it cannot
 know. So each outer row of nodes is left out in turn, the others are fitted again, and the row is predicted:
-what it is missed by beyond what the covariance expects is what the model is off, one pitch outside.
+what it is residuals by beyond what the covariance expects is what the model is off, one pitch outside.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Fit, TensorMap
 from altd.records import FloatArray
 
-_REACH_PITCHES = 0.5
+_MARGIN_PITCHES = 0.5
 """The margin in pitches: half of what was tried."""
 
 
@@ -59,7 +59,7 @@ def with_margin(
         of_row = _excess_px2(without.map, nodes_mm[there], nodes_px[there], fit.relative_sigma[there])
         excess.append(of_row / outer.pitch_mm**2)
     px_per_mm = math.sqrt(max(float(np.concatenate(excess).mean()), 0.0))
-    margin_mm = _REACH_PITCHES * min(outer.pitch_mm for outer in rows)
+    margin_mm = _MARGIN_PITCHES * min(outer.pitch_mm for outer in rows)
     return replace(fit, map=replace(fit.map, margin_mm=margin_mm, beyond_px_per_mm=px_per_mm))
 
 
@@ -67,7 +67,7 @@ def _excess_px2(
     without: TensorMap, nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray
 ) -> FloatArray:
     """By how much the squared misses (n, 2) of nodes exceed what the map's covariance expects."""
-    missed = nodes_px - without.to_px(nodes_mm)
-    expected = (without.noise_px * relative_sigma[:, None]) ** 2 + without.spread_variance_px2(nodes_mm)
-    excess: FloatArray = np.square(missed) - expected
+    residuals = nodes_px - without.to_px(nodes_mm)
+    expected = (without.noise_px * relative_sigma[:, None]) ** 2 + without.variance_px2(nodes_mm)
+    excess: FloatArray = np.square(residuals) - expected
     return excess

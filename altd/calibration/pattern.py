@@ -21,10 +21,10 @@ Key = tuple[int, int]
 ExposureKey = tuple[Key, int, int]
 """An exposure: its node, the number of its recording, its sequence there."""
 
-_LEAST_SHARE = 0.3
+_MIN_SHARE = 0.3
 """What is small against the rest is not known well enough to leave less of it."""
 
-_SURE_SIGMAS = 2.5
+_MIN_SIGNIFICANCE_SIGMAS = 2.5
 """Coarse patterns at 30 nodes share by chance as much as a good stage's error. Only what is that far beyond
 chance is taken for the stage's: a sigma that is too small is worse than one that is too large."""
 
@@ -57,16 +57,16 @@ def pattern_noise_px(targets: Sequence[NodeScatter]) -> list[float]:
     """The standard deviation of each target's pattern, px per axis."""
     pairs = list(combinations(targets, 2))
     stage_mm2 = _mean([_common_mm2(a, b) for a, b in pairs])
-    trembling_mm2 = _mean([_trembling_mm2(a, b) for a, b in pairs])
-    return [_pattern_px(target, stage_mm2, trembling_mm2) for target in targets]
+    vibration_mm2 = _mean([_vibration_mm2(a, b) for a, b in pairs])
+    return [_pattern_px(target, stage_mm2, vibration_mm2) for target in targets]
 
 
-def _pattern_px(target: NodeScatter, stage_mm2: float, trembling_mm2: float) -> float:
+def _pattern_px(target: NodeScatter, stage_mm2: float, vibration_mm2: float) -> float:
     """Without the stage, and without each exposure's own noise; trembling is in both and comes off once."""
     per_node = target.exposures_per_node
-    own_mm2 = max(_trembling_mm2(target, target) - trembling_mm2, 0.0) / per_node
-    other_px2 = (max(stage_mm2, trembling_mm2 / per_node) + own_mm2) / target.mm_per_px**2
-    return float(np.sqrt(max(target.noise_px**2 - other_px2, (_LEAST_SHARE * target.noise_px) ** 2)))
+    own_mm2 = max(_vibration_mm2(target, target) - vibration_mm2, 0.0) / per_node
+    other_px2 = (max(stage_mm2, vibration_mm2 / per_node) + own_mm2) / target.mm_per_px**2
+    return float(np.sqrt(max(target.noise_px**2 - other_px2, (_MIN_SHARE * target.noise_px) ** 2)))
 
 
 def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
@@ -75,20 +75,20 @@ def _common_mm2(a: NodeScatter, b: NodeScatter) -> float:
     if not shared:
         return 0.0
     left, right = (np.array([target.residuals_mm[key] for key in shared]) for target in (a, b))
-    freedom = max(left.size - (a.parameters + b.parameters) / 2, 1.0)
-    chance = float(np.sqrt(np.square(left).mean() * np.square(right).mean() / freedom))
-    common = float((left * right).sum()) / freedom
-    return common - chance if common > _SURE_SIGMAS * chance else 0.0
+    degrees_of_freedom = max(left.size - (a.parameters + b.parameters) / 2, 1.0)
+    chance = float(np.sqrt(np.square(left).mean() * np.square(right).mean() / degrees_of_freedom))
+    common = float((left * right).sum()) / degrees_of_freedom
+    return common - chance if common > _MIN_SIGNIFICANCE_SIGMAS * chance else 0.0
 
 
-def _trembling_mm2(a: NodeScatter, b: NodeScatter) -> float:
+def _vibration_mm2(a: NodeScatter, b: NodeScatter) -> float:
     """Variance per axis of single exposures that two targets share; of a target with itself, all of it."""
     shared = [key for key in a.exposures_mm if key in b.exposures_mm]
-    freedom = 2 * (len(shared) - len({(node, recording) for node, recording, _ in shared}))
-    if freedom <= 0:
+    degrees_of_freedom = 2 * (len(shared) - len({(node, recording) for node, recording, _ in shared}))
+    if degrees_of_freedom <= 0:
         return 0.0
     total = sum(float(a.exposures_mm[key] @ b.exposures_mm[key]) for key in shared)
-    return max(total / freedom, 0.0)
+    return max(total / degrees_of_freedom, 0.0)
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -55,8 +55,8 @@ def cross_check_doubts(targets: Sequence[TargetCalibration]) -> tuple[str, ...]:
     """Where the two maps of a target lie farther apart than measurements may."""
     return tuple(
         f"{target.name}: the {target.map.model} and the {target.cross_check.map.model} map lie up to "
-        f"{target.cross_check.largest_px:.2f} px apart; where it is more than "
-        f"{target.cross_check.bound_px:.2f} px a measurement will be implausible"
+        f"{target.cross_check.max_difference_px:.2f} px apart; where it is more than "
+        f"{target.cross_check.limit_px:.2f} px a measurement will be implausible"
         for target in targets
-        if target.cross_check.largest_px > target.cross_check.bound_px
+        if target.cross_check.max_difference_px > target.cross_check.limit_px
     )

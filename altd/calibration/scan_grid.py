@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.scan_nodes import Node, Seen
+from altd.calibration.scan_nodes import Node, ScannedTarget
 from altd.mapping.grid import Axis, Block
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 
-_UNEVEN_RATIO = 1.5
+_MAX_ALIKE_RATIO = 1.5
 """Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
-_ROUNDS = 3
+_ITERATIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class ScanGrid:
         return words
 
 
-def scan_grid(seen: Seen) -> ScanGrid:
+def scan_grid(scanned: ScannedTarget) -> ScanGrid:
     """The grid of the nodes of one target; raises ValueError when they are none."""
-    nodes = list(seen.nodes.values())
+    nodes = list(scanned.nodes.values())
     positions_mm = np.array([node.position_mm for node in nodes])
     axes = Axis.through(positions_mm[:, 0]), Axis.through(positions_mm[:, 1])
     numbers = [axis.numbers(along).tolist() for axis, along in zip(axes, positions_mm.T, strict=True)]
@@ -65,13 +65,13 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
     """
     sigmas_px = np.array([node.sigma_px for node in nodes])
     relative = np.ones(len(nodes))
-    uneven = sigmas_px > _UNEVEN_RATIO * np.median(sigmas_px)
+    uneven = sigmas_px > _MAX_ALIKE_RATIO * np.median(sigmas_px)
     if not uneven.any():
         return relative
     places_mm = np.array([node.position_mm for node in nodes])
     places_px = np.array([node.spot_px for node in nodes])
     hull_mm = convex_hull_mm(places_mm)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         first = (
             fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
             fit_lens_map(places_mm, places_px, hull_mm, image_size, relative_sigma=relative),

@@ -57,8 +57,8 @@ class Node:
     """The exposures at one node, by the number of the recording."""
 
     visits: dict[int, Visit] = field(default_factory=dict)
-    refusal: str = ""
-    """Why it is out of use although it has spots; empty: it is not."""
+    refusal: str | None = None
+    """Why it is out of use although it has spots; None: it is not."""
 
     @property
     def good_visits(self) -> dict[int, Visit]:
@@ -112,8 +112,8 @@ class Node:
 
 
 @dataclass(slots=True)
-class Seen:
-    """What a target's camera saw during the scan."""
+class ScannedTarget:
+    """What the scans of a target show: spots at nodes, and frame LEDs."""
 
     nodes: dict[tuple[int, int], Node] = field(default_factory=dict)
     leds: list[FloatArray] = field(default_factory=list)
@@ -154,38 +154,38 @@ class Job:
         return self.frames.name
 
 
-def look(job: Job, progress: Progress) -> Seen:
+def locate_nodes(job: Job, progress: Progress) -> ScannedTarget:
     """Localise the spots of all nodes and the LEDs of all reference pairs in one target's frames."""
-    seen = Seen()
+    scanned = ScannedTarget()
     dark: tuple[int, Frame] | None = None
     total = len(job.frames)
-    for done, seen_in in enumerate(job.frames, start=1):
-        row, frame = seen_in.row, seen_in.frame()
+    for done, frame_row in enumerate(job.frames, start=1):
+        row, frame = frame_row.row, frame_row.frame()
         if row.position_mm is not None:
             if not row.leds_on:
-                _take_node(seen, frame, seen_in, row.position_mm, job)
+                _add_exposure(scanned, frame, frame_row, row.position_mm, job)
         elif not row.leds_on:
-            dark = seen_in.number, frame
-        elif dark is not None and dark[0] == seen_in.number:  # LED reference pairs: off, then on
+            dark = frame_row.number, frame
+        elif dark is not None and dark[0] == frame_row.number:  # LED reference pairs: off, then on
             leds = locate_leds(frame, dark[1])
-            seen.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
-            seen.leds_dropped = leds.rejected
+            scanned.leds.append(np.array([(spot.u_px, spot.v_px) for spot in leds.spots]).reshape(-1, 2))
+            scanned.leds_dropped = leds.rejected
         progress(done, total)
-    return seen
+    return scanned
 
 
 def first_of_nodes(job: Job) -> list[FrameRow]:
     """The first exposure of each node."""
     first: dict[tuple[int, int], FrameRow] = {}
-    for seen_in in job.frames:
-        if seen_in.row.position_mm is not None and not seen_in.row.leds_on:
-            first.setdefault(node_key(seen_in.row.position_mm), seen_in)
+    for frame_row in job.frames:
+        if frame_row.row.position_mm is not None and not frame_row.row.leds_on:
+            first.setdefault(node_key(frame_row.row.position_mm), frame_row)
     return list(first.values())
 
 
 def first_frames(job: Job) -> Iterator[Frame]:
     """The first exposure of each node, decoded."""
-    return (seen_in.frame() for seen_in in first_of_nodes(job))
+    return (frame_row.frame() for frame_row in first_of_nodes(job))
 
 
 def printed_nodes(job: Job) -> tuple[int, int]:
@@ -208,17 +208,17 @@ def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot 
     return spot
 
 
-def _take_node(
-    seen: Seen, frame: Frame, seen_in: FrameRow, position_mm: tuple[float, float], job: Job
+def _add_exposure(
+    scanned: ScannedTarget, frame: Frame, frame_row: FrameRow, position_mm: tuple[float, float], job: Job
 ) -> None:
-    node = seen.nodes.setdefault(node_key(position_mm), Node())
-    visit = node.visits.setdefault(seen_in.number, Visit())
+    node = scanned.nodes.setdefault(node_key(position_mm), Node())
+    visit = node.visits.setdefault(frame_row.number, Visit())
     visit.positions_mm.append(position_mm)
     spot = node_spot(frame, job.localiser, job.flat)
     if isinstance(spot, NoSpot):
         detail = f" ({spot.detail})" if spot.detail else ""
-        visit.complaints.append(f"{spot.reason} in {job.frames.file_of(seen_in)}{detail}")
+        visit.complaints.append(f"{spot.reason} in {job.frames.file_of(frame_row)}{detail}")
     else:
         visit.spots_px.append((spot.u_px, spot.v_px))
         visit.sigmas_px.append(math.hypot(spot.sigma_px, spot.excess_px))
-        visit.located.append(seen_in)
+        visit.located.append(frame_row)

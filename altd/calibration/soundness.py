@@ -14,17 +14,17 @@ from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray
 
-_MOST_NODES = 256
+_MAX_NODES = 256
 """Along an axis; a plate of LEDs has up to 100."""
-_LARGEST_DEGREE = 15
+_MAX_DEGREE = 15
 """Above, powers lose digits (``gram_powers``)."""
-_MOST_ERRORS = 2 * (_LARGEST_DEGREE + 1) ** 2
+_MAX_FACTOR_COLUMNS = 2 * (_MAX_DEGREE + 1) ** 2
 """Two for each coefficient: what ``fit_tensor_map`` makes."""
-_MOST_CORNERS = 4 * _MOST_NODES
-_BESIDE = 0.25
+_MAX_CORNERS = 4 * _MAX_NODES
+_MAX_OUTSIDE_SHARE = 0.25
 """By how much of its size a picture may be missed by a corner of the hull, which was seen in it."""
-_SAME_MM = 1e-3
-_STRAIGHT = 1e-4
+_MIN_EDGE_MM = 1e-3
+_MAX_BEND_SINE = 1e-4
 """Sine of the largest bend inwards at a corner, by rounding."""
 
 
@@ -49,35 +49,35 @@ def check_calibration(calibration: Calibration) -> None:
 
 def _check_grid(place: str, fitted: TensorMap) -> None:
     for name, axis, degree in zip("xy", (fitted.x_axis, fitted.y_axis), fitted.degree, strict=True):
-        if axis.nodes > _MOST_NODES:
-            raise ValueError(f"{place}.{name}_axis: has {axis.nodes} nodes, more than {_MOST_NODES}")
-        most = min(axis.nodes - 1, _LARGEST_DEGREE)
+        if axis.nodes > _MAX_NODES:
+            raise ValueError(f"{place}.{name}_axis: has {axis.nodes} nodes, more than {_MAX_NODES}")
+        most = min(axis.nodes - 1, _MAX_DEGREE)
         if not 1 <= degree <= most:
             raise ValueError(f"{place}.degree: {degree} along {name}, but it must be 1 to {most}")
-    errors = fitted.spread_px.shape[2]
+    errors = fitted.covariance_factor_px.shape[2]
     if errors < 1:
         raise ValueError(f"{place}.spread: is empty, so nothing is known of the map's uncertainty")
-    if errors > _MOST_ERRORS:
-        raise ValueError(f"{place}.spread: has {errors} columns, more than {_MOST_ERRORS}")
+    if errors > _MAX_FACTOR_COLUMNS:
+        raise ValueError(f"{place}.spread: has {errors} columns, more than {_MAX_FACTOR_COLUMNS}")
 
 
 def _check_hull(place: str, hull_mm: FloatArray, x_axis: Axis, y_axis: Axis) -> None:
     """Convex, counter-clockwise, run round once, and not beyond the grid by more than a step."""
-    if len(hull_mm) > _MOST_CORNERS:
-        raise ValueError(f"{place}: has {len(hull_mm)} corners, more than {_MOST_CORNERS}")
+    if len(hull_mm) > _MAX_CORNERS:
+        raise ValueError(f"{place}: has {len(hull_mm)} corners, more than {_MAX_CORNERS}")
     first = np.array([axis.first_mm - axis.step_mm for axis in (x_axis, y_axis)])
     last = np.array([axis.last_mm + axis.step_mm for axis in (x_axis, y_axis)])
     if not ((first <= hull_mm) & (hull_mm <= last)).all():
         raise ValueError(f"{place}: reaches beyond the grid")
     edge = np.roll(hull_mm, -1, axis=0) - hull_mm
     length = np.hypot(edge[:, 0], edge[:, 1])
-    if length.min() < _SAME_MM:
+    if length.min() < _MIN_EDGE_MM:
         raise ValueError(f"{place}: two corners in a row are the same")
     ahead = edge / length[:, None]
     after = np.roll(ahead, -1, axis=0)
     sines = ahead[:, 0] * after[:, 1] - ahead[:, 1] * after[:, 0]
     turns = np.arctan2(sines, np.einsum("ij,ij->i", ahead, after)).sum() / (2 * np.pi)
-    if sines.min() < -_STRAIGHT or round(turns) != 1:
+    if sines.min() < -_MAX_BEND_SINE or round(turns) != 1:
         raise ValueError(f"{place}: is no convex polygon, counter-clockwise")
 
 
@@ -86,7 +86,7 @@ def _check_map(place: str, target: TargetCalibration) -> None:
     fitted = target.map
     hull_px = fitted.to_px(fitted.hull_mm)
     size = np.array([target.width, target.height], dtype=np.float64)
-    if not ((-_BESIDE * size <= hull_px) & (hull_px <= (1 + _BESIDE) * size)).all():
+    if not ((-_MAX_OUTSIDE_SHARE * size <= hull_px) & (hull_px <= (1 + _MAX_OUTSIDE_SHARE) * size)).all():
         raise ValueError(f"{place}: puts its hull outside of the picture")
     if fitted.folds:
         raise ValueError(f"{place}: puts two places of its hull on one pixel")
@@ -95,4 +95,4 @@ def _check_map(place: str, target: TargetCalibration) -> None:
     point = target.point(u_px, v_px)
     if point is None or not np.allclose((point.x_mm, point.y_mm), middle_mm, atol=1e-3):
         raise ValueError(f"{place}: does not find a place from its pixel")
-    target.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
+    target.cross_check.difference_px(point.x_mm, point.y_mm, u_px, v_px)

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from altd.calibration.again import Again
+from altd.calibration.node_cache import NodeCache
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.spot_shape import shape_in_mm
@@ -36,7 +36,7 @@ def spot_reference(
     ``frame_of`` gives the frame of a node by its number. ``noise_px`` is what print and speckle do to a
     centre about the map ``fitted``. Medians over the nodes: single bad spots do not count.
     """
-    profiles = Again(
+    profiles = NodeCache(
         nodes,
         lambda node: fitted_profile(frame_of(node), localiser, flat),
         lambda profile: profile.residuals.nbytes,

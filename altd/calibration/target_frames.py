@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 from altd.errors import BadInputError
+from altd.recording.frames_table import Row
 from altd.recording.header import HEADER_FILE, PlateHeader, TargetHeader
 from altd.recording.reader import Recording
-from altd.recording.table import Row
 from altd.records import CameraIdentity, Frame, Origin
 
 CalibrationKind = Literal["scan", "plate"]

@@ -69,12 +69,12 @@ def _print_result(result: CalibrationResult) -> None:
     )
     for target in result.calibration.targets:
         print(
-            f"{target.name:<7} {target.map.name:<14} {target.left_out_px:.3f}         "
+            f"{target.name:<7} {target.map.name:<14} {target.leave_one_out_px:.3f}         "
             f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
             f"            {len(target.leds_px)}"
-            f"      {target.cross_check.map.name:<14} {target.cross_check.largest_px:.2f} / "
-            f"{target.cross_check.bound_px:.2f}"
+            f"      {target.cross_check.map.name:<14} {target.cross_check.max_difference_px:.2f} / "
+            f"{target.cross_check.limit_px:.2f}"
         )
     for line in result.remarks:
         print(line)

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from altd.errors import BadInputError
 from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError
+from altd.recording.frames_table import Row
 from altd.recording.reader import Recording
-from altd.recording.table import Row
 from altd.records import Frame
 
 _MAX_OVERDUE_S = 0.5

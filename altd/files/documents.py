@@ -9,10 +9,10 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-_MOST_DOTS = 64
+_MAX_DOTS = 64
 """In a line of TOML. A key takes tomllib 9 s with 30,000 parts: it grows with the square."""
-_MOST_DIGITS = 40
-_DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MOST_DOTS + 1}}}", re.MULTILINE)
+_MAX_DIGITS = 40
+_DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MAX_DOTS + 1}}}", re.MULTILINE)
 
 
 def parse_json(content: bytes) -> Any:
@@ -67,7 +67,7 @@ def parse_toml(content: bytes) -> dict[str, Any]:
         column = len(before[before.rfind(b"\n") + 1 :].decode()) + 1
         raise TomlError("is not UTF-8 text", before.count(b"\n") + 1, column) from error
     if dotted := _DOTTED.search(text):
-        raise TomlError(f"more than {_MOST_DOTS} dots in a line", text.count("\n", 0, dotted.start()) + 1, 1)
+        raise TomlError(f"more than {_MAX_DOTS} dots in a line", text.count("\n", 0, dotted.start()) + 1, 1)
     try:
         document = tomllib.loads(text)
     except RecursionError as error:
@@ -151,6 +151,6 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _whole(text: str) -> int:
-    if len(text) > _MOST_DIGITS:
-        raise ValueError(f"{text[:_MOST_DIGITS]}… has {len(text)} digits")
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"{text[:_MAX_DIGITS]}… has {len(text)} digits")
     return int(text)

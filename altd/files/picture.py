@@ -18,12 +18,12 @@ from altd.errors import BadInputError
 from altd.files.reading import read_file
 from altd.records import PixelArray
 
-LARGEST_PX = 1 << 28
+MAX_PICTURE_PX = 1 << 28
 """16384 × 16384, more than any camera has."""
 PNG_HEAD_BYTES = 26
 
-_LARGEST_BYTES = 1 << 30
-_MOST_SAID = 1000
+_MAX_BYTES = 1 << 30
+_MAX_STDERR_BYTES = 1000
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_GREY = 0
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
@@ -67,7 +67,7 @@ def read_picture(path: Path) -> PixelArray:
 
     For a command, which has one thread: what a decoder says on stderr is caught, and refuses it.
     """
-    data = read_file(path, _LARGEST_BYTES)
+    data = read_file(path, _MAX_BYTES)
     try:
         with _stderr_caught() as said:
             pixels = _decode(_critical(data) if data.startswith(_PNG_SIGNATURE) else data)
@@ -76,7 +76,7 @@ def read_picture(path: Path) -> PixelArray:
     if said:
         raise BadInputError(path, f"is not an image that can be read: {said[0]}")
     if pixels is None:
-        raise BadInputError(path, f"is not an image that can be read, of up to {LARGEST_PX} pixels")
+        raise BadInputError(path, f"is not an image that can be read, of up to {MAX_PICTURE_PX} pixels")
     if pixels.ndim != 2 or pixels.dtype.name not in ("uint8", "uint16"):
         raise BadInputError(path, "is not an 8- or 16-bit grey image")
     if min(pixels.shape) < 32:
@@ -97,7 +97,7 @@ def _stderr_caught() -> Iterator[list[str]]:
             os.dup2(stderr, 2)
             os.close(stderr)
         caught.seek(0)
-        lines += caught.read(_MOST_SAID).decode(errors="replace").splitlines()
+        lines += caught.read(_MAX_STDERR_BYTES).decode(errors="replace").splitlines()
 
 
 def _critical(data: bytes) -> bytes:
@@ -125,8 +125,8 @@ def _critical(data: bytes) -> bytes:
 def _check_header(data: bytes) -> None:
     """PNG specification, 11.2.2."""
     width, height, depth, colour, compression, filtering, interlace = struct.unpack_from(">IIBBBBB", data, 16)
-    if width * height > LARGEST_PX:
-        raise ValueError(f"it is {width} × {height}, more than {LARGEST_PX} pixels")
+    if width * height > MAX_PICTURE_PX:
+        raise ValueError(f"it is {width} × {height}, more than {MAX_PICTURE_PX} pixels")
     if (
         not (width and height and depth in _DEPTHS.get(colour, ()))
         or compression

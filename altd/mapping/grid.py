@@ -12,8 +12,8 @@ import numpy.typing as npt
 from altd.records import FloatArray
 
 _SAME_MM = 1e-3
-_UNEVEN_STEPS = 0.1
-_ONE_STEP = 1.5
+_MAX_STEP_DEVIATION = 0.1
+_MAX_SINGLE_STEP = 1.5
 """Steps up to so many times the smallest one have no node between them that is missing."""
 
 MIN_LINES = 4
@@ -22,7 +22,7 @@ MIN_LINES = 4
 MAX_MISSING_SHARE = 0.2
 """Of the nodes between the outermost rows and columns that are there."""
 
-_MOSTLY = 0.5
+_MIN_DROPPED_SHARE = 0.5
 
 Cell = tuple[int, int]
 """Column and row of a node, counted from any one."""
@@ -66,11 +66,11 @@ class Axis:
             [part.mean() for part in np.split(ordered, np.flatnonzero(gaps > gaps.max() / 3) + 1)]
         )
         steps = np.diff(nodes)
-        single = steps[steps < _ONE_STEP * steps.min()]
+        single = steps[steps < _MAX_SINGLE_STEP * steps.min()]
         numbers = np.rint((nodes - nodes[0]) / single.mean())
         step = float((nodes[-1] - nodes[0]) / numbers[-1])
         off = nodes - (nodes[0] + step * numbers)
-        if np.abs(off).max() > _UNEVEN_STEPS * step:
+        if np.abs(off).max() > _MAX_STEP_DEVIATION * step:
             raise ValueError(f"steps from {steps.min():.3f} to {steps.max():.3f} mm are not equal")
         return cls(float(nodes[0]), step, int(numbers[-1]) + 1)
 
@@ -125,7 +125,7 @@ class Block:
                 for end in (rows[0], rows[-1])
             ]
             share, line, end = max(without)
-            if share <= _MOSTLY:
+            if share <= _MIN_DROPPED_SHARE:
                 return block
             if line == "column":
                 columns = _without(columns, end)

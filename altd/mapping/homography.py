@@ -9,8 +9,8 @@ import numpy as np
 
 from altd.records import FloatArray
 
-_FEWEST_POINTS = 4
-_MAX_STEPS = 50
+_MIN_POINTS = 4
+_MAX_ITERATIONS = 50
 _CONVERGED = 1e-12
 _DEGENERATE = 1e-9
 
@@ -29,7 +29,7 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
         raise ValueError("the middle of the points lies on the vanishing line")
     h = h / h[2, 2]
     before = np.inf
-    for _ in range(_MAX_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         mapped, slopes = _with_slopes(h, here)
         miss = (mapped - there).ravel()
         squares = float(miss @ miss)
@@ -48,7 +48,7 @@ def vanishing_line_homography(source: FloatArray, target: FloatArray) -> FloatAr
     Eq. 2.50 is printed with I − PP⁺ beside X′P and Y′P; it is their product that follows from Eq. 2.49.
     Raises ValueError when the points are fewer than four or leave the homography undetermined.
     """
-    if len(source) < _FEWEST_POINTS:
+    if len(source) < _MIN_POINTS:
         raise ValueError(f"{len(source)} points are too few for a homography")
     plane = np.column_stack([source, np.ones(len(source))])  # P, Eq. 2.45
     if np.linalg.matrix_rank(plane, tol=_DEGENERATE * np.linalg.norm(plane)) < 3:

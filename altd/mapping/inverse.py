@@ -14,10 +14,10 @@ from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray
 
 _START_DEGREE = 3
-_MAX_STEPS = 12
+_MAX_ITERATIONS = 12
 _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
-_BEYOND_SIGMA_MM = 0.05
+_MAX_SIGMA_OUTSIDE_MM = 0.05
 """What a place outside the nodes' hull may be uncertain by, an axis: the accuracy of Tables 3.3 and 3.4."""
 _SINGULAR = 1e-12
 
@@ -52,12 +52,12 @@ class InverseMap:
         centre = px.mean(axis=0)
         scale = float(np.abs(px - centre).max())
         start = np.asarray(np.linalg.lstsq(_monomials((px - centre) / scale), points_mm, rcond=None)[0])
-        u, v, spread_px = forward.powers()
+        u, v, covariance_factor_px = forward.powers()
         return cls(
             forward,
             rows(u),
             rows(v),
-            spread_px,
+            covariance_factor_px,
             rows(_triangle(start[:, 0])),
             rows(_triangle(start[:, 1])),
             (float(centre[0]), float(centre[1])),
@@ -90,7 +90,7 @@ class InverseMap:
         reach_x, reach_y = (x_axis.last_mm - x_axis.first_mm) / 4, (y_axis.last_mm - y_axis.first_mm) / 4
         a, b = (u_px - self._centre_px[0]) / self._scale_px, (v_px - self._centre_px[1]) / self._scale_px
         x, y = horner(self._start_x, b, a), horner(self._start_y, b, a)
-        for _ in range(_MAX_STEPS):
+        for _ in range(_MAX_ITERATIONS):
             q, r = (x - middle_x) * per_x, (y - middle_y) * per_y
             u, ux, uy = horner_with_slopes(self._u, q, r)
             v, vx, vy = horner_with_slopes(self._v, q, r)
@@ -124,7 +124,7 @@ class InverseMap:
         )
         xx, yy = covariance[0][0], covariance[1][1]
         known = outside_mm <= _HULL_SIGMAS * math.sqrt(at_hull_mm2) or (
-            outside_mm <= self.forward.margin_mm and max(xx, yy) <= _BEYOND_SIGMA_MM**2
+            outside_mm <= self.forward.margin_mm and max(xx, yy) <= _MAX_SIGMA_OUTSIDE_MM**2
         )
         return (x, y) if known else (math.nan, math.nan), inverse_jacobian, covariance
 

@@ -12,25 +12,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from altd.mapping.camera import OPTICS, Bend, Camera, Optics
+from altd.mapping.camera_model import OPTICS, Bend, Camera, Optics
+from altd.mapping.fiducials import Fiducials
 from altd.mapping.grid import Axis
-from altd.mapping.marks import Marks
 from altd.mapping.tensor_map import Fit, Model, TensorMap, tensor_basis
 from altd.records import FloatArray
 
-_FIRST_NOISE_PX = 0.05
-_LEAST_NOISE_PX = 1e-6
-_ROUNDS = 3
-_MAX_STEPS = 60
+_INITIAL_NOISE_PX = 0.05
+_MIN_NOISE_PX = 1e-6
+_NOISE_ITERATIONS = 3
+_MAX_ITERATIONS = 60
 _CONVERGED = 1e-9
 
 _BEND_DEGREES = (2, 3)
-_LARGEST_SHARE = 0.75
+_MAX_FITTED_SHARE = 0.75
 """A bend is tried when no more than this share of the nodes' coordinates is then fitted."""
 
 _DENSE_NODES = 12
 _DENSE_DEGREES = range(4, 10)
-_DENSE_MISS_PX = 5e-4
+_MAX_DENSE_ERROR_PX = 5e-4
 """How far the tensor polynomial that stands for a lens may lie off it: a hundredth of the nodes' noise."""
 
 
@@ -41,22 +41,22 @@ class _Nodes(NamedTuple):
     px: FloatArray
     relative_sigma: FloatArray
 
-    def misses(self, camera: Camera) -> FloatArray:
+    def residuals(self, camera: Camera) -> FloatArray:
         """Seen less projected (2 n,), px, u and v of a node after another, each by its relative sigma."""
-        misses: FloatArray = (self.px - camera.to_px(self.mm)).ravel() / self.each
-        return misses
+        residuals: FloatArray = (self.px - camera.to_px(self.mm)).ravel() / self._relative_sigmas
+        return residuals
 
-    def slopes(self, camera: Camera) -> FloatArray:
+    def jacobian(self, camera: Camera) -> FloatArray:
         """The camera's Jacobian (2 n, m), each row by its node's relative sigma."""
-        return camera.jacobian(self.mm) / self.each[:, None]
+        return camera.jacobian(self.mm) / self._relative_sigmas[:, None]
 
     @property
-    def each(self) -> FloatArray:
-        """The relative sigmas of all coordinates (2 n,)."""
+    def _relative_sigmas(self) -> FloatArray:
+        """Of all coordinates (2 n,)."""
         return np.repeat(self.relative_sigma, 2)
 
 
-def _seen(nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray | None) -> _Nodes:
+def _nodes_of(nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray | None) -> _Nodes:
     return _Nodes(nodes_mm, nodes_px, np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma)
 
 
@@ -74,7 +74,7 @@ class _State(NamedTuple):
     leverage: FloatArray
 
     @property
-    def bound(self) -> float:
+    def effective_parameters(self) -> float:
         """How many of the nodes' coordinates the parameters take up."""
         return float(np.trace(self.leverage, axis1=1, axis2=2).sum())
 
@@ -86,21 +86,21 @@ def fit_lens_map(
     image_size: tuple[int, int],
     optics: Optics = "brown",
     bend_degree: int = 0,
-    marks: Marks | None = None,
+    fiducials: Fiducials | None = None,
     relative_sigma: FloatArray | None = None,
 ) -> Fit:
     """Levenberg and Marquardt's least squares through nodes (n, 2) mm at (n, 2) px, with weak priors.
 
-    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``marks`` of
-    a print say how the plane is bent between the nodes too; ``relative_sigma`` (n,) by how much one node
+    ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``fiducials``
+    of a print say how the plane is bent between the nodes too; ``relative_sigma`` (n,) by how much one node
     scatters more than another. The map is kept as a tensor polynomial through the camera on a dense grid,
     with what the nodes' noise leaves in it. Raises ValueError when the nodes are too few or lie on a line.
     """
-    seen = _seen(nodes_mm, nodes_px, relative_sigma)
-    state = _settle(_start(nodes_mm, nodes_px, image_size, optics), seen, marks)
+    nodes = _nodes_of(nodes_mm, nodes_px, relative_sigma)
+    state = _fit_with_noise(_initial_camera(nodes_mm, nodes_px, image_size, optics), nodes, fiducials)
     if bend_degree > 1:
-        state = _settle(_bent(state.camera, nodes_mm, bend_degree), seen, marks)
-    return _as_fit(state, seen, hull_mm)
+        state = _fit_with_noise(_bent(state.camera, nodes_mm, bend_degree), nodes, fiducials)
+    return _as_fit(state, nodes, hull_mm)
 
 
 def fit_lens_maps(
@@ -108,7 +108,7 @@ def fit_lens_maps(
     nodes_px: FloatArray,
     hull_mm: FloatArray,
     image_size: tuple[int, int],
-    marks: Marks | None = None,
+    fiducials: Fiducials | None = None,
     relative_sigma: FloatArray | None = None,
 ) -> list[Fit]:
     """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
@@ -116,15 +116,16 @@ def fit_lens_maps(
     A model that fails only loses; raises ValueError when all of them do.
     """
     fits, complaint = [], ValueError()
-    seen = _seen(nodes_mm, nodes_px, relative_sigma)
+    nodes = _nodes_of(nodes_mm, nodes_px, relative_sigma)
     for optics in OPTICS:
         try:
-            state = _settle(_start(nodes_mm, nodes_px, image_size, optics), seen, marks)
-            fits.append(_as_fit(state, seen, hull_mm))
+            initial = _initial_camera(nodes_mm, nodes_px, image_size, optics)
+            state = _fit_with_noise(initial, nodes, fiducials)
+            fits.append(_as_fit(state, nodes, hull_mm))
             for degree in _BEND_DEGREES:
                 bent = _bent(state.camera, nodes_mm, degree)
-                if len(bent.parameters) <= _LARGEST_SHARE * 2 * len(nodes_mm):
-                    fits.append(_as_fit(_settle(bent, seen, marks), seen, hull_mm))
+                if len(bent.parameters) <= _MAX_FITTED_SHARE * 2 * len(nodes_mm):
+                    fits.append(_as_fit(_fit_with_noise(bent, nodes, fiducials), nodes, hull_mm))
         except ValueError as error:
             complaint = error
     if not fits:
@@ -141,44 +142,46 @@ def _as_fit(state: _State, nodes: _Nodes, hull_mm: FloatArray) -> Fit:
     model: Model = "lens" if camera.optics == "brown" else "fisheye"
     if bend is not None:
         model = "lens+tensor" if camera.optics == "brown" else "fisheye+tensor"
-    spread = np.asarray(np.linalg.cholesky(state.covariance), dtype=np.float64)
-    missed, standard = _unlevered(state.residuals_px, state.leverage)
+    factor = np.asarray(np.linalg.cholesky(state.covariance), dtype=np.float64)
+    leave_one_out, standardised = _leave_one_out_and_standardised(state.residuals_px, state.leverage)
     return Fit(
-        map=_as_tensor(camera, model, nodes.mm, spread, state.noise_px, hull_mm),
+        map=_as_tensor(camera, model, nodes.mm, factor, state.noise_px, hull_mm),
         residuals_px=state.residuals_px * nodes.relative_sigma[:, None],
-        missed_px=missed * nodes.relative_sigma[:, None],
-        standard_px=standard,
+        leave_one_out_residuals_px=leave_one_out * nodes.relative_sigma[:, None],
+        standardised_px=standardised,
         relative_sigma=nodes.relative_sigma,
         degree=None if bend is None else (bend.degree, bend.degree),
         parameters=len(camera.parameters),
-        bound=state.bound,
+        effective_parameters=state.effective_parameters,
     )
 
 
-def _settle(camera: Camera, nodes: _Nodes, marks: Marks | None) -> _State:
-    """Fit, learn the noise, which says what the priors weigh, and fit again."""
-    noise_px, precision = _FIRST_NOISE_PX, np.diag(1 / camera.prior**2)
-    for _ in range(_ROUNDS):
-        camera = _descend(camera, precision, nodes, noise_px, marks)
+def _fit_with_noise(camera: Camera, nodes: _Nodes, fiducials: Fiducials | None) -> _State:
+    """Fit, estimate the noise, which says what the priors weigh, and fit again."""
+    noise_px, precision = _INITIAL_NOISE_PX, np.diag(1 / camera.prior**2)
+    for _ in range(_NOISE_ITERATIONS):
+        camera = _least_squares(camera, precision, nodes, noise_px, fiducials)
         known = precision
-        if marks is not None:
-            slopes = marks.misfit(camera)[1]
-            known = precision + slopes.T @ slopes
-        residuals = nodes.misses(camera)
-        jacobian = nodes.slopes(camera)
+        if fiducials is not None:
+            of_fiducials = fiducials.misfit(camera)[1]
+            known = precision + of_fiducials.T @ of_fiducials
+        residuals = nodes.residuals(camera)
+        jacobian = nodes.jacobian(camera)
         normal = jacobian.T @ jacobian
-        levers = jacobian @ np.linalg.inv(normal + known * noise_px**2)
-        freedom = len(residuals) - float(np.einsum("ij,ij->", levers, jacobian))
-        noise_px = max(math.sqrt(float(np.square(residuals).sum()) / freedom), _LEAST_NOISE_PX)
+        gain = jacobian @ np.linalg.inv(normal + known * noise_px**2)
+        degrees_of_freedom = len(residuals) - float(np.einsum("ij,ij->", gain, jacobian))
+        noise_px = max(math.sqrt(float(np.square(residuals).sum()) / degrees_of_freedom), _MIN_NOISE_PX)
     covariance = np.linalg.inv(normal / noise_px**2 + known)
-    each = len(residuals) // 2, 2, -1
-    leverage = np.einsum("nim,njm->nij", levers.reshape(each), jacobian.reshape(each))
+    by_node = len(residuals) // 2, 2, -1
+    leverage = np.einsum("nim,njm->nij", gain.reshape(by_node), jacobian.reshape(by_node))
     return _State(
         camera, noise_px, residuals.reshape(-1, 2), np.asarray(covariance, dtype=np.float64), leverage
     )
 
 
-def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], optics: Optics) -> Camera:
+def _initial_camera(
+    nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, int], optics: Optics
+) -> Camera:
     """A camera square to the plane: scale, turn and side from an affine fit."""
     width, height = image_size
     design = np.column_stack([nodes_mm, np.ones(len(nodes_mm))])
@@ -199,37 +202,39 @@ def _start(nodes_mm: FloatArray, nodes_px: FloatArray, image_size: tuple[int, in
     return Camera(optics, parameters, mirrored, width, height)
 
 
-def _descend(
+def _least_squares(
     camera: Camera,
     precision: FloatArray,
     nodes: _Nodes,
     noise_px: float,
-    marks: Marks | None,
+    fiducials: Fiducials | None,
 ) -> Camera:
+    """Levenberg and Marquardt's steps from a camera to the one of the least cost."""
+
     def cost(candidate: Camera) -> float:
-        miss = nodes.misses(candidate) / noise_px
+        residuals = nodes.residuals(candidate) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
-        total = float(np.square(miss).sum() + prior)
-        if marks is not None:
-            total += float(np.square(marks.misfit(candidate)[0]).sum())
+        total = float(np.square(residuals).sum() + prior)
+        if fiducials is not None:
+            total += float(np.square(fiducials.misfit(candidate)[0]).sum())
         return total if math.isfinite(total) else math.inf
 
     now, damping = cost(camera), 1e-3
-    for _ in range(_MAX_STEPS):
-        jacobian, miss = nodes.slopes(camera) / noise_px, nodes.misses(camera) / noise_px
+    for _ in range(_MAX_ITERATIONS):
+        jacobian, residuals = nodes.jacobian(camera) / noise_px, nodes.residuals(camera) / noise_px
         normal = jacobian.T @ jacobian + precision
-        gradient = jacobian.T @ miss - precision @ camera.parameters
-        if marks is not None:
-            bent, slopes = marks.misfit(camera)
-            normal += slopes.T @ slopes
-            gradient -= slopes.T @ bent
+        gradient = jacobian.T @ residuals - precision @ camera.parameters
+        if fiducials is not None:
+            misfit, of_fiducials = fiducials.misfit(camera)
+            normal += of_fiducials.T @ of_fiducials
+            gradient -= of_fiducials.T @ misfit
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
         candidate = camera.with_parameters(camera.parameters + step)
         then = cost(candidate)
         if then < now:
-            settled = now - then < _CONVERGED * now
+            converged = now - then < _CONVERGED * now
             camera, now, damping = candidate, then, damping / 10
-            if settled:
+            if converged:
                 break
         else:
             damping *= 10
@@ -242,7 +247,7 @@ def _as_tensor(
     camera: Camera,
     model: Model,
     nodes_mm: FloatArray,
-    parameter_spread: FloatArray,
+    parameter_factor: FloatArray,
     noise_px: float,
     hull_mm: FloatArray,
 ) -> TensorMap:
@@ -260,28 +265,30 @@ def _as_tensor(
     for degree in _DENSE_DEGREES:
         basis = tensor_basis((axes[0], axes[1]), (degree, degree), dense_mm)
         spectra = basis.T @ dense_px  # unitary on the dense grid: its own pseudo-inverse
-        if np.abs(basis @ spectra - dense_px).max() < _DENSE_MISS_PX:
+        if np.abs(basis @ spectra - dense_px).max() < _MAX_DENSE_ERROR_PX:
             break
-    changes = (camera.jacobian(dense_mm) @ parameter_spread).reshape(len(dense_mm), 2, -1)
+    changes = (camera.jacobian(dense_mm) @ parameter_factor).reshape(len(dense_mm), 2, -1)
     return TensorMap(
         model=model,
         x_axis=axes[0],
         y_axis=axes[1],
         spectra=spectra.T.reshape(2, degree + 1, degree + 1),
-        spread_px=np.stack([basis.T @ changes[:, 0], basis.T @ changes[:, 1]]),
+        covariance_factor_px=np.stack([basis.T @ changes[:, 0], basis.T @ changes[:, 1]]),
         noise_px=noise_px,
         hull_mm=hull_mm,
     )
 
 
-def _unlevered(residuals: FloatArray, leverage: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """By how much each node misses the map fitted without it, and the residuals at equal variance.
+def _leave_one_out_and_standardised(
+    residuals: FloatArray, leverage: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The leave-one-out residuals, and the residuals at equal variance.
 
     With the node's own block H of the leverage (n, 2, 2) these are (1 − H)⁻¹ r and (1 − H)^(−1/2) r.
     """
     left, axes = np.linalg.eigh(np.eye(2) - leverage)
     left = np.maximum(left, 1e-9)
     along = np.einsum("nij,ni->nj", axes, residuals)
-    missed: FloatArray = np.einsum("nij,nj->ni", axes, along / left)
-    standard: FloatArray = np.einsum("nij,nj->ni", axes, along / np.sqrt(left))
-    return missed, standard
+    leave_one_out: FloatArray = np.einsum("nij,nj->ni", axes, along / left)
+    standardised: FloatArray = np.einsum("nij,nj->ni", axes, along / np.sqrt(left))
+    return leave_one_out, standardised

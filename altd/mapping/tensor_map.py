@@ -16,12 +16,12 @@ from altd.records import FloatArray
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
 """What was fitted: the tensor polynomial itself, or a lens that it stands for."""
 
-_ACROSS = 21
+_POINTS_ACROSS = 21
 """Points along each axis for what is said of the whole hull."""
 
-_LARGEST_DEGREE = 6
-_LEAST_FREEDOM = 2
-_FREE_SHARE = 0.25
+_MAX_DEGREE = 6
+_MIN_DEGREES_OF_FREEDOM = 2
+_MIN_FREE_SHARE = 0.25
 """Generalised cross-validation chooses among the degrees that leave free this share of what the nodes say:
 with less it takes noise for a bend."""
 
@@ -39,9 +39,9 @@ class TensorMap:
     """A fitted map.
 
     ``model`` is what was fitted: the tensor polynomial itself or a lens that it represents. ``spectra``
-    (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``spread_px`` (2, K, m),
-    K = (degree_x + 1)(degree_y + 1), is what the nodes' noise leaves in the spectra, stacked row by row:
-    each of the m columns is one independent error of 1 sigma. Its square is the covariance of Eq. 3.49–3.53.
+    (2, degree_y + 1, degree_x + 1) holds S_ũ and S_ṽ of Eq. 3.34, in px. ``covariance_factor_px`` (2, K, m),
+    K = (degree_x + 1)(degree_y + 1), is a factor F of the spectra's covariance F Fᵀ (Eq. 3.49–3.53), stacked
+    row by row: each of the m columns is one independent error of 1 sigma that the nodes' noise leaves.
     ``noise_px`` is the standard deviation of the nodes about the map, pooled over u and v: print and speckle
     scatter alike along both, and 30 nodes leave little freedom to tell. No averaging of exposures removes it
     at a new place. ``hull_mm`` (n, 2) is the convex polygon that its nodes span, counter-clockwise.
@@ -53,7 +53,7 @@ class TensorMap:
     x_axis: Axis
     y_axis: Axis
     spectra: FloatArray
-    spread_px: FloatArray
+    covariance_factor_px: FloatArray
     noise_px: float
     hull_mm: FloatArray
     margin_mm: float = 0.0
@@ -65,13 +65,13 @@ class TensorMap:
         return f"tensor {self.degree[0]} × {self.degree[1]}" if self.model == "tensor" else self.model
 
     @property
-    def spread_sigma_px(self) -> float:
+    def sigma_px(self) -> float:
         """Rms over the hull, and over u and v, of what the nodes' noise leaves in the map."""
-        return float(np.sqrt(self.spread_variance_px2(self.dense_mm()).mean()))
+        return float(np.sqrt(self.variance_px2(self.dense_mm()).mean()))
 
-    def spread_variance_px2(self, points_mm: FloatArray) -> FloatArray:
+    def variance_px2(self, points_mm: FloatArray) -> FloatArray:
         """Variances (n, 2) of u and v that the nodes' noise leaves in the map at points (n, 2)."""
-        variances: FloatArray = np.square(self._basis(points_mm) @ self.spread_px).sum(axis=2).T
+        variances: FloatArray = np.square(self._basis(points_mm) @ self.covariance_factor_px).sum(axis=2).T
         return variances
 
     @property
@@ -83,7 +83,7 @@ class TensorMap:
     def dense_mm(self) -> FloatArray:
         """Points (n, 2) on a fine grid over the hull, for what is said of all of it."""
         x_mm, y_mm = (
-            np.linspace(low, high, _ACROSS)
+            np.linspace(low, high, _POINTS_ACROSS)
             for low, high in zip(self.hull_mm.min(axis=0), self.hull_mm.max(axis=0), strict=True)
         )
         points = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
@@ -126,7 +126,7 @@ class TensorMap:
         degree_x, degree_y = self.degree
         gram_x, gram_y = gram_powers(self.x_axis.nodes, degree_x), gram_powers(self.y_axis.nodes, degree_y)
         u, v = gram_y.T @ self.spectra @ gram_x
-        return u, v, np.einsum("kl,ckm->clm", np.kron(gram_y, gram_x), self.spread_px)
+        return u, v, np.einsum("kl,ckm->clm", np.kron(gram_y, gram_x), self.covariance_factor_px)
 
 
 def _derived(coefficients: FloatArray, axis: int) -> FloatArray:
@@ -138,37 +138,39 @@ def _derived(coefficients: FloatArray, axis: int) -> FloatArray:
 class Fit:
     """A map and what was left over at the nodes, each (n, 2) px.
 
-    ``residuals_px`` are measured minus mapped; ``missed_px`` is by how much each node misses the map that is
-    fitted without it; ``standard_px`` are the residuals scaled to the same variance at every node, near the
-    middle of the grid or at its corners, where the map bends after them. ``relative_sigma`` (n,) is what one
-    node scatters by relative to another, as it was given. ``degree`` is that of a tensor
-    polynomial among what was fitted, along x and y. ``parameters`` is how many numbers were fitted, for u and
-    v together, and ``bound`` how many of the 2 n coordinates they take up, which is less where something was
-    known before (the trace of the leverage).
+    ``residuals_px`` are measured minus mapped, ``leave_one_out_residuals_px`` the same with the map that is
+    fitted without the node; ``standardised_px`` are the residuals scaled to the same variance at every node,
+    near the middle of the grid or at its corners, where the map bends after them. ``relative_sigma`` (n,) is
+    what one node scatters by relative to another, as it was given. ``degree`` is that of a tensor polynomial
+    among what was fitted, along x and y. ``parameters`` is how many numbers were fitted, for u and v
+    together, and ``effective_parameters`` how many of the 2 n coordinates they take up, which is less where
+    something was known before (the trace of the leverage).
     """
 
     map: TensorMap
     residuals_px: FloatArray
-    missed_px: FloatArray
-    standard_px: FloatArray
+    leave_one_out_residuals_px: FloatArray
+    standardised_px: FloatArray
     relative_sigma: FloatArray
     degree: tuple[int, int] | None
     parameters: int
-    bound: float
+    effective_parameters: float
 
     @property
-    def left_out_px(self) -> float:
-        """Rms over u and v of ``missed_px``: what to expect at a new place, print and speckle included.
+    def leave_one_out_px(self) -> float:
+        """Rms of the leave-one-out residuals over u and v: what to expect at a new place, print included.
 
         A node counts by its relative sigma.
         """
-        return float(np.sqrt(np.mean(np.square(self.missed_px / self.relative_sigma[:, None]))))
+        return float(
+            np.sqrt(np.mean(np.square(self.leave_one_out_residuals_px / self.relative_sigma[:, None])))
+        )
 
     @property
     def gcv_px(self) -> float:
-        """Root of the generalised cross-validation score: as ``left_out_px``, with one leverage for all."""
+        """Root of the generalised cross-validation score: ``leave_one_out_px`` with one leverage for all."""
         rms_px = float(np.sqrt(np.mean(np.square(self.residuals_px / self.relative_sigma[:, None]))))
-        return rms_px / (1 - self.bound / self.residuals_px.size)
+        return rms_px / (1 - self.effective_parameters / self.residuals_px.size)
 
 
 def fit_tensor_map(
@@ -204,10 +206,10 @@ def fit_tensor_maps(
     """
     axes = _axes(nodes_mm)
     lines = (len(np.unique(axis.numbers(along))) for axis, along in zip(axes, nodes_mm.T, strict=True))
-    most_x, most_y = (min(count - 2, _LARGEST_DEGREE) for count in lines)
+    most_x, most_y = (min(count - 2, _MAX_DEGREE) for count in lines)
     fits, complaint = [], ValueError(f"{len(nodes_mm)} nodes are too few for a map")
     for degree in itertools.product(range(1, most_x + 1), range(1, most_y + 1)):
-        if (degree[0] + 1) * (degree[1] + 1) > (1 - _FREE_SHARE) * len(nodes_mm):
+        if (degree[0] + 1) * (degree[1] + 1) > (1 - _MIN_FREE_SHARE) * len(nodes_mm):
             continue
         try:
             fits.append(_fit_degree(nodes_mm, nodes_px, hull_mm, axes, degree, relative_sigma))
@@ -236,8 +238,8 @@ def _fit_degree(
     relative_sigma = np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma
     each = relative_sigma[:, None]
     design = tensor_basis(axes, degree, nodes_mm) / each
-    freedom = len(nodes_mm) - design.shape[1]
-    if freedom < _LEAST_FREEDOM:
+    degrees_of_freedom = len(nodes_mm) - design.shape[1]
+    if degrees_of_freedom < _MIN_DEGREES_OF_FREEDOM:
         raise ValueError(
             f"{len(nodes_mm)} nodes are too few for degree {degree[0]} × {degree[1]}, "
             f"which has {design.shape[1]} coefficients"
@@ -249,7 +251,7 @@ def _fit_degree(
     along = unitary.T @ (nodes_px / each)
     spectra = back @ along
     residuals = nodes_px / each - unitary @ along
-    noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * freedom)))
+    noise_px = float(np.sqrt(np.square(residuals).sum() / (2 * degrees_of_freedom)))
     either = noise_px * back
     nothing = np.zeros_like(either)
     fitted = TensorMap(
@@ -257,7 +259,7 @@ def _fit_degree(
         x_axis=axes[0],
         y_axis=axes[1],
         spectra=spectra.T.reshape(2, degree[1] + 1, degree[0] + 1),
-        spread_px=np.stack([np.hstack([either, nothing]), np.hstack([nothing, either])]),
+        covariance_factor_px=np.stack([np.hstack([either, nothing]), np.hstack([nothing, either])]),
         noise_px=noise_px,
         hull_mm=hull_mm,
     )
@@ -265,10 +267,10 @@ def _fit_degree(
     return Fit(
         map=fitted,
         residuals_px=residuals * each,
-        missed_px=residuals * each / left,
-        standard_px=residuals / np.sqrt(left),
+        leave_one_out_residuals_px=residuals * each / left,
+        standardised_px=residuals / np.sqrt(left),
         relative_sigma=relative_sigma,
         degree=degree,
         parameters=2 * design.shape[1],
-        bound=2.0 * design.shape[1],
+        effective_parameters=2.0 * design.shape[1],
     )

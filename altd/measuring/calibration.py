@@ -23,7 +23,7 @@ class TargetCalibration:
     """One target: how its spot is localised, the map, how well it fits, and the map that checks it.
 
     ``flat`` is the target's response to even light, None for a target taken as plain.
-    ``left_out_px`` is the rms miss of a node by the map fitted without it; ``residual_mean_mm``,
+    ``leave_one_out_px`` is the rms of the map's leave-one-out residuals; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
     ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
     are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
@@ -39,7 +39,7 @@ class TargetCalibration:
     flat: Flat | None
     map: TensorMap
     cross_check: CrossCheck
-    left_out_px: float
+    leave_one_out_px: float
     residual_mean_mm: float
     residual_std_mm: float
     residual_max_mm: float
@@ -68,16 +68,17 @@ class TargetCalibration:
             return None
         return TargetPoint(float(point[0, 0]), float(point[0, 1]), jacobian[0], covariance[0])
 
-    def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str:
-        """Why the point that ``point`` found for (u, v) cannot be believed, in words; empty when it can."""
-        apart_px = self.cross_check.apart_px(point.x_mm, point.y_mm, u_px, v_px)
+    def implausible(self, point: TargetPoint, u_px: float, v_px: float) -> str | None:
+        """Why the point that ``point`` found for (u, v) cannot be believed, in words; None when it can."""
+        difference_px = self.cross_check.difference_px(point.x_mm, point.y_mm, u_px, v_px)
         outside_mm = self.inverse.outside_mm(point.x_mm, point.y_mm)
-        bound_px = self.cross_check.allowed_px(self.map, outside_mm)
-        if apart_px <= bound_px:
-            return ""
+        limit_px = self.cross_check.limit_at_px(self.map, outside_mm)
+        if difference_px <= limit_px:
+            return None
+        models = f"the {self.map.model} and the {self.cross_check.map.model} map"
         return (
-            f"the {self.map.model} and the {self.cross_check.map.model} map are {apart_px:.2f} px apart at "
-            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {bound_px:.2f} px"
+            f"{models} are {difference_px:.2f} px apart at "
+            f"x {point.x_mm:.1f} y {point.y_mm:.1f} mm, the bound is {limit_px:.2f} px"
         )
 
 

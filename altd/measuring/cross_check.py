@@ -12,7 +12,7 @@ import numpy as np
 from altd.mapping.horner import Rows, horner, rows
 from altd.mapping.tensor_map import Fit, TensorMap
 
-_BOUND_SIGMAS = 3.0
+_LIMIT_SIGMAS = 3.0
 """On 320 simulated lenses (f = 3.6 to 12 mm, 6 × 5 and 7 × 5 nodes) the two maps lay 0.8 of what a left-out
 node leads one to expect apart where they were farthest, 1.5 in the worst case."""
 
@@ -21,39 +21,39 @@ node leads one to expect apart where they were farthest, 1.5 in the worst case."
 class CrossCheck:
     """The map of the other family, and how far the two may lie apart.
 
-    ``left_out_px`` is the rms miss of a node by this map fitted without it, ``bound_px`` the distance in the
-    image from which a point counts as implausible, and ``largest_px`` the largest one over the hull when both
-    maps were made.
+    ``leave_one_out_px`` is the rms of this map's leave-one-out residuals, ``limit_px`` the distance in the
+    image from which a point counts as implausible, and ``max_difference_px`` the largest one over the hull
+    when both maps were made.
     """
 
     map: TensorMap
-    left_out_px: float
-    bound_px: float
-    largest_px: float
+    leave_one_out_px: float
+    limit_px: float
+    max_difference_px: float
 
     @classmethod
     def between(cls, fit: Fit, other: Fit) -> Self:
         """The check of one fit by another.
 
-        Either misses a place that it was not shown by its left-out rms, model error and noise together, so
-        two right maps lie about the root of the sum of both squares apart, at most places less: a node that
-        is left out leaves a wider gap than there is between nodes. Three times that is the bound.
+        Either misses a place that it was not shown by its leave-one-out rms, model error and noise together,
+        so two right maps lie about the root of the sum of both squares apart, at most places less: a node
+        that is left out leaves a wider gap than there is between nodes. Three times that is the limit.
         """
         dense_mm = fit.map.dense_mm()
-        apart_px = np.linalg.norm(other.map.to_px(dense_mm) - fit.map.to_px(dense_mm), axis=1)
+        difference_px = np.linalg.norm(other.map.to_px(dense_mm) - fit.map.to_px(dense_mm), axis=1)
         return cls(
             map=other.map,
-            left_out_px=other.left_out_px,
-            bound_px=_BOUND_SIGMAS * math.hypot(fit.left_out_px, other.left_out_px),
-            largest_px=float(apart_px.max()),
+            leave_one_out_px=other.leave_one_out_px,
+            limit_px=_LIMIT_SIGMAS * math.hypot(fit.leave_one_out_px, other.leave_one_out_px),
+            max_difference_px=float(difference_px.max()),
         )
 
-    def allowed_px(self, checked: TensorMap, outside_mm: float) -> float:
-        """The bound at a place that lies so far outside the hull, where both maps are less sure."""
+    def limit_at_px(self, checked: TensorMap, outside_mm: float) -> float:
+        """The limit at a place that lies so far outside the hull, where both maps are less sure."""
         beyond_px = max(outside_mm, 0.0) * math.hypot(checked.beyond_px_per_mm, self.map.beyond_px_per_mm)
-        return math.hypot(self.bound_px, _BOUND_SIGMAS * beyond_px)
+        return math.hypot(self.limit_px, _LIMIT_SIGMAS * beyond_px)
 
-    def apart_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
+    def difference_px(self, x_mm: float, y_mm: float, u_px: float, v_px: float) -> float:
         """How far from (u, v) this map puts the point (x, y) that the other one found for it."""
         u, v, (middle_x, middle_y), (per_x, per_y) = self._plain
         q, r = (x_mm - middle_x) * per_x, (y_mm - middle_y) * per_y

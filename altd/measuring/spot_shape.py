@@ -32,15 +32,15 @@ _DISTORTED_FROM_STRETCH = 0.015
 
 
 @dataclass(frozen=True, slots=True)
-class Agreement:
+class ShapeAgreement:
     """How far a target's spot agrees in shape with the first target's.
 
-    ``sigma_mm`` is what the difference may mean for either centre, one sigma; ``distorted`` says in words why
-    they cannot be spots of one beam, empty when they can.
+    ``sigma_mm`` is what the difference may mean for either centre, one sigma; ``distortion`` says in words
+    why they cannot be spots of one beam, None when they can.
     """
 
     sigma_mm: float
-    distorted: str
+    distortion: str | None = None
 
 
 def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
@@ -57,22 +57,22 @@ def shape_in_mm(shape: SpotShape, mm_per_px: FloatArray) -> FloatArray:
     return np.array([(logs[0, 0] + logs[1, 1]) / 2, (logs[0, 0] - logs[1, 1]) / 2, logs[0, 1], shape.order])
 
 
-def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str:
-    """Why a shape (4,) is not that of a spot which this unit measures, in words; empty when it is."""
+def unlike_a_laser(shape: FloatArray, known: ShapeReference | None) -> str | None:
+    """Why a shape (4,) is not that of a spot which this unit measures, in words; None when it is."""
     diameter_mm = _diameter_mm(shape[0])
     if diameter_mm > _MAX_DIAMETER_MM:
         return f"the spot is {diameter_mm:.1f} mm wide, up to {_MAX_DIAMETER_MM:g} mm are measured"
     if known is None:
-        return ""
+        return None
     order_ratio = float(shape[3]) / known.mean[3]
     if max(order_ratio, 1 / order_ratio) > _MAX_ORDER_RATIO:
         return f"the profile's order is {shape[3]:.1f}, that of the calibrated spots {known.mean[3]:.1f}"
-    return ""
+    return None
 
 
-def agreement(
+def shape_agreement(
     first: FloatArray, second: FloatArray, first_known: ShapeReference, second_known: ShapeReference
-) -> Agreement:
+) -> ShapeAgreement:
     """Hold two targets' shapes (4,) against each other, relative to how they differed at calibration.
 
     Light beside one of two spots (share ε, d sigmas of the spot aside) stretches it by ε d²/4 and displaces
@@ -87,10 +87,10 @@ def agreement(
     sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
     if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):
-        return Agreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
+        return ShapeAgreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
     if stretch > max(_DISTORTED_FROM_SIGMAS * stretch_sigma, _DISTORTED_FROM_STRETCH):
-        return Agreement(sigma_mm, f"the spots differ in elongation by {2 * stretch:.1%}")
-    return Agreement(sigma_mm, "")
+        return ShapeAgreement(sigma_mm, f"the spots differ in elongation by {2 * stretch:.1%}")
+    return ShapeAgreement(sigma_mm)
 
 
 def shape_doubts_mm(
@@ -119,10 +119,10 @@ def shape_doubts_mm(
     for index, (second, second_known) in enumerate(zip(shapes[1:], known[1:], strict=True), start=1):
         if second is None or second_known is None:
             continue
-        compared = agreement(first, second, first_known, second_known)
-        if compared.distorted:
+        compared = shape_agreement(first, second, first_known, second_known)
+        if compared.distortion is not None:
             pair = f"{mean.targets[0]} and {mean.targets[index]}"
-            return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distorted}")
+            return Fault(Reason.DISTORTED, mean.targets[index], f"{pair}: {compared.distortion}")
         doubts_mm[[0, index]] = np.hypot(doubts_mm[[0, index]], compared.sigma_mm)
     return doubts_mm
 

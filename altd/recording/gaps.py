@@ -11,11 +11,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording
-from altd.recording.table import Row
 
-_SAID = 3
+_MAX_NAMED = 3
 """So many places are named, the others counted."""
 
 
@@ -79,7 +79,7 @@ def gap_lines(recording: Recording) -> list[str]:
     more = exposures = 0
     for number, gap in enumerate(gaps(recording.rows, [name for name in cameras if name not in empty])):
         exposures += gap.last - gap.first + 1
-        if number < _SAID:
+        if number < _MAX_NAMED:
             lines.append(f"{table}: {gap}")
         else:
             more += 1

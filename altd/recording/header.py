@@ -17,7 +17,7 @@ from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.files.reading import read_file
 from altd.ports import Camera
-from altd.recording.table import MAX_POSITION_MM
+from altd.recording.frames_table import MAX_POSITION_MM
 from altd.records import CameraIdentity, Frame, Origin
 
 HEADER_FILE = "recording.json"
@@ -26,7 +26,7 @@ FRAMES_FILE = "frames.csv"
 Kind = Literal["scan", "plate", "flat", "measurement", "self-check"]
 """What a recording shows."""
 
-LARGEST_HEADER_BYTES = 1 << 20
+MAX_HEADER_BYTES = 1 << 20
 
 MADE_BY = f"altd {__version__}"
 
@@ -37,7 +37,7 @@ Length = Annotated[float, Field(gt=0, le=MAX_POSITION_MM)]
 Position = Annotated[float, Field(ge=-MAX_POSITION_MM, le=MAX_POSITION_MM)]
 
 
-def _in_our_time(start: datetime) -> datetime:
+def _checked_year(start: datetime) -> datetime:
     if not 1970 <= start.year <= 2200:
         raise ValueError(f"the year {start.year} is none of a recording")
     return start
@@ -144,7 +144,7 @@ class RecordingHeader(_Header):
     note: str = ""
     made_by: str | None = None
     """The program that wrote it, with its version."""
-    start: Annotated[datetime, AfterValidator(_in_our_time)] | None = None
+    start: Annotated[datetime, AfterValidator(_checked_year)] | None = None
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
     """In a recording of kind ``plate``."""
@@ -197,7 +197,7 @@ class RecordingHeader(_Header):
 
 def read_header(path: Path) -> RecordingHeader:
     """The header in a file; raises BadInputError that names the file and the key."""
-    content = read_file(path, LARGEST_HEADER_BYTES)
+    content = read_file(path, MAX_HEADER_BYTES)
     try:
         return RecordingHeader.model_validate(parse_json(content))
     except ValidationError as error:

@@ -10,11 +10,11 @@ from pathlib import Path
 from altd.errors import BadInputError
 from altd.files.picture import PNG_HEAD_BYTES, check_png_head, decode_png, png_bytes
 from altd.files.reading import read_file, read_head
-from altd.recording.header import FRAMES_FILE, HEADER_FILE, LARGEST_HEADER_BYTES, RecordingHeader, read_header
-from altd.recording.table import Row, Rows
+from altd.recording.frames_table import Row, Rows
+from altd.recording.header import FRAMES_FILE, HEADER_FILE, MAX_HEADER_BYTES, RecordingHeader, read_header
 from altd.records import Frame
 
-_LARGEST_FILE_BYTES = 1 << 28
+_MAX_FILE_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +41,11 @@ class Recording:
 
     def sha256(self) -> str:
         """Hash over header, rows and all frame files, in the rows' order."""
-        digest = hashlib.sha256(read_file(self.path / HEADER_FILE, LARGEST_HEADER_BYTES))
+        digest = hashlib.sha256(read_file(self.path / HEADER_FILE, MAX_HEADER_BYTES))
         for piece in self.rows.table.pieces():
             digest.update(piece)
         for row in self.rows:
-            digest.update(read_file(self.path / row.file, _LARGEST_FILE_BYTES))
+            digest.update(read_file(self.path / row.file, _MAX_FILE_BYTES))
         return digest.hexdigest()
 
 

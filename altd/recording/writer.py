@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from altd.errors import BadInputError
+from altd.recording.frames_table import COLUMNS
 from altd.recording.header import (
     FRAMES_FILE,
     HEADER_FILE,
@@ -22,7 +23,6 @@ from altd.recording.header import (
     RecordingHeader,
     read_header,
 )
-from altd.recording.table import COLUMNS
 from altd.records import Frame, utc_text
 
 

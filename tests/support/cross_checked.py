@@ -16,8 +16,8 @@ def fitted_unit(kind: LensKind, seed: int) -> tuple[TargetFit, np.random.Generat
     return fit_nodes(NODES, seen(make_lens(kind, rng), NODES, rng), SIZE, None, 0), rng
 
 
-def apart_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:
+def difference_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:
     px = wrong.to_px(points_mm)
     return np.array(
-        [fitted.cross_check.apart_px(x, y, u, v) for (x, y), (u, v) in zip(points_mm, px, strict=True)]
+        [fitted.cross_check.difference_px(x, y, u, v) for (x, y), (u, v) in zip(points_mm, px, strict=True)]
     )

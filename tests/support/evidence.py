@@ -40,7 +40,7 @@ def straight_map(name: str, pattern_px: float = 0.03, shift_px: float = 0.01) ->
     fitted = fit_tensor_map(places, noisy_px, convex_hull_mm(places), (1, 1)).map
     spread = np.zeros((2, 4, 2))
     spread[0, 0, 0] = spread[1, 0, 1] = shift_px * np.sqrt(COLUMNS * ROWS)  # g₀ is 1/√m along each axis
-    return replace(fitted, spread_px=spread, noise_px=pattern_px)
+    return replace(fitted, covariance_factor_px=spread, noise_px=pattern_px)
 
 
 def target(name: str, scatter_px: float = 0.02, **of_map: float) -> TargetCalibration:
@@ -52,12 +52,14 @@ def target(name: str, scatter_px: float = 0.02, **of_map: float) -> TargetCalibr
         localiser=SpotSettings(),
         flat=None,
         map=straight_map(name, **of_map),
-        left_out_px=0.0321,
+        leave_one_out_px=0.0321,
         residual_mean_mm=0.00987,
         residual_std_mm=0.00543,
         residual_max_mm=0.0234,
         repeatability_px=np.array([scatter_px, scatter_px]),
-        cross_check=CrossCheck(straight_map(name), left_out_px=0.0432, bound_px=0.16, largest_px=0.0543),
+        cross_check=CrossCheck(
+            straight_map(name), leave_one_out_px=0.0432, limit_px=0.16, max_difference_px=0.0543
+        ),
         leds_px=np.array([[90.25, 60.5], [660.75, 40.0], [84.0, 445.0], [677.0, 441.0]]),
     )
 
@@ -81,11 +83,11 @@ def evidence(name: str, seed: int = 1) -> TargetEvidence:
         nodes_mm=places,
         nodes_px=straight_px(name, places) + off_px,
         residuals_px=off_px,
-        missed_px=1.2 * off_px,
+        leave_one_out_residuals_px=1.2 * off_px,
         relative_sigma=np.ones(len(places)),
         scatter_px=np.abs(rng.normal(0, 0.02, places.shape)),
         exposures=(2,) * len(places),
-        left_out=(),
+        excluded=(),
         leds_dropped=(),
         candidates=(
             Candidate("tensor", (1, 1), 8, 1.9236, 2.0119, 0.0101),

@@ -59,7 +59,7 @@ DEFECTS = (
     ),
     Defect(
         "frames under the frame LEDs are taken for frames without",
-        "altd/recording/table.py",
+        "altd/recording/frames_table.py",
         'text["leds"] == "on", position',
         'text["leds"] == "lit", position',
     ),
@@ -90,7 +90,7 @@ DEFECTS = (
     Defect(
         "a file that cannot be written whole replaces the older one",
         "altd/files/writing.py",
-        "            temporary.unlink()\n            raise\n",
-        "            raise\n",
+        "        temporary.replace(path)\n    except BaseException:\n        temporary.unlink()\n",
+        "        temporary.replace(path)\n    except BaseException:\n",
     ),
 )

@@ -11,26 +11,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from altd.calibration.again import Again
+from altd.calibration.node_cache import NodeCache
 from altd.calibration.printed.lattice import Lattice, find_lattice
 from altd.calibration.printed.plane import Plane
 from altd.calibration.printed.sample import Sample, sample_of
 from altd.calibration.printed.series import Series
-from altd.mapping.marks import Marks
+from altd.mapping.fiducials import Fiducials
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray, Frame
 from altd.vision.flat import Flat
 from altd.vision.settings import SpotSettings
 
-_LEAST_CONTRAST = 0.1
+_MIN_CONTRAST = 0.1
 """Dots of 0.15 mm, 0.6 mm apart, still make 0.24 in a picture of 4 px/mm; the plain spot's own shape 0.02."""
-_FEWEST_NODES = 12
+_MIN_NODES = 12
 _BLURS_PX = 0.3, 0.5, 0.7, 0.9, 1.1
-_ROUNDS = 2
-_COEFFICIENTS = 10
+_ITERATIONS = 2
+_CUBIC_TERMS = 10
 """Of a cubic of two coordinates."""
 _CUBIC_UNIT_MM = 50.0
-_LEAST_MARK_SIGMA_MM = 0.002
+_MIN_FIDUCIAL_SIGMA_MM = 0.002
 """Print is no more regular than that, nor is a node's spread of dots over a bent picture."""
 
 
@@ -40,7 +40,7 @@ class Print:
 
     lattice: Lattice
     flat: Flat
-    marks: Marks
+    fiducials: Fiducials
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,17 +57,17 @@ class _Model:
     sigma_mm: float
 
     @classmethod
-    def first(cls, lattice: Lattice, samples: Again[Sample], centres_mm: FloatArray) -> _Model:
+    def first(cls, lattice: Lattice, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
         """As if the map were true; the blur that fits best stays."""
         series = Series.fit(lattice, samples, _BLURS_PX)
-        return cls._through(series, np.zeros((_COEFFICIENTS, 2)), samples, centres_mm)
+        return cls._through(series, np.zeros((_CUBIC_TERMS, 2)), samples, centres_mm)
 
-    def next(self, samples: Again[Sample], centres_mm: FloatArray) -> _Model:
+    def next(self, samples: NodeCache[Sample], centres_mm: FloatArray) -> _Model:
         """A better one, from samples that were taken through this one's flat."""
         series = Series.fit(self.series.lattice, self._regular(samples), (self.series.blur_px,))
         return self._through(series, self.bend, self._regular(samples), centres_mm)
 
-    def _regular(self, samples: Again[Sample]) -> Iterator[Sample]:
+    def _regular(self, samples: NodeCache[Sample]) -> Iterator[Sample]:
         """The samples where the print has them."""
         return (replace(sample, mm=self.moved(sample.mm)) for sample in samples)
 
@@ -81,7 +81,7 @@ class _Model:
         bend = np.asarray(np.linalg.lstsq(cubic, off_mm, rcond=None)[0])
         freedom = max(off_mm.size - bend.size, 1)
         sigma_mm = float(np.sqrt(np.square(off_mm - cubic @ bend).sum() / freedom))
-        return cls(series, bend, centres_mm + off_mm, max(sigma_mm, _LEAST_MARK_SIGMA_MM))
+        return cls(series, bend, centres_mm + off_mm, max(sigma_mm, _MIN_FIDUCIAL_SIGMA_MM))
 
     def moved(self, places_mm: FloatArray) -> FloatArray:
         """Where on the print the places (n, 2) of the map are, (n, 2) mm."""
@@ -100,16 +100,16 @@ def find_print(
     """
     plane = Plane(first_map)
 
-    def seen_through(flat: Flat | None) -> Again[Sample]:
+    def seen_through(flat: Flat | None) -> NodeCache[Sample]:
         """What the nodes show of the print, those that show any."""
-        return Again(
+        return NodeCache(
             len(nodes_px),
             lambda node: sample_of(frame_of(node), plane, settings, flat),
             lambda sample: sample.nbytes,
         )
 
     samples = seen_through(None)
-    if len(samples) < _FEWEST_NODES:
+    if len(samples) < _MIN_NODES:
         return None
     lattice = find_lattice(samples, plane.to_mm(nodes_px[samples.nodes]))
     if lattice is None:
@@ -117,16 +117,16 @@ def find_print(
     rows, columns = frame_of(0).pixels.shape
     picture_mm = plane.grid_mm(rows, columns)
     model = _Model.first(lattice, samples, plane.to_mm(nodes_px[samples.nodes]))
-    if model.series.contrast < _LEAST_CONTRAST:
+    if model.series.contrast < _MIN_CONTRAST:
         return None
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         del samples  # two of them at a time would be twice the memory
         samples = seen_through(_flat(model, picture_mm))
-        if len(samples) < _FEWEST_NODES:
+        if len(samples) < _MIN_NODES:
             return None
         model = model.next(samples, plane.to_mm(nodes_px[samples.nodes]))
-    marks = Marks(nodes_px[samples.nodes], model.regular_mm, model.sigma_mm)
-    return Print(lattice, _flat(model, picture_mm), marks)
+    fiducials = Fiducials(nodes_px[samples.nodes], model.regular_mm, model.sigma_mm)
+    return Print(lattice, _flat(model, picture_mm), fiducials)
 
 
 def _cubic(mm: FloatArray) -> FloatArray:

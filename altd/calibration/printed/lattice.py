@@ -13,26 +13,26 @@ import numpy.typing as npt
 from altd.calibration.printed.sample import Sample
 from altd.records import ComplexArray, FloatArray
 
-_LEAST_RADIANS_PER_MM, _MOST_RADIANS_PER_MM = 1.5, 13.0
+_MIN_RADIANS_PER_MM, _MAX_RADIANS_PER_MM = 1.5, 13.0
 """Hexagonal prints of 4.8 mm pitch down to 0.56 mm, square ones of 4.2 down to 0.48 mm."""
 _STEP_RADIANS_PER_MM = 0.12
-_LEAST_SINE = 0.6
+_MIN_SINE = 0.6
 """Of the angle between the two vectors."""
-_SEARCHED_NODES = 12
+_SPECTRUM_NODES = 12
 
-_FIRST_NODES = 3
-_FEW_NODES = 8
+_MIN_NODES_AT_ONCE = 3
+_MIN_NODES_FOR_NARROW = 8
 _WIDE_TURN, _NARROW_TURN = 0.06, 0.012
 """Radians per mm: half a step of the spectra at first, then what a few nodes leave open."""
 _TURNS = 31
-_GROWTH = 64
+_KNOWN_PER_NEW = 64
 """So many times as many nodes as are new may be known: 127 are taken one by one."""
 _REFINEMENTS = 5
 _MOMENTS = 6
-_LEAST_COHERENCE = 0.8
+_MIN_COHERENCE = 0.8
 
 _ORDER = 5
-_HEXAGON = np.sqrt(3) / 2
+_HEXAGONAL_CELL = np.sqrt(3) / 2
 """Area of a hexagonal lattice's cell whose side is 1."""
 
 
@@ -58,7 +58,7 @@ class Lattice:
         h, k = (grid.ravel() for grid in np.meshgrid(span, span, indexing="ij"))
         squared = np.square(np.stack([h, k], axis=1) @ self.reciprocal).sum(axis=1)
         area = abs(float(np.linalg.det(self.reciprocal)))
-        kept = (squared < 1.01 * _ORDER**2 * area / _HEXAGON) & ((h > 0) | ((h == 0) & (k > 0)))
+        kept = (squared < 1.01 * _ORDER**2 * area / _HEXAGONAL_CELL) & ((h > 0) | ((h == 0) & (k > 0)))
         return np.stack([h[kept], k[kept]], axis=1)
 
     @cached_property
@@ -96,29 +96,29 @@ def find_lattice(samples: Samples, centres_mm: FloatArray) -> Lattice | None:
     belong to the beam (fringes, the shape of its profile) and are no print.
     """
     outwards = np.argsort(np.hypot(*(centres_mm - centres_mm.mean(axis=0)).T))
-    inner = [samples[index] for index in outwards[:_SEARCHED_NODES].tolist()]
+    inner = [samples[index] for index in outwards[:_SPECTRUM_NODES].tolist()]
     rough = np.array(_strongest_two(inner))
-    grown = _grown(rough, (samples[index] for index in outwards.tolist()), centres_mm[outwards])
+    propagated = _propagated(rough, (samples[index] for index in outwards.tolist()), centres_mm[outwards])
     moments = np.empty((2, len(samples), _MOMENTS), np.complex128)
     for node, centre_mm in enumerate(centres_mm):
         sample = samples[node]
-        moments[:, node] = [_moments(sample, vector, centre_mm) for vector in grown]
-    vectors = [_cohere(*of_wave, centres_mm) for of_wave in zip(grown, moments, strict=True)]
+        moments[:, node] = [_moments(sample, vector, centre_mm) for vector in propagated]
+    vectors = [_refined(*of_wave, centres_mm) for of_wave in zip(propagated, moments, strict=True)]
     found = [vector for vector in vectors if vector is not None]
     return Lattice(np.array(_shortest(*found))) if len(found) == 2 else None
 
 
 def _strongest_two(samples: Sequence[Sample]) -> tuple[FloatArray, FloatArray]:
     """The strongest wave of the summed spectra, and the strongest that runs another way."""
-    along_x = np.arange(-_MOST_RADIANS_PER_MM, _MOST_RADIANS_PER_MM + 1e-9, _STEP_RADIANS_PER_MM)
+    along_x = np.arange(-_MAX_RADIANS_PER_MM, _MAX_RADIANS_PER_MM + 1e-9, _STEP_RADIANS_PER_MM)
     along_y = along_x[along_x > -1e-9]
     power = np.sum([np.abs(_spectrum(sample, along_x, along_y)) ** 2 for sample in samples], axis=0)
     x, y = np.meshgrid(along_x, along_y)
     length = np.hypot(x, y)
-    power[(length < _LEAST_RADIANS_PER_MM) | (length > _MOST_RADIANS_PER_MM)] = 0
+    power[(length < _MIN_RADIANS_PER_MM) | (length > _MAX_RADIANS_PER_MM)] = 0
     first = _at_peak(power, x, y)
     sine = (x * first[1] - y * first[0]) / np.maximum(length * np.hypot(*first), 1e-9)
-    return first, _at_peak(np.where(np.abs(sine) > _LEAST_SINE, power, 0), x, y)
+    return first, _at_peak(np.where(np.abs(sine) > _MIN_SINE, power, 0), x, y)
 
 
 def _spectrum(sample: Sample, along_x: FloatArray, along_y: FloatArray) -> ComplexArray:
@@ -132,7 +132,7 @@ def _at_peak(power: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     return np.array([x[peak], y[peak]])
 
 
-def _grown(vectors: FloatArray, samples: Iterable[Sample], centres_mm: FloatArray) -> FloatArray:
+def _propagated(vectors: FloatArray, samples: Iterable[Sample], centres_mm: FloatArray) -> FloatArray:
     """Reciprocal vectors (2, 2) that were turned and stretched until the nodes agree on their phases.
 
     From the middle outwards, node after node, of many nodes ever more at a time: linear in their number. A
@@ -142,12 +142,12 @@ def _grown(vectors: FloatArray, samples: Iterable[Sample], centres_mm: FloatArra
     phasors = np.zeros((2, len(centres_mm)), np.complex128)
     known = 0
     while known < len(centres_mm):
-        count = min(max(_FIRST_NODES, known + 1, known + known // _GROWTH), len(centres_mm))
+        count = min(max(_MIN_NODES_AT_ONCE, known + 1, known + known // _KNOWN_PER_NEW), len(centres_mm))
         for node in range(known, count):
             sample = next(coming)
             phasors[:, node] = [_phasor(sample, vector) for vector in vectors]
         known = count
-        turns = np.linspace(-1, 1, _TURNS) * (_WIDE_TURN if count < _FEW_NODES else _NARROW_TURN)
+        turns = np.linspace(-1, 1, _TURNS) * (_WIDE_TURN if count < _MIN_NODES_FOR_NARROW else _NARROW_TURN)
         by_x, by_y = np.exp(-1j * turns[:, None, None] * centres_mm[:count].T).transpose(1, 0, 2)
         for vector, of_wave in zip(vectors, phasors, strict=True):
             sums = np.abs((by_y * of_wave[:count]) @ by_x.T)
@@ -176,7 +176,7 @@ def _turned(moments: ComplexArray, centres_mm: FloatArray, turn: FloatArray) -> 
     return np.asarray(total / np.maximum(np.abs(total), 1e-12))
 
 
-def _cohere(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) -> FloatArray | None:
+def _refined(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) -> FloatArray | None:
     """Turn and stretch a reciprocal vector by what is left of the phases of all nodes; None if they disagree.
 
     ``moments`` (n, 6) are those of the samples with this vector, ``centres_mm`` (n, 2) the nodes.
@@ -187,7 +187,7 @@ def _cohere(vector: FloatArray, moments: ComplexArray, centres_mm: FloatArray) -
         phasors = _turned(moments, centres_mm, turn)
         turn = turn + np.linalg.lstsq(design, np.angle(phasors / phasors.mean()), rcond=None)[0][1:]
     with_the_spot = phasors * np.exp(1j * (centres_mm @ (vector + turn)))
-    if abs(phasors.mean()) < _LEAST_COHERENCE or abs(with_the_spot.mean()) > _LEAST_COHERENCE:
+    if abs(phasors.mean()) < _MIN_COHERENCE or abs(with_the_spot.mean()) > _MIN_COHERENCE:
         return None
     return np.asarray(vector + turn)
 

@@ -8,7 +8,7 @@ from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray
 
 _MARGIN_MM = 8.0
-_ACROSS = 50
+_POINTS_ACROSS = 50
 _DEGREE = 8
 
 
@@ -21,7 +21,7 @@ class Plane:
 
     def __init__(self, fitted: TensorMap) -> None:
         x, y = (
-            np.linspace(axis.first_mm - _MARGIN_MM, axis.last_mm + _MARGIN_MM, _ACROSS)
+            np.linspace(axis.first_mm - _MARGIN_MM, axis.last_mm + _MARGIN_MM, _POINTS_ACROSS)
             for axis in (fitted.x_axis, fitted.y_axis)
         )
         mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

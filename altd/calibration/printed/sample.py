@@ -16,7 +16,7 @@ from altd.vision.patch import Mask
 from altd.vision.profile import fit_profile
 from altd.vision.settings import SpotSettings
 
-_SHARE_OF_PEAK = 0.15
+_MIN_SHARE_OF_PEAK = 0.15
 _PART_PIXELS = 1 << 13
 _GRAIN = 0.15
 """Relative scatter that a pixel keeps beside the print: limits the weight of bright pixels."""
@@ -70,7 +70,7 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
         if profile is None:
             return None
         light, even = light - profile.background_offset, profile.irradiance(u, v)
-    lit = (even > _SHARE_OF_PEAK * even.max()) & ~clipped
+    lit = (even > _MIN_SHARE_OF_PEAK * even.max()) & ~clipped
     variance = (noise.read_counts**2 + even[lit] / noise.electrons_per_count) / even[lit] ** 2
     px = np.stack(np.meshgrid(u, v), axis=-1)[lit]
     return Sample(

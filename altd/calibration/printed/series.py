@@ -12,7 +12,7 @@ from altd.calibration.printed.sample import Sample
 from altd.records import ComplexArray, FloatArray
 
 _RIDGE = 1e-6
-_MOST_WEAKENED = 40.0
+_MAX_WEAKENING = 40.0
 """Radians² per px²: higher harmonics are weakened no further, or noise would stand for them."""
 
 
@@ -127,5 +127,5 @@ def _dimming(lattice: Lattice, metrics: FloatArray, blur_px: float) -> FloatArra
     squared = (
         metrics[:, 0, 0, None] * x * x + 2 * metrics[:, 0, 1, None] * x * y + metrics[:, 1, 1, None] * y * y
     )
-    weaker: FloatArray = np.exp(-0.5 * blur_px**2 * np.minimum(squared, _MOST_WEAKENED))
+    weaker: FloatArray = np.exp(-0.5 * blur_px**2 * np.minimum(squared, _MAX_WEAKENING))
     return weaker

@@ -7,7 +7,7 @@ import numpy as np
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row
 from altd.calibration.report.prediction import CAUSES, NAME_AND_UNIT, OF_SPOT, Prediction
-from altd.calibration.report.source import Source, in_words
+from altd.calibration.report.source import Source, targets_in_words
 from altd.calibration.report.target_plots import Plane
 
 _PER_UNIT = 1000
@@ -27,8 +27,9 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     else:
         caption = (
             "Predicted sigma (1 standard deviation) of one measurement over the area, from "
-            f"{in_words(targets)} together: a beam normal to the targets at (x, y), {exposures} exposures "
-            "averaged. Seen along the beam; yaw and pitch share one scale, x and y another."
+            f"{targets_in_words(targets)} together: a beam normal to the targets at (x, y), "
+            f"{exposures} exposures averaged. Seen along the beam; yaw and pitch share one scale, "
+            "x and y another."
         )
         rows = [
             Row(_pair(prediction, plane, "x_mm", "y_mm"), ""),

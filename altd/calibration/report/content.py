@@ -89,7 +89,7 @@ def _left_out(source: Source) -> list[Block]:
     rows = tuple(
         (target.name, f"{x:g}", f"{y:g}", reason)
         for target, seen in source.targets()
-        for (x, y), reason in seen.left_out
+        for (x, y), reason in seen.excluded
     )
     blocks: list[Block] = [Heading("Nodes left out")]
     if rows:

@@ -46,7 +46,7 @@ def candidates(
                 transform=axes.get_xaxis_transform(),
             )  # fmt: skip
         for label, colour, marker, line, values in (
-            ("node left out", BLUE, "o", "-", np.array([c.left_out_px for c in tried])),
+            ("node left out", BLUE, "o", "-", np.array([c.leave_one_out_px for c in tried])),
             ("cross-validation", GREEN, "s", "--", np.array([c.gcv_px for c in tried])),
             ("noise left in the map", VERMILION, "^", ":", noise_px),
         ):

@@ -10,7 +10,7 @@ from altd.calibration.evidence import Candidate, TargetEvidence
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
 from altd.calibration.report.prediction import (
-    MOST_STACKED,
+    MAX_STACKED,
     common_area,
     difference_mm,
     node_covariance_px2,
@@ -19,14 +19,14 @@ from altd.calibration.report.prediction import (
     own_noise_px,
     spectrum_covariance_px2,
 )
-from altd.calibration.report.source import Source, in_words
+from altd.calibration.report.source import Source, targets_in_words
 from altd.calibration.report.target_plots import Plane, nice_length
 from altd.mapping.hull import contains
 from altd.measuring.calibration import TargetCalibration
 
-_LONGEST_ARROW_MM = 20.0
-_LONGEST_DIFFERENCE_MM = 15.0
-_LEAST_MM, _LEAST_PX2 = 1e-4, 1e-12
+_MAX_ARROW_MM = 20.0
+_MAX_DIFFERENCE_ARROW_MM = 15.0
+_MIN_MM, _MIN_PX2 = 1e-4, 1e-12
 """What is smaller is drawn as if it were so large: scales need something to hold on to."""
 
 
@@ -34,14 +34,14 @@ def residuals(source: Source) -> list[Block]:
     """Residual vectors of all targets on one scale, and the numbers that sum them up."""
     plane = Plane([target.map.hull_mm for target in source.calibration.targets])
     offsets = [offsets_mm(target, seen.nodes_mm, seen.residuals_px) for target, seen in source.targets()]
-    longest_mm = max(_LEAST_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
-    scale = nice_length(_LONGEST_ARROW_MM / longest_mm)
+    longest_mm = max(_MIN_MM, *(float(np.linalg.norm(of_one, axis=1).max()) for of_one in offsets))
+    scale = nice_length(_MAX_ARROW_MM / longest_mm)
     pictures = []
     rows = []
     for (target, seen), of_one in zip(source.targets(), offsets, strict=True):
-        left_out = [place for place, _ in seen.left_out]
+        excluded = [place for place, _ in seen.excluded]
         draw = target_plots.arrows(
-            plane, target.name, seen.nodes_mm, of_one, target.map.hull_mm, left_out, scale
+            plane, target.name, seen.nodes_mm, of_one, target.map.hull_mm, excluded, scale
         )
         pictures.append(Picture(f"residual vectors of target {target.name}", plane.height_in(), draw))
         rows.append(
@@ -50,7 +50,7 @@ def residuals(source: Source) -> list[Block]:
                 f"{len(seen.nodes_mm)}",
                 f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / "
                 f"{target.residual_max_mm:.4f}",
-                f"{target.left_out_px:.3f}",
+                f"{target.leave_one_out_px:.3f}",
                 f"{target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}",
             )
         )
@@ -80,7 +80,11 @@ def models(source: Source) -> list[Block]:
     values = np.concatenate(
         [
             *noises,
-            *([c.left_out_px, c.gcv_px] for _, seen in source.targets() for c in _shown(seen.candidates)),
+            *(
+                [c.leave_one_out_px, c.gcv_px]
+                for _, seen in source.targets()
+                for c in _shown(seen.candidates)
+            ),
         ]
     )
     limits = float(np.nanmin(values)) / 1.4, float(np.nanmax(values)) * 1.8
@@ -109,7 +113,7 @@ def _table_of_models(source: Source) -> Table:
         tried = _in_order(seen.candidates)
         chosen = _chosen(target, tried)
         for number, c in enumerate(tried):
-            numbers = f"{c.left_out_px:.4f} / {c.gcv_px:.4f} / {c.map_sigma_px:.4f}"
+            numbers = f"{c.leave_one_out_px:.4f} / {c.gcv_px:.4f} / {c.map_sigma_px:.4f}"
             of_target = lines.setdefault((_full_name(c), str(c.parameters)), {})
             of_target[target.name] = f"{numbers}, chosen" if number == chosen else numbers
     names = source.calibration.target_names
@@ -134,7 +138,7 @@ def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
         if candidate.model == "tensor" and candidate.degree is not None:
             total = sum(candidate.degree)
             rival = best.get(total)
-            if rival is None or candidate.left_out_px < rival.left_out_px:
+            if rival is None or candidate.leave_one_out_px < rival.leave_one_out_px:
                 best[total] = candidate
     others = [c for c in _in_order(tried) if c.model != "tensor"]
     return [best[total] for total in sorted(best)] + others
@@ -143,7 +147,7 @@ def _shown(tried: Sequence[Candidate]) -> list[Candidate]:
 def _chosen(target: TargetCalibration, tried: Sequence[Candidate]) -> int | None:
     """Which candidate became the map: of its model the one with the map's left-out error."""
     same = [n for n, c in enumerate(tried) if c.model == target.map.model]
-    return min(same, key=lambda n: abs(tried[n].left_out_px - target.left_out_px), default=None)
+    return min(same, key=lambda n: abs(tried[n].leave_one_out_px - target.leave_one_out_px), default=None)
 
 
 def _noise_px(target: TargetCalibration, seen: TargetEvidence) -> float:
@@ -165,8 +169,8 @@ def cross_checks(source: Source) -> list[Block]:
         off_mm = difference_mm(target, target.cross_check.map, places_mm.reshape(-1, 2))
         off_mm[~contains(target.map.hull_mm, places_mm.reshape(-1, 2))] = np.nan
         apart.append(off_mm.reshape(places_mm.shape))
-    longest_mm = max(_LEAST_MM, *(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart))
-    scale = nice_length(_LONGEST_DIFFERENCE_MM / longest_mm)
+    longest_mm = max(_MIN_MM, *(float(np.nanmax(np.linalg.norm(off_mm, axis=2))) for off_mm in apart))
+    scale = nice_length(_MAX_DIFFERENCE_ARROW_MM / longest_mm)
     pictures, said = [], []
     for target, off_mm in zip(targets, apart, strict=True):
         other = target.cross_check
@@ -176,10 +180,10 @@ def cross_checks(source: Source) -> list[Block]:
         )
         said.append(
             f"{target.name.capitalize()}: {other.map.name} against {target.map.name}, at most "
-            f"{other.largest_px:.2f} px apart, bound {other.bound_px:.2f} px; a node that it was not shown "
-            f"it misses by {other.left_out_px:.3f} px."
+            f"{other.max_difference_px:.2f} px apart, bound {other.limit_px:.2f} px; a node that it was not "
+            f"shown it misses by {other.leave_one_out_px:.3f} px."
         )
-    one_scale = f", {in_words(targets)} on one scale" if len(targets) > 1 else ""
+    one_scale = f", {targets_in_words(targets)} on one scale" if len(targets) > 1 else ""
     caption = (
         "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
         f"{scale:g} times enlarged{one_scale}, seen along the beam. {' '.join(said)} A "
@@ -202,7 +206,7 @@ def covariances(source: Source) -> list[Block]:
             "Covariance of the mapped nodes' u (Eq. 3.53, Fig. 3.19); the nodes are stacked column by "
             "column, from the lowest x and y. The diagonal holds the nodes' variances; the corners, which "
             "only few neighbours hold, are the most uncertain. Of more than "
-            f"{MOST_STACKED} nodes every second, third … one is shown.",
+            f"{MAX_STACKED} nodes every second, third … one is shown.",
         ),
         (
             of_spectra,
@@ -215,7 +219,7 @@ def covariances(source: Source) -> list[Block]:
             "scale is logarithmic on both sides of zero.",
         ),
     ):
-        largest = max(_LEAST_PX2, *(float(np.abs(matrix).max()) for matrix in matrices))
+        largest = max(_MIN_PX2, *(float(np.abs(matrix).max()) for matrix in matrices))
         pictures = tuple(
             Picture(
                 f"covariance of the {what}, target {target.name}",

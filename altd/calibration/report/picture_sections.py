@@ -10,7 +10,7 @@ from altd.calibration.report.source import Source
 from altd.calibration.report.target_plots import nice_length
 from altd.records import FloatArray
 
-_LARGEST_ELLIPSE = 0.05
+_MAX_ELLIPSE_SHARE = 0.05
 """Of the picture's width."""
 
 
@@ -19,7 +19,7 @@ def pictures(source: Source) -> list[Block]:
     seen_by, scatters = [], []
     widths = [target.width for target in source.calibration.targets]
     largest = max(_largest(seen.scatter_px) for _, seen in source.targets())
-    scale = nice_length(_LARGEST_ELLIPSE * min(widths) / largest) if largest > 0 else 1.0
+    scale = nice_length(_MAX_ELLIPSE_SHARE * min(widths) / largest) if largest > 0 else 1.0
     for target, seen in source.targets():
         size = target.width, target.height
         height_in = picture_plots.height_in(size)

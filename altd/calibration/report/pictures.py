@@ -10,7 +10,7 @@ import numpy as np
 from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.records import PixelArray
 
-_WIDEST_PX = 480
+_MAX_WIDTH_PX = 480
 """More would make the page large and nothing clearer."""
 
 
@@ -27,20 +27,20 @@ def scan_negatives(targets: Sequence[TargetFrames]) -> Mapping[str, PixelArray]:
 def _brightest(frames: Iterable[FrameRow]) -> PixelArray | None:
     brightest: PixelArray | None = None
     taken: set[tuple[float, float]] = set()
-    for seen_in in frames:
-        position_mm = seen_in.row.position_mm
-        if position_mm in taken or (position_mm is None and not seen_in.row.leds_on):
+    for frame_row in frames:
+        position_mm = frame_row.row.position_mm
+        if position_mm in taken or (position_mm is None and not frame_row.row.leds_on):
             continue
         if position_mm is not None:
             taken.add(position_mm)
-        pixels = seen_in.frame().pixels
+        pixels = frame_row.frame().pixels
         brightest = pixels if brightest is None else np.maximum(brightest, pixels)
     return brightest
 
 
 def _negative(pixels: PixelArray) -> PixelArray:
     """Light on dark becomes dark on light; the square root shows what is dim."""
-    width = min(_WIDEST_PX, pixels.shape[1])
+    width = min(_MAX_WIDTH_PX, pixels.shape[1])
     height = max(1, round(pixels.shape[0] * width / pixels.shape[1]))
     light = cv2.resize(pixels.astype(np.float64), (width, height), interpolation=cv2.INTER_AREA)
     dark, bright = float(np.median(light)), float(light.max())

@@ -32,7 +32,7 @@ CAUSES = ("pattern", "map", "scatter")
 EXPOSURES = 20
 """Exposures that a measurement averages unless the config says otherwise (``measuring.window``)."""
 
-MOST_STACKED = 500
+MAX_STACKED = 500
 """Nodes in the picture of their covariance, whose points grow with their square."""
 
 _COLUMNS, _ROWS = 41, 33
@@ -154,19 +154,19 @@ def offsets_mm(target: TargetCalibration, nodes_mm: FloatArray, offsets_px: Floa
 def node_covariance_px2(fitted: TensorMap, nodes_mm: FloatArray) -> FloatArray:
     """Covariance (n, n) of the mapped u of nodes (n, 2) mm, stacked column-wise: Eq. 3.53, Fig. 3.19.
 
-    Of more than ``MOST_STACKED`` nodes only every second, third … one is in it: no picture shows more.
+    Of more than ``MAX_STACKED`` nodes only every second, third … one is in it: no picture shows more.
     """
     stacked = nodes_mm[np.lexsort((nodes_mm[:, 1], np.rint(nodes_mm[:, 0])))]
-    stacked = stacked[:: -(-len(stacked) // MOST_STACKED)]
+    stacked = stacked[:: -(-len(stacked) // MAX_STACKED)]
     basis = tensor_basis((fitted.x_axis, fitted.y_axis), fitted.degree, stacked)
-    spread = basis @ fitted.spread_px[0]
+    spread = basis @ fitted.covariance_factor_px[0]
     covariance: FloatArray = spread @ spread.T
     return covariance
 
 
 def spectrum_covariance_px2(fitted: TensorMap) -> FloatArray:
     """Covariance (K, K) of the spectrum of u, stacked row by row: Eq. 3.51."""
-    covariance: FloatArray = fitted.spread_px[0] @ fitted.spread_px[0].T
+    covariance: FloatArray = fitted.covariance_factor_px[0] @ fitted.covariance_factor_px[0].T
     return covariance
 
 

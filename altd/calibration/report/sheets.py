@@ -53,7 +53,7 @@ def pdf_sheets(document: Document, created: datetime) -> bytes:
         for index, block in enumerate(document.blocks):
             following = document.blocks[index + 1] if index + 1 < len(document.blocks) else None
             setter.block(block, following)
-        return setter.bound(document.title, document.mark, created)
+        return setter.pdf(document.title, document.mark, created)
 
 
 class _Setter:
@@ -64,7 +64,7 @@ class _Setter:
         self._y_in = 0.0
         self._new_sheet()
 
-    def bound(self, title: str, mark: str, created: datetime) -> bytes:
+    def pdf(self, title: str, mark: str, created: datetime) -> bytes:
         """All sheets, numbered and marked."""
         file = io.BytesIO()
         about = {"Title": title, "CreationDate": created, "Creator": "altd", "Producer": None}

@@ -16,7 +16,7 @@ from altd.records import FloatArray
 _LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN = 0.48, 0.42, 0.1, 0.28
 _BAR_IN = 0.52
 _AROUND_MM = 12.0
-_FLATTEST = 0.05
+_MIN_SPAN_SHARE = 0.05
 """A colour scale spans at least this share of its largest value."""
 
 Draw = Callable[[Canvas], None]
@@ -123,7 +123,9 @@ def contours(
     def draw(canvas: Canvas) -> None:
         axes = plane.axes(canvas, title, bar=True)
         low, high = limits
-        slack = max(_FLATTEST * high - (high - low), 0.0) / 2  # hardly any difference is not to look like one
+        slack = (
+            max(_MIN_SPAN_SHARE * high - (high - low), 0.0) / 2
+        )  # hardly any difference is not to look like one
         levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(low - slack, high + slack)
         filled = axes.contourf(x_mm, y_mm, value, levels=levels, cmap="YlGnBu")
         lines = axes.contour(x_mm, y_mm, value, levels=levels, colors=INK, linewidths=0.5)

@@ -22,12 +22,12 @@ _GOOD_NODES_MM, _USABLE_NODES_MM = 0.020, 0.0714
 _GOOD_SCATTER_PX, _USABLE_SCATTER_PX = 0.0747, 0.20
 """Scatter of single exposures at one node; good is Table 3.3."""
 
-_GOOD_STRAY, _USABLE_STRAY = 4.5, 6.0
+_GOOD_OUTLIER, _USABLE_OUTLIER = 4.5, 6.0
 """How far the worst node misses the map of the others, over the rms of all: of 60 nodes with normal errors
 one goes beyond 4.5 once in four hundred calibrations."""
 
-_MANY_LEFT_OUT = 0.1
-_FEWEST_LEDS = 3
+_MAX_EXCLUDED_SHARE = 0.1
+_MIN_LEDS = 3
 """Fewer do not tell a shift of the picture from a turn and a change of scale."""
 
 
@@ -150,11 +150,11 @@ def _of_maps(targets: Sequence[TargetCalibration]) -> list[Check]:
 
 def _of_cross_checks(targets: Sequence[TargetCalibration]) -> Check:
     checks = [target.cross_check for target in targets]
-    apart = any(check.largest_px > check.bound_px for check in checks)
+    apart = any(check.max_difference_px > check.limit_px for check in checks)
     return Check(
         "Cross-check, maps apart at most",
-        _each(targets, [f"{check.largest_px:.2f}" for check in checks], " px"),
-        _each(targets, [f"{check.bound_px:.2f}" for check in checks], " px"),
+        _each(targets, [f"{check.max_difference_px:.2f}" for check in checks], " px"),
+        _each(targets, [f"{check.limit_px:.2f}" for check in checks], " px"),
         Level.USABLE if apart else Level.GOOD,
         "Two independent maps disagree more than noise explains, and where they do a measurement will be "
         "called implausible: look for nodes that stand out and for a stage with unequal steps, and repeat "
@@ -163,25 +163,27 @@ def _of_cross_checks(targets: Sequence[TargetCalibration]) -> Check:
 
 
 def _of_nodes(evidence: Sequence[TargetEvidence]) -> list[Check]:
-    shares = [len(seen.left_out) / (len(seen.left_out) + len(seen.nodes_mm)) for seen in evidence]
-    missed = [np.linalg.norm(seen.missed_px, axis=1) / seen.relative_sigma for seen in evidence]
-    strays = [float(off.max() / np.sqrt(np.mean(np.square(off)) / 2)) for off in missed]
-    counts = [f"{len(seen.left_out)} of {len(seen.left_out) + len(seen.nodes_mm)}" for seen in evidence]
+    shares = [len(seen.excluded) / (len(seen.excluded) + len(seen.nodes_mm)) for seen in evidence]
+    residuals = [
+        np.linalg.norm(seen.leave_one_out_residuals_px, axis=1) / seen.relative_sigma for seen in evidence
+    ]
+    outliers = [float(off.max() / np.sqrt(np.mean(np.square(off)) / 2)) for off in residuals]
+    counts = [f"{len(seen.excluded)} of {len(seen.excluded) + len(seen.nodes_mm)}" for seen in evidence]
     share = max(shares)
     return [
         Check(
             "Nodes left out",
             _each(evidence, counts, ""),
             "none",
-            Level.GOOD if share == 0 else Level.USABLE if share <= _MANY_LEFT_OUT else Level.BAD,
+            Level.GOOD if share == 0 else Level.USABLE if share <= _MAX_EXCLUDED_SHARE else Level.BAD,
             "See the reasons under “Nodes left out”. Where one lies at the edge, the area that can be "
             "measured is smaller by it: repeat the scan.",
         ),
         Check(
             "Worst node, over the rms of all",
-            _each(evidence, [f"{stray:.1f}" for stray in strays], " times"),
-            f"at most {_GOOD_STRAY:g} times",
-            _level(max(strays), _GOOD_STRAY, _USABLE_STRAY),
+            _each(evidence, [f"{outlier:.1f}" for outlier in outliers], " times"),
+            f"at most {_GOOD_OUTLIER:g} times",
+            _level(max(outliers), _GOOD_OUTLIER, _USABLE_OUTLIER),
             "One node stands out: look for a bumped stage, dirt or a reflection there, and repeat the scan.",
         ),
     ]
@@ -192,8 +194,8 @@ def _of_leds(targets: Sequence[TargetCalibration]) -> Check:
     return Check(
         "Frame LEDs found",
         _each(targets, [str(count) for count in found], ""),
-        f"at least {_FEWEST_LEDS}",
-        Level.GOOD if min(found) >= _FEWEST_LEDS else Level.USABLE,
+        f"at least {_MIN_LEDS}",
+        Level.GOOD if min(found) >= _MIN_LEDS else Level.USABLE,
         "Record LED reference pairs before the grid, LEDs off and then on: without them nobody can tell "
         "later whether a camera has moved.",
     )

@@ -12,7 +12,7 @@ from support.played_unit import PlayedUnit
 from support.recordings import Shot, place_px, write
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.scan import calibrate_scans
+from altd.calibration.from_scans import calibrate_scans
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording
@@ -34,11 +34,11 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
     result = calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
     assert [evidence.name for evidence in result.evidence] == ["front", "rear"]
     front, rear = result.evidence
-    assert [(place, why.split(" (")[0].split(" lies")[0]) for place, why in front.left_out] == [
+    assert [(place, why.split(" (")[0].split(" lies")[0]) for place, why in front.excluded] == [
         (places[9], "spot_missing in front0018.png"),
         (places[16], "its spot"),
     ]
-    assert [place for place, _ in rear.left_out] == [places[16]]
+    assert [place for place, _ in rear.excluded] == [places[16]]
     used = [place for number, place in enumerate(places) if number not in (9, 16)]
     assert front.nodes_mm == pytest.approx(np.array(used))
     assert front.nodes_px == pytest.approx(np.array([place_px("front", *place) for place in used]), abs=0.1)
@@ -47,13 +47,13 @@ def test_the_evidence_is_what_the_calibration_was_made_from(tmp_path: Path) -> N
     assert 0.001 < np.nanmean(front.scatter_px) < 0.05
     target = result.calibration.targets[0]
     assert front.residuals_px == pytest.approx(front.nodes_px - target.map.to_px(front.nodes_mm), abs=1e-3)
-    assert np.sqrt(np.mean(front.missed_px**2)) == pytest.approx(target.left_out_px)
+    assert np.sqrt(np.mean(front.leave_one_out_residuals_px**2)) == pytest.approx(target.leave_one_out_px)
     assert {candidate.model for candidate in front.candidates} >= {"tensor", "lens", "fisheye"}
     assert result.doubts == ()
 
 
 def test_maps_that_lie_too_far_apart_are_doubted(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("altd.measuring.cross_check._BOUND_SIGMAS", 0.1)
+    monkeypatch.setattr("altd.measuring.cross_check._LIMIT_SIGMAS", 0.1)
     front, rear = calibrate([open_recording(scan)]).doubts
     assert re.match(r"front: the \S+ and the \S+ map lie up to 0\.0\d px apart; ", front)
     assert rear.endswith(" px a measurement will be implausible")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.flat import flat_likeness, flats_of
+from altd.calibration.recorded_flat import flat_correlation, flats_of
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
@@ -144,11 +144,11 @@ def test_a_flat_of_other_pixels_is_told_from_the_right_one(
 ) -> None:
     scan = open_recording(folder / "scan")
     frames = [scan.frame(row) for row in scan.rows if row.camera == camera and row.position_mm][::6]
-    assert flat_likeness(frames, flats[camera]) > 0.75
+    assert flat_correlation(frames, flats[camera]) > 0.75
     for moved_px in ((0, 1), (1, 0), (0, -2), (30, 40)):
         moved = Flat(np.roll(flats[camera].levels, moved_px, (0, 1)), "recording")
-        assert flat_likeness(frames, moved) < 0.55, moved_px
-    assert np.isnan(flat_likeness(frames, Flat(np.full((480, 752), 200, np.uint8), "recording")))
+        assert flat_correlation(frames, moved) < 0.55, moved_px
+    assert np.isnan(flat_correlation(frames, Flat(np.full((480, 752), 200, np.uint8), "recording")))
 
 
 def test_without_a_flat_the_print_is_found_and_the_plain_plate_is_seen_to_be_plain(

@@ -81,11 +81,13 @@ def test_a_file_keeps_the_map_that_checks_and_its_bound(calibration: Calibration
         assert (read.map.model, read.cross_check.map.model) == (saved.map.model, saved.cross_check.map.model)
         assert "tensor" in (read.map.model, read.cross_check.map.model)
         assert read.map.model != read.cross_check.map.model
-        for name in ("left_out_px", "bound_px", "largest_px"):
+        for name in ("leave_one_out_px", "limit_px", "max_difference_px"):
             assert getattr(read.cross_check, name) == getattr(saved.cross_check, name)
         point = read.point(400.0, 200.0)
         assert point is not None
-        assert read.cross_check.apart_px(point.x_mm, point.y_mm, 400.0, 200.0) < read.cross_check.bound_px
+        assert (
+            read.cross_check.difference_px(point.x_mm, point.y_mm, 400.0, 200.0) < read.cross_check.limit_px
+        )
 
 
 def test_a_file_without_the_map_that_checks_is_refused(file: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.cross_checked import apart_px, fitted_unit
+from support.cross_checked import difference_px, fitted_unit
 from support.lenses import TABLE_3_2, LensKind
 
 WRONG_MM = 0.3
@@ -23,7 +23,7 @@ def test_a_map_that_is_wrong_by_0_3_mm_is_noticed(kind: LensKind) -> None:
         nodes = forward.x_axis.nodes * forward.y_axis.nodes
         spectra[seed % 2, 0, 0] += WRONG_MM * scale_px_mm * np.sqrt(nodes)  # a shift: the constant term
         assert (
-            apart_px(fitted, replace(forward, spectra=spectra), points) > fitted.cross_check.bound_px
+            difference_px(fitted, replace(forward, spectra=spectra), points) > fitted.cross_check.limit_px
         ).all()
 
 
@@ -35,7 +35,7 @@ def test_a_wrong_bend_is_noticed_where_it_is_wrong() -> None:
     spectra[0, 1, 2] += 20.0
     wrong = replace(forward, spectra=spectra)
     off_px = np.linalg.norm(wrong.to_px(points) - forward.to_px(points), axis=1)
-    noticed = apart_px(fitted, wrong, points) > fitted.cross_check.bound_px
-    assert noticed[off_px > 2 * fitted.cross_check.bound_px].all()
-    assert not noticed[off_px < 0.3 * fitted.cross_check.bound_px].any()
+    noticed = difference_px(fitted, wrong, points) > fitted.cross_check.limit_px
+    assert noticed[off_px > 2 * fitted.cross_check.limit_px].all()
+    assert not noticed[off_px < 0.3 * fitted.cross_check.limit_px].any()
     assert 0 < noticed.sum() < len(points)

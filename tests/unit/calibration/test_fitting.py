@@ -63,9 +63,11 @@ def test_every_model_that_was_tried_is_told_with_its_figures() -> None:
     tensors = {c.degree: c for c in fitted.candidates if c.model == "tensor"}
     assert set(tensors) == {(x, y) for x in range(1, 5) for y in range(1, 4)}  # nodes less two
     assert [c.model for c in fitted.candidates if c.degree is None] == ["lens", "fisheye"]
-    assert all(min(c.map_sigma_px, c.gcv_px, c.left_out_px) > 0 for c in fitted.candidates)
+    assert all(min(c.map_sigma_px, c.gcv_px, c.leave_one_out_px) > 0 for c in fitted.candidates)
     assert fitted.cross_check.map.degree == min(tensors, key=lambda d: tensors[d].gcv_px)
-    assert min(c.left_out_px for c in fitted.candidates if c.degree is None) == fitted.fit.left_out_px
+    assert (
+        min(c.leave_one_out_px for c in fitted.candidates if c.degree is None) == fitted.fit.leave_one_out_px
+    )
     assert (
         tensors[4, 3].map_sigma_px
         > 1.5 * next(c for c in fitted.candidates if c.model == "lens").map_sigma_px

@@ -11,7 +11,7 @@ import pytest
 from support.cli import altd_here, refusal
 from support.recordings import header, write_scan
 
-from altd.calibration.flat import flats_of
+from altd.calibration.recorded_flat import flats_of
 from altd.calibration.target_frames import target_frames
 from altd.errors import BadInputError
 from altd.recording.reader import Recording, open_recording

@@ -9,7 +9,7 @@ from support.plates import FRONT, REAR, View, plate_light, tilted, write_plate
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.file import load_calibration, save_calibration
-from altd.calibration.plate import LASER_SPOT_SIGMA_MM
+from altd.calibration.from_plates import LASER_SPOT_SIGMA_MM
 from altd.calibration.result import CalibrationResult
 from altd.errors import BadInputError
 from altd.recording.reader import open_recording

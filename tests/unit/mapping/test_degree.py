@@ -72,7 +72,7 @@ def test_noise_gain_grows_with_the_degree_while_the_misfit_falls() -> None:
     rng = np.random.default_rng(4)
     px = polynomial(NODES) + rng.normal(0, 0.05, NODES.shape)
     fits = {fit.degree: fit for fit in fit_tensor_maps(NODES, px, HULL)}
-    gains = [fits[d, 2].map.spread_sigma_px / fits[d, 2].map.noise_px for d in (2, 3, 4, 5)]
+    gains = [fits[d, 2].map.sigma_px / fits[d, 2].map.noise_px for d in (2, 3, 4, 5)]
     assert gains == sorted(gains)
     assert fits[5, 3].map.noise_px < 0.3 * fits[3, 3].map.noise_px
 
@@ -82,7 +82,7 @@ def test_noise_gain_grows_with_the_degree_while_the_misfit_falls() -> None:
         for _ in range(200)
     ]
     scatter = np.std([fit.map.to_px(points) for fit in repeats], axis=0)
-    predicted = np.mean([fit.map.spread_sigma_px for fit in repeats])
+    predicted = np.mean([fit.map.sigma_px for fit in repeats])
     assert predicted / np.sqrt(np.mean(scatter**2)) == pytest.approx(1, abs=0.05)
 
 
@@ -93,4 +93,4 @@ def test_what_a_node_misses_the_map_by_that_never_saw_it() -> None:
         rest = np.delete(np.arange(len(NODES)), node)
         without = fit_tensor_map(NODES[rest], px[rest], HULL, (4, 3)).map
         missed = px[node] - without.to_px(NODES[node : node + 1])[0]
-        assert fit.missed_px[node] == pytest.approx(missed, abs=1e-8)
+        assert fit.leave_one_out_residuals_px[node] == pytest.approx(missed, abs=1e-8)

@@ -51,7 +51,7 @@ def test_the_lens_map_misses_less_than_the_tensor_polynomial_on_a_lens() -> None
         px = camera(NODES) + rng.normal(0, NOISE_PX, NODES.shape)
         tensor = fit_tensor_map(NODES, px, convex_hull_mm(NODES))
         lens = fit(px)
-        assert lens.left_out_px < tensor.left_out_px
+        assert lens.leave_one_out_px < tensor.leave_one_out_px
         miss = [np.sqrt(np.mean((m.map.to_px(points) - camera(points)) ** 2)) for m in (lens, tensor)]
         ratios.append(miss[0] / miss[1])
     assert np.mean(ratios) < 0.7
@@ -65,7 +65,7 @@ def test_what_a_node_misses_the_map_by_that_never_saw_it() -> None:
         rest = np.delete(np.arange(len(NODES)), node)
         without = fit(px[rest], NODES[rest]).map
         missed.append(px[node] - without.to_px(NODES[node : node + 1])[0])
-    assert fit(px).left_out_px == pytest.approx(np.sqrt(np.mean(np.square(missed))), rel=0.1)
+    assert fit(px).leave_one_out_px == pytest.approx(np.sqrt(np.mean(np.square(missed))), rel=0.1)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -87,7 +87,7 @@ def test_a_fisheye_is_better_by_the_fisheye_model() -> None:
         brown, fisheye = (
             fit_lens_map(NODES, px, convex_hull_mm(NODES), SIZE, optics) for optics in ("brown", "fisheye")
         )
-        ratios.append(fisheye.left_out_px / brown.left_out_px)
+        ratios.append(fisheye.leave_one_out_px / brown.leave_one_out_px)
     assert np.mean(ratios) < 0.7
 
 
@@ -114,7 +114,7 @@ def test_a_lens_behind_a_bent_window_is_found_with_a_polynomial_on_top() -> None
     miss = [np.sqrt(np.mean((fit.map.to_px(points) - through_window(points)) ** 2)) for fit in fits]
     assert miss[2] < 0.02
     assert miss[2] < 0.3 * miss[0]
-    assert fits[2].left_out_px < 0.5 * fits[0].left_out_px
+    assert fits[2].leave_one_out_px < 0.5 * fits[0].leave_one_out_px
 
 
 def test_a_bend_that_no_lens_has_is_left_to_the_tensor_polynomial() -> None:
@@ -122,7 +122,7 @@ def test_a_bend_that_no_lens_has_is_left_to_the_tensor_polynomial() -> None:
         return np.column_stack([370 + 4 * p[:, 0] + 2 * np.sin(p[:, 1] / 20), 240 - 4 * p[:, 1]])
 
     px = bent(NODES) + np.random.default_rng(5).normal(0, NOISE_PX, NODES.shape)
-    assert fit(px).left_out_px > 2 * fit_tensor_map(NODES, px, convex_hull_mm(NODES)).left_out_px
+    assert fit(px).leave_one_out_px > 2 * fit_tensor_map(NODES, px, convex_hull_mm(NODES)).leave_one_out_px
 
 
 def test_nodes_that_cannot_carry_a_lens_are_refused() -> None:

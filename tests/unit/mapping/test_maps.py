@@ -45,7 +45,7 @@ def test_on_a_complete_grid_the_fit_is_the_projection_of_equation_3_35() -> None
     expected = by @ by.T @ px[:, 0].reshape(5, 6) @ bx @ bx.T
     result = fit(nodes, px)
     assert result.map.to_px(nodes)[:, 0].reshape(5, 6) == pytest.approx(expected, abs=1e-8)
-    of_u = result.map.spread_px[0] / result.map.noise_px
+    of_u = result.map.covariance_factor_px[0] / result.map.noise_px
     assert of_u @ of_u.T == pytest.approx(np.eye(16), abs=1e-9)
 
 

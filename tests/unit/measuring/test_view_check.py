@@ -75,7 +75,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
                 flat=None,
                 map=fitted,
                 cross_check=CrossCheck(fitted, 0.1, 0.3, 0.1),
-                left_out_px=0.04,
+                leave_one_out_px=0.04,
                 residual_mean_mm=0.01,
                 residual_std_mm=0.01,
                 residual_max_mm=0.02,

@@ -64,8 +64,8 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def document() -> Document:
-    left_out = (((62.5, 50.0), "its spot lies 7.1 px from where the other nodes put it"),)
-    front = replace(evidence("front"), left_out=left_out)
+    excluded = (((62.5, 50.0), "its spot lies 7.1 px from where the other nodes put it"),)
+    front = replace(evidence("front"), excluded=excluded)
     rear = evidence("rear", seed=2)
     single = rear.scatter_px.copy()
     single[3] = np.nan

@@ -41,12 +41,12 @@ def test_the_flat_is_what_the_pixels_show_of_even_light(found: Print, scene: Sce
 
 def test_the_marks_are_the_regular_places_of_the_nodes(found: Print, scene: Scene) -> None:
     """Where their pixels really look, but for an affine map."""
-    true_mm = np.stack(scene.lens.unproject(*found.marks.px.T), axis=1)
-    design = np.column_stack([np.ones(len(true_mm)), found.marks.regular_mm])
+    true_mm = np.stack(scene.lens.unproject(*found.fiducials.px.T), axis=1)
+    design = np.column_stack([np.ones(len(true_mm)), found.fiducials.regular_mm])
     off_mm = true_mm - design @ np.linalg.lstsq(design, true_mm, rcond=None)[0]
     rms_mm = float(np.sqrt(np.square(off_mm).sum() / (2 * len(true_mm) - 6)))
     assert rms_mm < 0.002  # a hundredth of a pixel
-    assert rms_mm < 1.3 * found.marks.sigma_mm < 0.01
+    assert rms_mm < 1.3 * found.fiducials.sigma_mm < 0.01
 
 
 def test_print_at_a_few_nodes_is_no_print(scene: Scene) -> None:

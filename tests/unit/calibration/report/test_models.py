@@ -27,7 +27,7 @@ def test_the_noise_in_a_map_is_that_of_many_calibrations(degree: tuple[int, int]
     expected_px = float(np.sqrt(scattered.var(axis=0, ddof=1).mean()))
     one = fits[0]
     candidate = Candidate(
-        "tensor", degree, one.parameters, one.gcv_px, one.left_out_px, one.map.spread_sigma_px
+        "tensor", degree, one.parameters, one.gcv_px, one.leave_one_out_px, one.map.sigma_px
     )
     assert noise_in_map_px(candidate, len(places), noise_px) == pytest.approx(expected_px, rel=0.05)
 

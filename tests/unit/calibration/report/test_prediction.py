@@ -112,11 +112,14 @@ def test_of_a_thousand_nodes_the_covariance_of_every_second_is_shown() -> None:
     fitted = fit_tensor_map(
         nodes_mm(), straight_px("rear", nodes_mm()), convex_hull_mm(nodes_mm()), (3, 2)
     ).map
-    noisy = replace(fitted, spread_px=np.random.default_rng(1).normal(0, 0.01, fitted.spread_px.shape))
+    noisy = replace(
+        fitted,
+        covariance_factor_px=np.random.default_rng(1).normal(0, 0.01, fitted.covariance_factor_px.shape),
+    )
     shown = node_covariance_px2(noisy, places)
     assert shown.shape == (500, 500)
     by_columns = places[np.argsort(places[:, 0] * 1000 + places[:, 1])]
-    variances = noisy.spread_variance_px2(by_columns[::2])[:, 0]
+    variances = noisy.variance_px2(by_columns[::2])[:, 0]
     assert shown.diagonal() == pytest.approx(variances)
 
 

@@ -80,19 +80,21 @@ def test_what_limits_is_named_with_what_to_do_about_it() -> None:
 
 def test_a_node_left_out_is_said_and_many_are_too_many() -> None:
     one = (((12.5, 25.0), "spot_missing in front0007.png"),)
-    few = replace(evidence("front"), left_out=one)
+    few = replace(evidence("front"), excluded=one)
     verdict = verdict_of(seen=(few, evidence("rear")))
     (check,) = not_good(verdict)
     assert (check.level, check.value) == (Level.USABLE, "front 1 of 31, rear 0 of 30")
-    many = replace(evidence("front"), left_out=one * 4)
+    many = replace(evidence("front"), excluded=one * 4)
     assert verdict_of(seen=(many, evidence("rear"))).level is Level.BAD
 
 
 def test_a_node_that_stands_out_is_said() -> None:
     seen = evidence("rear")
-    missed = seen.missed_px.copy()
+    missed = seen.leave_one_out_residuals_px.copy()
     missed[7] = 0.4, 0.0
-    (check,) = not_good(verdict_of(seen=(evidence("front"), replace(seen, missed_px=missed))))
+    (check,) = not_good(
+        verdict_of(seen=(evidence("front"), replace(seen, leave_one_out_residuals_px=missed)))
+    )
     assert check.name == "Worst node, over the rms of all"
     assert check.level is Level.BAD
 
@@ -106,7 +108,7 @@ def test_without_leds_it_can_be_used() -> None:
 
 def test_maps_that_lie_apart_are_said() -> None:
     own = target("front")
-    apart = replace(own, cross_check=replace(own.cross_check, largest_px=0.17))
+    apart = replace(own, cross_check=replace(own.cross_check, max_difference_px=0.17))
     (check,) = not_good(verdict_of(calibration(apart, target("rear"))))
     assert (check.value, check.wanted) == ("front 0.17, rear 0.05 px", "front 0.16, rear 0.16 px")
     assert "implausible" in check.remedy

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
 _DIGEST_BYTES = 16
-_LONGEST_LINE = 1 << 22
+_MAX_LINE_LENGTH = 1 << 22
 
 
-class SteadyFile:
+class UnchangedFile:
     """A regular file as it was when it was first read, here: of it only its length and a digest a piece stay.
 
     What is appended later is not seen. A piece that is read again and is another one raises BadInputError
@@ -49,10 +49,10 @@ class SteadyFile:
         Raises BadInputError, UnicodeDecodeError where it is no UTF-8.
         """
         text = io.TextIOWrapper(io.BufferedReader(_Pieces(self.pieces())), newline="", encoding="utf-8-sig")
-        for number, line in enumerate(iter(lambda: text.readline(_LONGEST_LINE + 1), ""), start=1):
-            if len(line) > _LONGEST_LINE:
+        for number, line in enumerate(iter(lambda: text.readline(_MAX_LINE_LENGTH + 1), ""), start=1):
+            if len(line) > _MAX_LINE_LENGTH:
                 raise BadInputError(
-                    f"{self.path}: row {number}", f"is longer than {_LONGEST_LINE} characters"
+                    f"{self.path}: row {number}", f"is longer than {_MAX_LINE_LENGTH} characters"
                 )
             yield line
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from altd.errors import BadInputError
-from altd.files.steady import SteadyFile
+from altd.files.unchanged import UnchangedFile
 
 PIECE_BYTES = 1 << 20
 
@@ -20,7 +20,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_it_is_the_same_each_time(path: Path) -> None:
-    steady = SteadyFile(path, 1 << 30)
+    steady = UnchangedFile(path, 1 << 30)
     for _ in range(2):
         assert b"".join(steady.pieces()) == path.read_bytes()
         assert "".join(steady.lines()) == path.read_text()
@@ -28,7 +28,7 @@ def test_it_is_the_same_each_time(path: Path) -> None:
 
 def test_what_is_appended_later_is_not_seen(path: Path) -> None:
     before = path.read_bytes()
-    steady = SteadyFile(path, 1 << 30)
+    steady = UnchangedFile(path, 1 << 30)
     with path.open("ab") as file:
         file.write(b"more\n")
     assert b"".join(steady.pieces()) == before
@@ -38,7 +38,7 @@ def test_what_is_appended_later_is_not_seen(path: Path) -> None:
 def test_a_piece_in_which_a_byte_changed_is_not_handed_on(path: Path, at: int) -> None:
     """Although length and time of the file are those that they were."""
     before, times = path.read_bytes(), path.stat()
-    steady = SteadyFile(path, 1 << 30)
+    steady = UnchangedFile(path, 1 << 30)
     with path.open("r+b") as file:
         file.seek(at)
         file.write(b"x")
@@ -52,14 +52,14 @@ def test_a_piece_in_which_a_byte_changed_is_not_handed_on(path: Path, at: int) -
 
 @pytest.mark.parametrize("left_bytes", [0, 100, 2 * PIECE_BYTES])
 def test_a_file_that_became_shorter_is_refused(path: Path, left_bytes: int) -> None:
-    steady = SteadyFile(path, 1 << 30)
+    steady = UnchangedFile(path, 1 << 30)
     os.truncate(path, left_bytes)
     with pytest.raises(BadInputError, match="was changed after it was checked"):
         list(steady.pieces())
 
 
 def test_a_file_that_is_gone_or_no_file_any_more_is_refused(path: Path) -> None:
-    steady = SteadyFile(path, 1 << 30)
+    steady = UnchangedFile(path, 1 << 30)
     path.unlink()
     with pytest.raises(BadInputError, match="No such file"):
         list(steady.pieces())
@@ -70,20 +70,20 @@ def test_a_file_that_is_gone_or_no_file_any_more_is_refused(path: Path) -> None:
 
 def test_an_empty_file_has_no_line(tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
-    steady = SteadyFile(tmp_path / "empty", 10)
+    steady = UnchangedFile(tmp_path / "empty", 10)
     assert list(steady.pieces()) == list(steady.lines()) == []
 
 
 def test_lines_end_as_a_csv_reader_wants_them_and_have_no_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "table").write_bytes(b"\xef\xbb\xbfone\r\ntwo\nthree")
-    assert list(SteadyFile(tmp_path / "table", 100).lines()) == ["one\r\n", "two\n", "three"]
+    assert list(UnchangedFile(tmp_path / "table", 100).lines()) == ["one\r\n", "two\n", "three"]
 
 
 def test_a_line_without_end_is_not_collected(tmp_path: Path) -> None:
     with (tmp_path / "table").open("wb") as file:
         file.write(b"one\n")
         file.truncate(200 << 20)  # of zeros, on no disk
-    lines = SteadyFile(tmp_path / "table", 1 << 30).lines()
+    lines = UnchangedFile(tmp_path / "table", 1 << 30).lines()
     assert next(lines) == "one\n"
     with pytest.raises(BadInputError, match=r"row 2: is longer than 4194304 characters"):
         next(lines)
@@ -91,4 +91,4 @@ def test_a_line_without_end_is_not_collected(tmp_path: Path) -> None:
 
 def test_its_bound_is_that_of_a_file(path: Path) -> None:
     with pytest.raises(BadInputError, match=r"bytes long, more than 1000"):
-        SteadyFile(path, 1000)
+        UnchangedFile(path, 1000)

@@ -19,15 +19,15 @@ from altd.vision.texture import Sample, Texture, sample_of
 
 _MAX_SIGMA = 0.05
 """Relative noise up to which a pixel's texture is known: that of a plain plate's grain."""
-_USUAL_SHARE = 0.95
+_DOUBLED_QUANTILE = 0.95
 _MIN_VERIFIED_SHARE = 0.9
 """Of a scan's own nodes, by the texture of its flat; else the flat is not what the laser shows."""
 
 
 def fingerprint_of(
     frames: Iterable[FrameRow], settings: SpotSettings, flat: Flat | None, plain: bool
-) -> tuple[Fingerprint, str]:
-    """The fingerprint of one camera from its ``frames`` of a scan, and a remark, empty when all is well.
+) -> tuple[Fingerprint, str | None]:
+    """The fingerprint of one camera from its ``frames`` of a scan, and a doubt, None when all is well.
 
     Through the target's ``flat`` where there is one and the scan's own spots agree with it; else from the
     spots of a ``plain`` target. A print without a model lends itself to neither.
@@ -35,40 +35,38 @@ def fingerprint_of(
     hot = HotPixelCount()
     ground = _Ground()
     first: dict[tuple[float, float], FrameRow] = {}
-    for seen_in in frames:
-        row, frame = seen_in.row, seen_in.frame()
+    for frame_row in frames:
+        row, frame = frame_row.row, frame_row.frame()
         hot.add(frame.pixels)
         if row.leds_on:
             continue
         if row.position_mm is not None:
-            first.setdefault(row.position_mm, seen_in)
+            first.setdefault(row.position_mm, frame_row)
         if flat is None and plain and (sample := sample_of(FrameAnalysis(frame, settings))) is not None:
             ground.add(sample, frame.pixels.shape)
     if flat is None:
         texture = ground.texture()
-        return Fingerprint(hot.result(), texture, None if texture is None else "scan"), ""
+        return Fingerprint(hot.result(), texture, None if texture is None else "scan"), None
     made = Fingerprint(hot.result(), Texture.of_flat(flat), "flat")
     verdicts = []
-    for seen_in in first.values():
-        analysis = FrameAnalysis(seen_in.frame(), settings)
+    for frame_row in first.values():
+        analysis = FrameAnalysis(frame_row.frame(), settings)
         if isinstance(locate_in(analysis, flat), Spot):
             verdicts.append(made.examine(analysis, has_spot=True))
     good = sum(verdict.is_verified for verdict in verdicts)
     if good >= _MIN_VERIFIED_SHARE * len(verdicts):
         doubled_px = [verdict.doubled_px for verdict in verdicts if verdict.doubled_px is not None]
-        usual_px = float(np.quantile(doubled_px, _USUAL_SHARE)) if doubled_px else None
-        return replace(made, usual_doubled_px=usual_px), ""
-    remark = (
-        f"the flat does not show the spots' ground ({good} of {len(verdicts)} nodes): it verifies no view"
-    )
-    return Fingerprint(hot.result(), None, None), remark
+        usual_px = float(np.quantile(doubled_px, _DOUBLED_QUANTILE)) if doubled_px else None
+        return replace(made, usual_doubled_px=usual_px), None
+    doubt = f"the flat does not show the spots' ground ({good} of {len(verdicts)} nodes): it verifies no view"
+    return Fingerprint(hot.result(), None, None), doubt
 
 
 def hot_pixels_of(frames: Iterable[FrameRow]) -> Fingerprint:
     """The fingerprint of a camera that has seen no laser spot: its hot pixels."""
     hot = HotPixelCount()
-    for seen_in in frames:
-        hot.add(seen_in.frame().pixels)
+    for frame_row in frames:
+        hot.add(frame_row.frame().pixels)
     return Fingerprint(hot.result(), None, None)
 
 

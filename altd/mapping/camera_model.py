@@ -15,11 +15,11 @@ from altd.records import FloatArray
 Optics = Literal["brown", "fisheye"]
 OPTICS: tuple[Optics, ...] = get_args(Optics)
 
-_PIXELS_ACROSS = 1.4
+_USUAL_FOCAL_WIDTHS = 1.4
 """Usual focal length in image widths; the nodes of one plane hardly tell it from the distance."""
 
 _POSE_PRIOR = [np.inf] * 6 + [0.5, 0.03, 0.03]
-_POSE_STEP = [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-3, 1e-4, 1e-4]
+_POSE_DIFFERENCES = [1e-5, 1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-3, 1e-4, 1e-4]
 
 _PRIOR = {
     "brown": np.array([*_POSE_PRIOR, 0.5, 0.2, 0.0005, 0.0005]),
@@ -29,12 +29,12 @@ _PRIOR = {
 what lenses are like, and tight enough to take the guessing out of what 30 nodes can hardly tell apart: tilt,
 principal point and decentring."""
 
-_STEP = {
-    "brown": np.array([*_POSE_STEP, 1e-4, 1e-4, 1e-6, 1e-6]),
-    "fisheye": np.array([*_POSE_STEP, 1e-4, 1e-4]),
+_DIFFERENCES = {
+    "brown": np.array([*_POSE_DIFFERENCES, 1e-4, 1e-4, 1e-6, 1e-6]),
+    "fisheye": np.array([*_POSE_DIFFERENCES, 1e-4, 1e-4]),
 }
 
-_BEND_PX = 0.2
+_BEND_PRIOR_PX = 0.2
 """What a lens is thought to depart from its model by, as the rms that one term of the bend adds."""
 
 
@@ -90,7 +90,7 @@ class Camera:
             return _PRIOR[self.optics]
         nodes = self.bend.x_axis.nodes * self.bend.y_axis.nodes
         return np.concatenate(
-            [_PRIOR[self.optics], np.full(2 * self.bend.terms, _BEND_PX * math.sqrt(nodes))]
+            [_PRIOR[self.optics], np.full(2 * self.bend.terms, _BEND_PRIOR_PX * math.sqrt(nodes))]
         )
 
     def with_parameters(self, parameters: FloatArray) -> Camera:
@@ -114,7 +114,7 @@ class Camera:
 
     def jacobian(self, points_mm: FloatArray) -> FloatArray:
         """d(px)/d(parameters) as (2 n, m), by central differences; rows u, v of a point after another."""
-        steps = _STEP[self.optics]
+        steps = _DIFFERENCES[self.optics]
         at = self.parameters[: len(steps)]
         shifted = np.concatenate([at + np.diag(steps), at - np.diag(steps)])
         px = self._project(shifted, points_mm).reshape(2, len(steps), -1)
@@ -126,7 +126,7 @@ class Camera:
 
     def _project(self, p: FloatArray, points_mm: FloatArray) -> FloatArray:
         """Points (n, 2) by the lens of each of k rows of parameters, as (k, n, 2)."""
-        focal_px = _PIXELS_ACROSS * self.width * np.exp(p[:, 6])
+        focal_px = _USUAL_FOCAL_WIDTHS * self.width * np.exp(p[:, 6])
         side = -1.0 if self.mirrored else 1.0
         turned = np.einsum("kij,nj->ikn", _rotations(p[:, :3])[:, :, :2], points_mm * (side, -1.0))
         z = turned[2] + (focal_px / np.exp(p[:, 5]))[:, None]

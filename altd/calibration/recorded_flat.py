@@ -23,15 +23,15 @@ from altd.vision.patch import patch_around
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
-_LEAST_LEVEL = 0.05
+_MIN_LEVEL = 0.05
 """A black level and stray light make less."""
-_LARGEST_CLIPPED_SHARE = 0.01
-_HOT_ABOVE = 0.1
-_DARK_BELOW = 0.5
-_STEADY_SHARE = 0.1
-_LEAST_CONTRAST = 0.02
-_PIECES = 16, 10
-_LEAST_EVENNESS = 0.2
+_MAX_CLIPPED_SHARE = 0.01
+_MIN_HOT_SHARE = 0.1
+_MAX_DARK_RATIO = 0.5
+_MAX_STEADY_SHARE = 0.1
+_MIN_CONTRAST = 0.02
+_TILES = 16, 10
+_MIN_UNIFORMITY = 0.2
 """The dimmer half of the picture gets at least this share of what its brightest part gets: the fall-off of
 a lens leaves far more, a laser spot far less."""
 
@@ -103,18 +103,18 @@ def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
     light = lit.counts
     if min(levels) <= dark_to:
         dark = _mean(recording, camera, [level <= dark_to for level in levels], progress).counts
-        usable &= dark < np.median(dark) + _HOT_ABOVE * full_scale
+        usable &= dark < np.median(dark) + _MIN_HOT_SHARE * full_scale
         light = light - dark
     clipped = float(np.mean(lit.clipped))
-    if clipped > _LARGEST_CLIPPED_SHARE:
+    if clipped > _MAX_CLIPPED_SHARE:
         raise ValueError(f"too bright to be a flat: {clipped:.0%} of the pixels are saturated")
     level = float(light[usable].mean())
-    if level < _LEAST_LEVEL * full_scale:
+    if level < _MIN_LEVEL * full_scale:
         raise ValueError(f"too dark to be a flat: {level:.1f} counts of {full_scale} on average")
-    evenness = _evenness(np.where(usable, light, 0.0))
-    if evenness < _LEAST_EVENNESS:
+    uniformity = _uniformity(np.where(usable, light, 0.0))
+    if uniformity < _MIN_UNIFORMITY:
         raise ValueError(
-            f"too uneven to be a flat: half the picture gets {evenness:.0%} of the light or less"
+            f"too uneven to be a flat: half the picture gets {uniformity:.0%} of the light or less"
         )
     return Flat.of(np.where(usable, light, 0.0), "recording", header.origin)
 
@@ -132,9 +132,9 @@ def _lit_and_dark(recording: Recording, camera: str, progress: Progress) -> tupl
         levels.append(float(recording.frame(row).pixels.mean()))
         progress(len(levels), len(said))
     dimmest, brightest = min(levels), max(levels)
-    if dimmest > _DARK_BELOW * brightest:
+    if dimmest > _MAX_DARK_RATIO * brightest:
         return dimmest, -1.0, levels
-    margin = _STEADY_SHARE * (brightest - dimmest)
+    margin = _MAX_STEADY_SHARE * (brightest - dimmest)
     return brightest - margin, dimmest + margin, levels
 
 
@@ -154,13 +154,13 @@ def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Pr
     return mean
 
 
-def _evenness(light: FloatArray) -> float:
+def _uniformity(light: FloatArray) -> float:
     """The median over the brightest of the picture's pieces, in which dots are averaged away."""
-    pieces = np.asarray(cv2.resize(light, _PIECES, interpolation=cv2.INTER_AREA))
+    pieces = np.asarray(cv2.resize(light, _TILES, interpolation=cv2.INTER_AREA))
     return float(np.median(pieces) / pieces.max())
 
 
-def flat_likeness(frames: Iterable[Frame], flat: Flat) -> float:
+def flat_correlation(frames: Iterable[Frame], flat: Flat) -> float:
     """Correlation of what the spots of frames show of their ground with what the flat says; 1 at best.
 
     Near 0 the flat is not of these pixels: camera, lens or target moved since, or it is of other ones. NaN
@@ -202,6 +202,6 @@ class _Correlation:
     @property
     def value(self) -> float:
         """The coefficient; NaN where nothing is expected."""
-        if self.expected < self.pixels * _LEAST_CONTRAST**2 or not self.pixels:
+        if self.expected < self.pixels * _MIN_CONTRAST**2 or not self.pixels:
             return float("nan")
         return self.both / math.sqrt(self.seen * self.expected)

@@ -7,22 +7,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from altd.calibration.agreement import Verdict, agreement, verdict
+from altd.calibration.camera_fingerprint import fingerprint_of
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.fingerprint import fingerprint_of
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.flat import flat_likeness
+from altd.calibration.localiser_agreement import Verdict, localiser_agreement, verdict
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
+from altd.calibration.recorded_flat import flat_correlation
 from altd.calibration.repeated_scans import offset_doubts
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
 from altd.calibration.scan_grid import relative_sigmas, scan_grid
-from altd.calibration.scan_nodes import Job, Node, Seen, first_frames, first_of_nodes, look, printed_nodes
+from altd.calibration.scan_nodes import (
+    Job,
+    Node,
+    ScannedTarget,
+    first_frames,
+    first_of_nodes,
+    locate_nodes,
+    printed_nodes,
+)
 from altd.calibration.spot_reference import spot_reference
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
+from altd.mapping.fiducials import Fiducials
 from altd.mapping.inverse import InverseMap
-from altd.mapping.marks import Marks
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
@@ -30,15 +38,15 @@ from altd.vision.reference import UNKNOWN_SPOT
 from altd.vision.settings import SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
-_LEAST_LIKENESS = 0.5
+_MIN_CORRELATION = 0.5
 """0.8 to 1 for the right flat; moved by a pixel it is below 0.5, moved by more about 0."""
-_MARKS_COST = 1.2
-"""Marks of the print guide the map unless it then misses a left-out node by this much more."""
+_MAX_FIDUCIAL_COST = 1.2
+"""The fiducials of a print guide the map unless its leave-one-out rms is then larger by this factor."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Made:
-    """A target's calibration so far, what it rests on, its nodes' scatter, what was seen of its surface."""
+    """A target's calibration so far, what it rests on, its nodes' scatter, what it shows of its surface."""
 
     target: TargetCalibration
     evidence: TargetEvidence
@@ -70,13 +78,13 @@ def calibrate_scans(
             for job, (target, _), pattern_px in zip(jobs, marked, patterns_px, strict=True)
         ),
         (
-            *(f"{of.name} node x {x:g} y {y:g} mm: {why}" for of in evidence for (x, y), why in of.left_out),
+            *(f"{of.name} node x {x:g} y {y:g} mm: {why}" for of in evidence for (x, y), why in of.excluded),
             *(f"{of.name} {led}" for of in evidence for led in of.leds_dropped),
         ),
         evidence,
         (
             *(doubt for of in made for doubt in of.doubts),
-            *(doubt for _, doubt in marked if doubt),
+            *(doubt for _, doubt in marked if doubt is not None),
             *(of.doubt for of in verdicts if of.doubt is not None),
         ),
         (
@@ -105,19 +113,19 @@ def _with_pattern(job: Job, target: TargetCalibration, pattern_px: float) -> Tar
 def _calibrate_target(job: Job, progress: Progress) -> _Made:
     """One target: through its recorded flat, else through the model of its print, else as it is."""
     if job.flat is not None:
-        made = _fit_target(job, look(job, progress), None)
-        doubts = _doubts_of_flat(flat_likeness(first_frames(job), job.flat), job.name)
+        made = _fit_target(job, locate_nodes(job, progress), None)
+        doubts = _flat_doubts(flat_correlation(first_frames(job), job.flat), job.name)
         remark = f"{job.name}: localised through its recorded flat"
         return replace(made, remark=remark, doubts=made.doubts + doubts, must_agree=True)
     printed, nodes = printed_nodes(job)
     if 2 * printed > nodes:
         job = replace(job, localiser=_MOMENT)
-    seen = look(job, progress)
-    made = _fit_target(job, seen, None)
-    located = [node.good[0].located[0] for node in seen.usable]
+    scanned = locate_nodes(job, progress)
+    made = _fit_target(job, scanned, None)
+    located = [node.good[0].located[0] for node in scanned.usable]
     found = find_print(
         lambda node: located[node].frame(),
-        _spots_px(seen.usable),
+        _spots_px(scanned.usable),
         made.target.map,
         job.localiser,
     )
@@ -129,29 +137,31 @@ def _calibrate_target(job: Job, progress: Progress) -> _Made:
     return replace(made, remark=f"{job.name}: {remark}", must_agree=not printed)
 
 
-def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str]:
+def _with_camera(job: Job, made: _Made) -> tuple[TargetCalibration, str | None]:
     """The target with its camera's identity, origin and fingerprint, and what is doubtful about that."""
     target = made.target
     fingerprint, doubt = fingerprint_of(
         job.frames, target.localiser, target.flat, made.must_agree and target.flat is None
     )
     known = replace(target, camera=job.frames.camera, origin=job.frames.origin, fingerprint=fingerprint)
-    return known, doubt and f"{job.name}: {doubt}"
+    return known, None if doubt is None else f"{job.name}: {doubt}"
 
 
 def _verdict(job: Job, made: _Made, pattern_px: float) -> Verdict:
     """On the two localisers; a recorded flat leaves no pattern to excuse them."""
     target = made.target
-    seen = agreement(first_frames(job), target.localiser, target.flat)
-    allowed_px = 0.0 if job.flat is not None else pattern_px
-    return verdict(target.name, target.localiser.method, seen, allowed_px if made.must_agree else None)
+    agreement = localiser_agreement(first_frames(job), target.localiser, target.flat)
+    pattern_limit_px = 0.0 if job.flat is not None else pattern_px
+    return verdict(
+        target.name, target.localiser.method, agreement, pattern_limit_px if made.must_agree else None
+    )
 
 
-def _doubts_of_flat(likeness: float, name: str) -> tuple[str, ...]:
-    if not likeness < _LEAST_LIKENESS:  # a flat that is too even to tell is no worse than none
+def _flat_doubts(correlation: float, name: str) -> tuple[str, ...]:
+    if not correlation < _MIN_CORRELATION:  # a flat that is too even to tell is no worse than none
         return ()
     return (
-        f"{name}: the flat is not what the spots show (likeness {likeness:.2f} of 1): "
+        f"{name}: the flat is not what the spots show (likeness {correlation:.2f} of 1): "
         "was it recorded before camera, lens or window were moved?",
     )
 
@@ -160,25 +170,25 @@ def _calibrate_printed(job: Job, found: Print, progress: Progress) -> _Made:
     """A target through the model of its print; the print also guides the map unless it is bent itself."""
     flat = replace(found.flat, origin=job.frames.origin)
     job = replace(job, localiser=_PROFILE, flat=flat)
-    seen = look(job, progress)
-    alone, guided = (_fit_target(job, seen, marks) for marks in (None, found.marks))
+    scanned = locate_nodes(job, progress)
+    alone, guided = (_fit_target(job, scanned, fiducials) for fiducials in (None, found.fiducials))
     remark = f"{job.name}: print of {found.lattice.pitch_mm:.3f} mm pitch found and modelled"
-    if guided.target.left_out_px > _MARKS_COST * alone.target.left_out_px:
+    if guided.target.leave_one_out_px > _MAX_FIDUCIAL_COST * alone.target.leave_one_out_px:
         return replace(alone, remark=f"{remark}; it is bent, so it does not guide the map")
     return replace(guided, remark=remark)
 
 
-def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
+def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -> _Made:
     """The maps through the nodes that can be used; raises BadInputError where they are too few."""
-    place, nodes, refused = job.frames.place, seen.usable, seen.refused
-    if not seen.nodes:
+    place, nodes, refused = job.frames.place, scanned.usable, scanned.refused
+    if not scanned.nodes:
         raise BadInputError(place, f"{job.name}: 0 of 0 nodes have no spot: no row has a position")
     try:
-        grid = scan_grid(seen)
+        grid = scan_grid(scanned)
         if not grid.block.is_sufficient:
             why = refused[0].complaint if refused else "they are no grid"
             raise BadInputError(
-                place, f"{job.name}: {len(refused)} of {len(seen.nodes)} nodes have no spot: {why}"
+                place, f"{job.name}: {len(refused)} of {len(scanned.nodes)} nodes have no spot: {why}"
             )
         fitted = fit_nodes(
             _positions_mm(nodes),
@@ -186,7 +196,7 @@ def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
             job.frames.image_size,
             None,
             grid.block.most_missing - grid.block.missing,
-            marks,
+            fiducials,
             relative_sigmas(nodes, job.frames.image_size),
         )
     except ValueError as error:
@@ -197,12 +207,12 @@ def _fit_target(job: Job, seen: Seen, marks: Marks | None) -> _Made:
         node.refusal = f"its spot lies {off_px:.1f} px from where the other nodes put it"
     margin_mm = fitted.fit.map.margin_mm
     return _Made(
-        _target(job, seen, fitted),
-        _evidence(job, seen, fitted),
-        _scatter(seen.usable, fitted),
+        _target(job, scanned, fitted),
+        _evidence(job, scanned, fitted),
+        _scatter(scanned.usable, fitted),
         doubts=(
             *(f"{job.name}: {line}" for line in grid.missing_ends(margin_mm)),
-            *offset_doubts(job, seen.usable, fitted.fit.map),
+            *offset_doubts(job, scanned.usable, fitted.fit.map),
         ),
     )
 
@@ -224,8 +234,8 @@ def _spots_px(nodes: Sequence[Node]) -> FloatArray:
     return np.array([node.spot_px for node in nodes])
 
 
-def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
-    distance_mm = residual_distances_mm(fitted.fit, _positions_mm(seen.usable))
+def _target(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetCalibration:
+    distance_mm = residual_distances_mm(fitted.fit, _positions_mm(scanned.usable))
     width, height = job.frames.image_size
     return TargetCalibration(
         name=job.name,
@@ -236,27 +246,27 @@ def _target(job: Job, seen: Seen, fitted: TargetFit) -> TargetCalibration:
         flat=job.flat,
         map=fitted.fit.map,
         cross_check=fitted.cross_check,
-        left_out_px=fitted.fit.left_out_px,
+        leave_one_out_px=fitted.fit.leave_one_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
-        repeatability_px=_repeatability_px(seen.usable),
-        leds_px=seen.leds_px,
+        repeatability_px=_repeatability_px(scanned.usable),
+        leds_px=scanned.leds_px,
     )
 
 
-def _evidence(job: Job, seen: Seen, fitted: TargetFit) -> TargetEvidence:
+def _evidence(job: Job, scanned: ScannedTarget, fitted: TargetFit) -> TargetEvidence:
     return TargetEvidence(
         name=job.name,
-        nodes_mm=_positions_mm(seen.usable),
-        nodes_px=_spots_px(seen.usable),
+        nodes_mm=_positions_mm(scanned.usable),
+        nodes_px=_spots_px(scanned.usable),
         residuals_px=fitted.fit.residuals_px,
-        missed_px=fitted.fit.missed_px,
+        leave_one_out_residuals_px=fitted.fit.leave_one_out_residuals_px,
         relative_sigma=fitted.fit.relative_sigma,
-        scatter_px=np.array([_scatter_px(node) for node in seen.usable]),
-        exposures=tuple(node.exposures for node in seen.usable),
-        left_out=tuple((node.position_mm, node.complaint) for node in seen.refused),
-        leds_dropped=seen.leds_dropped,
+        scatter_px=np.array([_scatter_px(node) for node in scanned.usable]),
+        exposures=tuple(node.exposures for node in scanned.usable),
+        excluded=tuple((node.position_mm, node.complaint) for node in scanned.refused),
+        leds_dropped=scanned.leds_dropped,
         candidates=fitted.candidates,
     )
 
@@ -269,8 +279,8 @@ def _scatter(used: Sequence[Node], fitted: TargetFit) -> NodeScatter:
     exposures_mm = {}
     for node, to_mm in zip(used, jacobian, strict=True):
         for visit in node.good:
-            for seen_in, deviation_px in zip(visit.located, visit.deviations_px, strict=True):
-                exposures_mm[node.key, seen_in.number, seen_in.row.sequence] = to_mm @ deviation_px
+            for frame_row, deviation_px in zip(visit.located, visit.deviations_px, strict=True):
+                exposures_mm[node.key, frame_row.number, frame_row.row.sequence] = to_mm @ deviation_px
     return NodeScatter(
         noise_px=fitted.fit.map.noise_px,
         parameters=fitted.fit.parameters,

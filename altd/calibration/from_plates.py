@@ -12,8 +12,8 @@ from itertools import count
 
 import numpy as np
 
+from altd.calibration.camera_fingerprint import hot_pixels_of
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.fingerprint import hot_pixels_of
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
 from altd.calibration.target_frames import FrameRow, TargetFrames
@@ -37,10 +37,10 @@ LASER_SPOT_SIGMA_MM = 0.015
 nodes of scans do (0.04 px on unit-a and on simulated units), and 0.012 mm by the fall-off of the lens, which
 draws the centre of light of a 12 mm spot towards the middle."""
 
-_LARGEST_MISSING_SHARE = 0.2
-_SIZE_LIMITS = 0.5, 2.0
-_WIDTH_LIMITS = 0.75, 1.35
-_ROUNDS = 3
+_MAX_MISSING_SHARE = 0.2
+_AREA_RATIO_LIMITS = 0.5, 2.0
+_DIAMETER_RATIO_LIMITS = 0.75, 1.35
+_ITERATIONS = 3
 _LOCALISER = SpotSettings(method="moment")
 """Its shift on a bent map is known."""
 
@@ -73,7 +73,7 @@ def calibrate_plates(targets: Sequence[TargetFrames], progress: Progress) -> Tar
         target, of_target, lights = _target(frames, frame)
         calibrated.append(target)
         evidence.append(of_target)
-        refused += [f"{frames.name} LED {_place(node)}: {why}" for node, why in of_target.left_out]
+        refused += [f"{frames.name} LED {_place(node)}: {why}" for node, why in of_target.excluded]
         refused += [f"{frames.name}: {light}" for light in lights]
     remark = f"a plate shows no laser spot: its pattern and fall-off are taken as {LASER_SPOT_SIGMA_MM} mm"
     return TargetsResult(tuple(calibrated), tuple(refused), tuple(evidence), remarks=(remark,))
@@ -96,18 +96,19 @@ def _target(
     assert dark is not None and lit is not None  # noqa: S101, PT018  just looked
     try:
         leds = _find(lit - dark, plate, seen.is_mirrored)
-        most = int(_LARGEST_MISSING_SHARE * plate.columns * plate.rows)
-        if len(leds.missing) > most:
+        max_missing = int(_MAX_MISSING_SHARE * plate.columns * plate.rows)
+        if len(leds.missing) > max_missing:
             first = next(iter(leds.missing.items()))
             raise ValueError(
-                f"{len(leds.missing)} of {plate.columns * plate.rows} LEDs cannot be used, {most} at most: "
+                f"{len(leds.missing)} of {plate.columns * plate.rows} LEDs cannot be used, "
+                f"{max_missing} at most: "
                 f"the first at {_place(_at(plate, first[0]))} is {first[1]}"
             )
         nodes_mm = np.array([_at(plate, cell) for cell in leds.cells])
         centres_px = np.array([(disc.u_px, disc.v_px) for disc in leds.discs])
         areas_px = np.array([disc.area_px for disc in leds.discs])
         fitted, kept, complaints = _fit(
-            plate, nodes_mm, centres_px, areas_px, (width, height), most - len(leds.missing)
+            plate, nodes_mm, centres_px, areas_px, (width, height), max_missing - len(leds.missing)
         )
     except ValueError as error:
         raise BadInputError(seen.place, f"{name}: {error}") from error
@@ -125,7 +126,7 @@ def _target(
         flat=None,
         map=replace(fit.map, noise_px=float(np.hypot(fit.map.noise_px, pattern_px))),
         cross_check=fitted.cross_check,
-        left_out_px=fit.left_out_px,
+        leave_one_out_px=fit.leave_one_out_px,
         residual_mean_mm=float(distance_mm.mean()),
         residual_std_mm=float(distance_mm.std(ddof=1)),
         residual_max_mm=float(distance_mm.max()),
@@ -141,11 +142,11 @@ def _target(
         nodes_mm=nodes_mm[kept],
         nodes_px=fit.map.to_px(nodes_mm[kept]) + fit.residuals_px,
         residuals_px=fit.residuals_px,
-        missed_px=fit.missed_px,
+        leave_one_out_residuals_px=fit.leave_one_out_residuals_px,
         relative_sigma=fit.relative_sigma,
         scatter_px=scatter_px,
         exposures=exposures,
-        left_out=tuple(missing + [(tuple(nodes_mm[row].tolist()), why) for row, why in complaints.items()]),
+        excluded=tuple(missing + [(tuple(nodes_mm[row].tolist()), why) for row, why in complaints.items()]),
         leds_dropped=(),
         candidates=fitted.candidates,
     )
@@ -190,7 +191,7 @@ def _fit(
     centres_px: FloatArray,
     areas_px: FloatArray,
     image_size: tuple[int, int],
-    most_dropped: int,
+    max_dropped: int,
 ) -> tuple[TargetFit, list[int], dict[int, str]]:
     """The map of where a laser spot's centre of light lands; the LEDs used, what is wrong with the others.
 
@@ -201,9 +202,9 @@ def _fit(
     kept = list(range(len(nodes_mm)))
     complaints: dict[int, str] = {}
     shift_px = np.zeros_like(centres_px)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         nodes_px = centres_px + shift_px
-        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, None, most_dropped - len(complaints))
+        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, None, max_dropped - len(complaints))
         fit = fitted.fit
         for row in (kept[at] for at in fitted.dropped):
             off_px = float(np.linalg.norm(nodes_px[row] - fit.map.to_px(nodes_mm[row : row + 1])[0]))
@@ -211,8 +212,12 @@ def _fit(
         kept = [row for row in kept if row not in complaints]
         areas_mm2 = areas_px / px2_per_mm2(fit.map.to_px, nodes_mm)
         usual_mm2 = float(np.median(areas_mm2[kept]))
-        odd = [row for row in kept if not _SIZE_LIMITS[0] < areas_mm2[row] / usual_mm2 < _SIZE_LIMITS[1]]
-        for row in odd[: most_dropped - len(complaints)]:
+        odd = [
+            row
+            for row in kept
+            if not _AREA_RATIO_LIMITS[0] < areas_mm2[row] / usual_mm2 < _AREA_RATIO_LIMITS[1]
+        ]
+        for row in odd[: max_dropped - len(complaints)]:
             complaints[row] = f"its disc has {areas_mm2[row] / usual_mm2:.1f} times the area of the others"
         kept = [row for row in kept if row not in complaints]
         disc_mm = _disc_mm(plate, usual_mm2)
@@ -227,7 +232,7 @@ def _disc_mm(plate: PlateHeader, area_mm2: float) -> float:
     seen_mm = float(np.sqrt(4 * area_mm2 / np.pi))
     if plate.disc_mm is None:
         return seen_mm
-    if not _WIDTH_LIMITS[0] < seen_mm / plate.disc_mm < _WIDTH_LIMITS[1]:
+    if not _DIAMETER_RATIO_LIMITS[0] < seen_mm / plate.disc_mm < _DIAMETER_RATIO_LIMITS[1]:
         raise ValueError(
             f"the LEDs look {seen_mm:.1f} mm wide with a pitch of {plate.pitch_mm:g} mm, but disc_mm is "
             f"{plate.disc_mm:g}: one of them is wrong"

@@ -7,10 +7,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from altd.mapping.camera import Camera
+from altd.mapping.camera_model import Camera
+from altd.mapping.fiducials import Fiducials
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
-from altd.mapping.marks import Marks
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.scan import Grid
@@ -34,10 +34,10 @@ def camera(seed: int = 1) -> Camera:
 
 def test_marks_that_lie_as_the_camera_sees_them_are_satisfied_however_the_print_is_laid() -> None:
     at = camera()
-    marks = Marks(at.to_px(NODES_MM), NODES_MM, 0.001)
-    assert np.abs(marks.misfit(at)[0]).max() < 1e-5
+    fiducials = Fiducials(at.to_px(NODES_MM), NODES_MM, 0.001)
+    assert np.abs(fiducials.misfit(at)[0]).max() < 1e-5
     # a print that is turned, stretched and moved needs the places it was affinely made of
-    laid = Marks(at.to_px(NODES_MM), NODES_MM @ TURN.T + (0.3, -0.2), 0.001)
+    laid = Fiducials(at.to_px(NODES_MM), NODES_MM @ TURN.T + (0.3, -0.2), 0.001)
     assert np.abs(laid.misfit(at)[0]).max() < 1e-3
 
 
@@ -45,20 +45,20 @@ def test_a_mark_that_is_off_counts_in_units_of_sigma() -> None:
     at = camera()
     off = NODES_MM.copy()
     off[14, 0] += 0.01
-    misfit = Marks(at.to_px(NODES_MM), off, 0.002).misfit(at)[0].reshape(2, -1)
+    misfit = Fiducials(at.to_px(NODES_MM), off, 0.002).misfit(at)[0].reshape(2, -1)
     assert np.abs(misfit[0, 14]) == pytest.approx(5.0, rel=0.1)
     assert np.abs(misfit[1]).max() < 0.01
 
 
 def test_the_slopes_are_the_derivatives() -> None:
     at = camera()
-    marks = Marks(at.to_px(NODES_MM), NODES_MM, 0.001)
-    _, slopes = marks.misfit(at)
+    fiducials = Fiducials(at.to_px(NODES_MM), NODES_MM, 0.001)
+    _, slopes = fiducials.misfit(at)
     assert slopes.shape == (2 * len(NODES_MM), len(at.parameters))
     for index in range(len(at.parameters)):
         step = np.zeros(len(at.parameters))
         step[index] = 1e-4
-        ends = [marks.misfit(at.with_parameters(at.parameters + sign * step))[0] for sign in (1, -1)]
+        ends = [fiducials.misfit(at.with_parameters(at.parameters + sign * step))[0] for sign in (1, -1)]
         by_difference = (ends[0] - ends[1]) / 2e-4
         assert slopes[:, index] == pytest.approx(by_difference, abs=0.02 * np.abs(by_difference).max() + 1e-2)
 
@@ -70,10 +70,10 @@ def test_marks_make_a_map_between_noisy_nodes_better() -> None:
         lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
         nodes_px = seen(lens, NODES_MM) + rng.normal(0, 0.05, NODES_MM.shape)
         regular_mm = NODES_MM @ TURN.T + (5.0, -3.0) + rng.normal(0, 0.003, NODES_MM.shape)
-        marks = Marks(seen(lens, NODES_MM), regular_mm, 0.003)
-        for given in (None, marks):
+        fiducials = Fiducials(seen(lens, NODES_MM), regular_mm, 0.003)
+        for given in (None, fiducials):
             fit = fit_lens_map(
-                NODES_MM, nodes_px, convex_hull_mm(NODES_MM), (WIDTH_PX, HEIGHT_PX), marks=given
+                NODES_MM, nodes_px, convex_hull_mm(NODES_MM), (WIDTH_PX, HEIGHT_PX), fiducials=given
             )
             off_px = fit.map.to_px(PLACES_MM) - seen(lens, PLACES_MM)
             misses[given is not None].append(float(np.square(off_px).mean()))
@@ -88,14 +88,16 @@ def test_a_fit_through_two_thousand_nodes_and_marks_takes_memory_in_proportion()
     lens = make_lens(FRONT_FOCAL_MM, mirrored=True, rng=rng)
     nodes_mm = np.array(Grid(2.8, 50, 40).nodes_mm())
     nodes_px = seen(lens, nodes_mm) + rng.normal(0, 0.03, nodes_mm.shape)
-    marks = Marks(nodes_px, nodes_mm + rng.normal(0, 0.003, nodes_mm.shape), 0.003)
+    fiducials = Fiducials(nodes_px, nodes_mm + rng.normal(0, 0.003, nodes_mm.shape), 0.003)
     tracemalloc.start()
     try:
-        fit = fit_lens_map(nodes_mm, nodes_px, convex_hull_mm(nodes_mm), (WIDTH_PX, HEIGHT_PX), marks=marks)
+        fit = fit_lens_map(
+            nodes_mm, nodes_px, convex_hull_mm(nodes_mm), (WIDTH_PX, HEIGHT_PX), fiducials=fiducials
+        )
         assert tracemalloc.get_traced_memory()[1] < 30e6
     finally:
         tracemalloc.stop()
-    assert 0 < fit.bound < fit.parameters == 13
-    assert fit.left_out_px == pytest.approx(0.03, rel=0.05)
+    assert 0 < fit.effective_parameters < fit.parameters == 13
+    assert fit.leave_one_out_px == pytest.approx(0.03, rel=0.05)
     dense_mm = fit.map.dense_mm()
     assert np.abs(fit.map.to_px(dense_mm) - seen(lens, dense_mm)).max() < 0.02

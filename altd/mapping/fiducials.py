@@ -1,4 +1,4 @@
-"""Marks of a regular print: they tell how a camera bends the plane, though not where in it they are."""
+"""The dots of a regular print: they tell how a camera bends the plane, though not where in it they are."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
-from altd.mapping.camera import Camera
+from altd.mapping.camera_model import Camera
 from altd.mapping.differences import jacobian_px_per_mm
 from altd.records import FloatArray
 
-_NEWTON_STEPS = 3
+_NEWTON_ITERATIONS = 3
 _DIFFERENCE_MM = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Marks:
+class Fiducials:
     """Places seen at ``px`` (n, 2) whose coordinates on a regular print are ``regular_mm`` (n, 2).
 
     The regular coordinates are those of the plane but for an affine map, which nobody knows: print lies
@@ -28,12 +28,12 @@ class Marks:
     sigma_mm: float
 
     def misfit(self, camera: Camera) -> tuple[FloatArray, FloatArray]:
-        """What no affine map explains of where the camera sees the marks, and its slopes by the parameters.
+        """What no affine map explains of where the camera sees them, and its slopes by the parameters.
 
-        (2 n,) and (2 n, m), both in units of sigma; x of all marks, then y.
+        (2 n,) and (2 n, m), both in units of sigma; x of all, then y.
         """
         mm = self.regular_mm
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_NEWTON_ITERATIONS):
             mm = mm + self._unprojected(camera, mm, (self.px - camera.to_px(mm))[:, :, None])[:, :, 0]
         by_parameters = camera.jacobian(mm).reshape(len(mm), 2, -1)
         moves = -self._unprojected(camera, mm, by_parameters)

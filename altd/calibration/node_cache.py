@@ -1,4 +1,4 @@
-"""What is made from the frames of a scan and gone through more than once, in bounded memory."""
+"""What is computed from a scan's frames and needed more than once, kept in bounded memory."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Generic, TypeVar
 
 Item = TypeVar("Item")
 
-KEPT_BYTES = 96 << 20
+MAX_KEPT_BYTES = 96 << 20
 """What 2,000 ordinary nodes take, 45 kB each. Of more nodes, or larger spots, the rest is made anew each time
 it is asked for, from its frame: that takes time, not memory."""
 
 
-class Again(Generic[Item]):
+class NodeCache(Generic[Item]):
     """An item a node, where a node yields one; ``nodes`` are the numbers of those that do."""
 
     def __init__(
@@ -20,7 +20,7 @@ class Again(Generic[Item]):
         nodes: int,
         make: Callable[[int], Item | None],
         bytes_of: Callable[[Item], int],
-        kept_bytes: int = KEPT_BYTES,
+        kept_bytes: int = MAX_KEPT_BYTES,
     ) -> None:
         """``make`` gives the item of a node by its number, the same each time it is called."""
         self.nodes: list[int] = []

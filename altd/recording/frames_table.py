@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from altd.errors import BadInputError
-from altd.files.steady import SteadyFile
+from altd.files.unchanged import UnchangedFile
 
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
@@ -21,7 +21,7 @@ MAX_SEQUENCE = 2**53
 """Whole numbers up to here are exact as floats, thus in every JSON reader."""
 MAX_POSITION_MM = 10_000.0
 
-_LARGEST_BYTES = 1 << 28
+_MAX_BYTES = 1 << 28
 """A day of two cameras at 20 a second takes 210 MB."""
 
 
@@ -46,7 +46,7 @@ class Rows:
     memory than a second; that raises BadInputError when the table is not any more what was checked.
     """
 
-    table: SteadyFile
+    table: UnchangedFile
     count: Mapping[str, int]
     """How many each camera has, 0 included."""
     first: Row
@@ -56,7 +56,7 @@ class Rows:
     @classmethod
     def checked(cls, path: Path, cameras: Collection[str], look: Callable[[Row], None]) -> Self:
         """Read all rows of the cameras and ``look`` at each, which may raise BadInputError like this."""
-        table = SteadyFile(path, _LARGEST_BYTES)
+        table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
         largest_sequence = 0
         first = last = None
@@ -84,7 +84,7 @@ class Rows:
         return f"{self.table.path}: row {row.number}"
 
 
-def _read_rows(table: SteadyFile, cameras: Collection[str]) -> Iterator[Row]:
+def _read_rows(table: UnchangedFile, cameras: Collection[str]) -> Iterator[Row]:
     path = table.path
     try:
         reader = csv.DictReader(table.lines(), strict=True)

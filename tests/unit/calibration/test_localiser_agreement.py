@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.calibration.agreement import Agreement, agreement, verdict
+from altd.calibration.localiser_agreement import Agreement, localiser_agreement, verdict
 from altd.records import Frame
 from altd.vision.flat import Flat
 from altd.vision.settings import SpotSettings
@@ -35,7 +35,7 @@ def frames(response: np.ndarray | float, *, ghosts: bool = False) -> list[Frame]
 
 
 def both(pictures: list[Frame], flat: Flat | None = None) -> Agreement:
-    found = agreement(pictures, SETTINGS, flat)
+    found = localiser_agreement(pictures, SETTINGS, flat)
     assert found is not None
     assert found.nodes == len(PLACES)
     return found
@@ -44,17 +44,17 @@ def both(pictures: list[Frame], flat: Flat | None = None) -> Agreement:
 def test_on_a_clean_target_they_agree_as_noise_lets_them() -> None:
     clean = both(frames(1.0))
     assert 0.2 * clean.sigma_px < clean.scatter_px < clean.sigma_px < 0.02
-    assert clean.apart_px == pytest.approx(clean.scatter_px, rel=0.25)
+    assert clean.difference_px == pytest.approx(clean.scatter_px, rel=0.25)
     told = verdict("rear", "profile", clean, 0.0)
     assert told.doubt is None
     assert told.remark.startswith("rear: profile and ellipse lie 0.0")
-    assert f"bound {clean.bound_px(0.0):.3f} px" in told.remark
+    assert f"bound {clean.limit_px(0.0):.3f} px" in told.remark
 
 
 def test_through_the_right_flat_they_agree_through_another_ones_they_do_not() -> None:
     pictures = frames(surface(2))
     right = both(pictures, Flat.of(surface(2), "recording"))
-    assert right.scatter_px < right.bound_px(0.0) / 2
+    assert right.scatter_px < right.limit_px(0.0) / 2
     wrong = verdict("front", "profile", both(pictures, Flat.of(surface(3), "recording")), 0.0)
     assert wrong.doubt is not None
     assert "\n" not in wrong.doubt
@@ -67,7 +67,7 @@ def test_a_reflection_that_wanders_about_the_spots_is_doubted() -> None:
 
 def test_grain_without_a_flat_is_excused_by_the_pattern_and_print_by_itself() -> None:
     grainy = both(frames(surface(2)))
-    assert grainy.scatter_px > grainy.bound_px(0.0)
+    assert grainy.scatter_px > grainy.limit_px(0.0)
     assert verdict("rear", "profile", grainy, 0.0).doubt is not None
     assert verdict("rear", "profile", grainy, grainy.scatter_px).doubt is None
     printed = verdict("front", "moment", grainy, None)
@@ -83,13 +83,13 @@ def test_what_changes_evenly_over_the_target_is_not_scatter() -> None:
         for u, v in PLACES
     ]
     shifted = both(pictures)
-    assert shifted.apart_px > 0.1
-    assert shifted.scatter_px < shifted.bound_px(0.0)
+    assert shifted.difference_px > 0.1
+    assert shifted.scatter_px < shifted.limit_px(0.0)
 
 
 def test_too_few_spots_are_said_to_be_too_few() -> None:
     dark = [frame(np.zeros((HEIGHT, WIDTH)))] * 20
-    nothing = agreement([*frames(1.0)[:5], *dark], SETTINGS, None)
+    nothing = localiser_agreement([*frames(1.0)[:5], *dark], SETTINGS, None)
     assert nothing is None
     assert verdict("rear", "profile", nothing, 0.0).remark == (
         "rear: the ellipse found too few spots to be held against the profile"
