@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 import pytest
 from support.lenses import TABLE_3_2, LensKind, make_lens
+from support.plates import View, tilted
 
+from altd.mapping.camera_model import Camera, Optics
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
 from altd.mapping.tensor_map import Fit, fit_tensor_map
@@ -131,3 +133,61 @@ def test_nodes_that_cannot_carry_a_lens_are_refused() -> None:
     line = np.column_stack([np.linspace(-60, 60, 20), np.zeros(20)])
     with pytest.raises(ValueError, match="the nodes lie on a line"):
         fit_lens_map(line, camera(line), convex_hull_mm(NODES), SIZE)
+
+
+def by_opencv(optics: Optics, p: np.ndarray, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where OpenCV projects the points with a camera's parameters, and its derivatives, by formula."""
+    width, height = SIZE
+    focal_px = 1.4 * width * np.exp(p[6])
+    middle = np.array([(width - 1) / 2, (height - 1) / 2]) + width * p[7:9]
+    matrix = np.array([[focal_px, 0, middle[0]], [0, focal_px, middle[1]], [0, 0, 1]])
+    space = np.column_stack([points_mm[:, 0], -points_mm[:, 1], np.zeros(len(points_mm))])[:, None, :]
+    move = np.array([p[3], p[4], focal_px / np.exp(p[5])])
+    if optics == "brown":
+        px, slopes = cv2.projectPoints(space, p[:3].copy(), move, matrix, p[9:].copy())
+        turned, moved, focal, centre, bent = np.split(slopes[:, :14], [3, 6, 8, 10], axis=1)
+    else:
+        px, slopes = cv2.fisheye.projectPoints(
+            space, p[:3].copy(), move, matrix, np.array([*p[9:], 0.0, 0.0])
+        )
+        focal, centre, bent, turned, moved = np.split(slopes[:, :14], [2, 4, 8, 11], axis=1)
+    away = move[2] * moved[:, 2:]
+    nearer = focal_px * focal.sum(axis=1, keepdims=True) + away
+    columns = [turned, moved[:, :2], -away, nearer, width * centre, bent[:, : len(p) - 9]]
+    return px.reshape(-1, 2), np.hstack(columns)
+
+
+@pytest.mark.parametrize("optics", ["brown", "fisheye"])
+def test_projection_and_derivatives_are_opencvs(optics: Optics) -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        bent = rng.normal(0, (0.2, 0.05, 3e-4, 3e-4)[: 4 if optics == "brown" else 2])
+        pose = [*rng.normal(0, 0.2, 3), *rng.normal(0, 5, 2), np.log(4.4) + rng.normal(0, 0.1)]
+        parameters = np.array([*pose, *rng.normal(0, 0.05, 3), *bent])
+        mine = Camera(optics, parameters, False, *SIZE)
+        px, slopes = by_opencv(optics, parameters, NODES)
+        assert np.abs(mine.to_px(NODES) - px).max() < 1e-11
+        assert mine.jacobian(NODES) == pytest.approx(slopes, rel=1e-5, abs=1e-6 * np.abs(slopes).max())
+
+
+def test_weak_priors_make_a_fit_better_than_opencvs_own_from_the_same_start() -> None:
+    """One picture of a plane hardly tells tilt from principal point; truth and rival are OpenCV's."""
+    rng = np.random.default_rng(9)
+    points, ratios = inside(200, rng), []
+    for _ in range(30):
+        middle = (375.5 + rng.normal(0, 8), 239.5 + rng.normal(0, 8))
+        brown = (rng.uniform(-0.3, -0.1), rng.uniform(0, 0.1), *rng.normal(0, 3e-4, 2), 0.0)
+        turn = tilted(rng.uniform(0, 30), rng.uniform(0, 6.28), rng.uniform(-3, 3))
+        view = View(rng.uniform(900, 1350), rng.uniform(340, 420), turn, brown, middle_px=middle)
+        seen_px = view.to_px(NODES) + rng.normal(0, 0.04, NODES.shape)
+        face = np.column_stack([NODES[:, 0], -NODES[:, 1], np.zeros(len(NODES))]).astype(np.float32)
+        start = np.array([[1.4 * SIZE[0], 0, 375.5], [0, 1.4 * SIZE[0], 239.5], [0, 0, 1.0]])
+        flags = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
+        given = [face], [seen_px.astype(np.float32)[:, None, :]], SIZE, start, None
+        _, matrix, distortion, turns, moves = cv2.calibrateCamera(*given, flags=flags)
+        space = np.column_stack([points[:, 0], -points[:, 1], np.zeros(len(points))])
+        rival_px = cv2.projectPoints(space, turns[0], moves[0], matrix, distortion)[0].reshape(-1, 2)
+        true_px = view.to_px(points)
+        rms = [np.sqrt(np.mean((px - true_px) ** 2)) for px in (fit(seen_px).map.to_px(points), rival_px)]
+        ratios.append(rms[0] / rms[1])
+    assert np.mean(ratios) < 0.95
