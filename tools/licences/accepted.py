@@ -43,13 +43,13 @@ reason that holds for that one.
 class Stated:
     """The licence of a package whose metadata do not give it as an SPDX expression.
 
-    ``says`` is what they say, as ``Package.says`` puts it: a release that says something else is read again.
-    ``requires`` is what it needs; asked for only where the package is not installed.
+    ``declared`` is what they say, as ``Package.declared`` has it: a release that says something else is read
+    again. ``requires`` is what it needs; asked for only where the package is not installed.
     """
 
-    says: str
+    declared: str
     licence: str
-    why: str
+    reason: str
     requires: tuple[str, ...] = ()
 
 
@@ -58,7 +58,7 @@ class Position:
     """Why a package under a licence that asks for more than notices is used all the same."""
 
     licences: frozenset[str]
-    why: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +66,8 @@ class Part:
     """Something of another licence that the wheel of a package brings along, or that its metadata name.
 
     ``files`` are patterns of paths below ``site-packages``; ``component`` is its name in the metadata (a list
-    of parts in CycloneDX, or ``Name:`` in a licence file). ``why`` it goes, where its licence alone does not
-    say so. What ``is_there`` false has is named in the metadata only: the wheel does not have it.
+    of parts in CycloneDX, or ``Name:`` in a licence file). ``reason``: why it is accepted, where its licence
+    alone is not enough. What is not ``is_bundled`` is named in the metadata only, the wheel does not have it.
     """
 
     package: str
@@ -75,8 +75,8 @@ class Part:
     licence: str
     files: tuple[str, ...] = ()
     component: str = ""
-    why: str = ""
-    is_there: bool = True
+    reason: str = ""
+    is_bundled: bool = True
 
 
 PURPOSES = {
@@ -153,7 +153,7 @@ PARTS = (
         "GPL-3.0-or-later WITH GCC-exception-3.1",
         ("numpy.libs/libgfortran*",),
         "GCC runtime library",
-        why=_EXCEPTION,
+        reason=_EXCEPTION,
     ),
     Part(
         "numpy",
@@ -161,7 +161,7 @@ PARTS = (
         "LGPL-2.1-or-later",
         ("numpy.libs/libquadmath*",),
         "libquadmath",
-        why=_OWN_FILE,
+        reason=_OWN_FILE,
     ),
     Part(
         "opencv-python-headless",
@@ -169,7 +169,7 @@ PARTS = (
         "LGPL-2.1-or-later",
         tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("avcodec", "avformat", "avutil"))
         + tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("swresample", "swscale")),
-        why=f"{_OWN_FILE}; built without its GPL parts; altd reads no films",
+        reason=f"{_OWN_FILE}; built without its GPL parts; altd reads no films",
     ),
     Part("opencv-python-headless", "OpenBLAS", "BSD-3-Clause", ("opencv_python_headless.libs/libopenblas*",)),
     Part(
@@ -177,21 +177,21 @@ PARTS = (
         "libgfortran",
         "GPL-3.0-or-later WITH GCC-exception-3.1",
         ("opencv_python_headless.libs/libgfortran*",),
-        why=_EXCEPTION,
+        reason=_EXCEPTION,
     ),
     Part(
         "opencv-python-headless",
         "libquadmath",
         "LGPL-2.1-or-later",
         ("opencv_python_headless.libs/libquadmath*",),
-        why=_OWN_FILE,
+        reason=_OWN_FILE,
     ),
     Part(
         "opencv-python-headless",
         "OpenSSL 1.1.1",
         "OpenSSL",
         ("opencv_python_headless.libs/libcrypto-*", "opencv_python_headless.libs/libssl-*"),
-        why="FFmpeg's alone",
+        reason="FFmpeg's alone",
     ),
     Part("opencv-python-headless", "libaom", "BSD-2-Clause", ("opencv_python_headless.libs/libaom-*",)),
     Part("opencv-python-headless", "libavif", "BSD-2-Clause", ("opencv_python_headless.libs/libavif-*",)),
@@ -203,14 +203,14 @@ PARTS = (
         "BaKoMa fonts",
         "LicenseRef-BaKoMa",
         component="BaKoMa Fonts",
-        why="may be passed on with its notice",
+        reason="may be passed on with its notice",
     ),
     Part(
         "matplotlib",
         "Yorick colour maps",
         "LicenseRef-Yorick",
         component="Yorick Colormaps",
-        why="BSD in its own words",
+        reason="BSD in its own words",
     ),
     Part("pillow", "brotli", "MIT", ("pillow.libs/libbrotli*",)),
     Part("pillow", "FreeType", "FTL", ("pillow.libs/libfreetype-*",), "FreeType"),
@@ -219,8 +219,8 @@ PARTS = (
         "FriBiDi",
         "LGPL-2.1-or-later",
         component="FriBiDi",
-        why="not in its wheel; used where the computer has it, for text that altd does not write",
-        is_there=False,
+        reason="not in its wheel; used where the computer has it, for text that altd does not write",
+        is_bundled=False,
     ),
     Part("pillow", "HarfBuzz", "MIT-Modern-Variant", ("pillow.libs/libharfbuzz-*",)),
     Part("pillow", "libavif", "BSD-2-Clause", ("pillow.libs/libavif-*",), "libavif"),
@@ -229,8 +229,8 @@ PARTS = (
         "libimagequant",
         "GPL-3.0-or-later",
         component="libimagequant",
-        why="not in its wheel, which is built without it",
-        is_there=False,
+        reason="not in its wheel, which is built without it",
+        is_bundled=False,
     ),
     Part("pillow", "libjpeg-turbo", "IJG AND BSD-3-Clause", ("pillow.libs/libjpeg-*",)),
     Part("pillow", "liblzma", "0BSD", ("pillow.libs/liblzma-*",)),

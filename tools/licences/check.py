@@ -8,7 +8,7 @@ from fnmatch import fnmatch
 
 from tools.licences.accepted import ACCEPTED, PARTS, POSITIONS, PURPOSES, STATED, TEXTS
 from tools.licences.installed import Component, Package
-from tools.licences.spdx import canonical, goes, is_own_text, names
+from tools.licences.spdx import canonical, is_accepted, is_own_text, names
 
 _CLASSIFIERS = {
     "Apache Software License": {"Apache-2.0"},
@@ -29,39 +29,39 @@ def licence_of(package: Package) -> str | None:
     """
     if package.name in STATED:
         stated = STATED[package.name]
-        return stated.licence if package.says == stated.says else None
-    said = canonical(package.expression or package.line or "")
-    if said is None and not package.expression and not package.line and len(package.classifiers) == 1:
-        said = next((next(iter(_CLASSIFIERS[one])) for one in package.classifiers if one in _EXACT), None)
-    if said is None:
+        return stated.licence if package.declared == stated.declared else None
+    declared = canonical(package.expression or package.line or "")
+    if declared is None and not package.expression and not package.line and len(package.classifiers) == 1:
+        declared = next((next(iter(_CLASSIFIERS[one])) for one in package.classifiers if one in _EXACT), None)
+    if declared is None:
         return None
-    fits = all(_CLASSIFIERS.get(one, set()) & names(said) for one in package.classifiers)
-    return said if fits else None
+    fits = all(_CLASSIFIERS.get(one, set()) & names(declared) for one in package.classifiers)
+    return declared if fits else None
 
 
 def faults(packages: Iterable[Package]) -> Iterator[str]:
     """One line for each thing that is wrong."""
     for package in packages:
-        yield from _own(package)
+        yield from _licence_faults(package)
         if package.is_installed:
-            yield from _brought_along(package)
-            yield from _out_of_date(package)
+            yield from _bundled_faults(package)
+            yield from _outdated_faults(package)
 
 
-def _own(package: Package) -> Iterator[str]:
+def _licence_faults(package: Package) -> Iterator[str]:
     named = f"{package.name} {package.version}"
     licence = licence_of(package)
     if licence is None and package.name in STATED:
-        yield f"{named} says {package.says!r}, no longer {STATED[package.name].says!r}: read it again"
+        yield f"{named} says {package.declared!r}, no longer {STATED[package.name].declared!r}: read it again"
     elif licence is None:
-        yield f"{named} does not say its licence as one SPDX expression: {package.says or 'nothing'!r}"
-    elif not goes(licence, _accepted_for(package.name)):
-        yield f"{named} is {licence}, which does not go with Apache-2.0 (needed by {_by(package)})"
+        yield f"{named} does not say its licence as one SPDX expression: {package.declared or 'nothing'!r}"
+    elif not is_accepted(licence, _accepted_for(package.name)):
+        yield f"{named} is {licence}, which does not go with Apache-2.0 (needed by {_dependents(package)})"
     if "altd" in package.needed_by and package.name not in PURPOSES:
         yield f"{named}: nothing says what altd needs it for"
 
 
-def _by(package: Package) -> str:
+def _dependents(package: Package) -> str:
     return ", ".join(sorted(package.needed_by))
 
 
@@ -69,38 +69,38 @@ def _accepted_for(name: str) -> frozenset[str]:
     return ACCEPTED | (POSITIONS[name].licences if name in POSITIONS else frozenset())
 
 
-def _brought_along(package: Package) -> Iterator[str]:
+def _bundled_faults(package: Package) -> Iterator[str]:
     parts = [part for part in PARTS if part.package == package.name]
     for part in parts:
-        if not part.why and not goes(part.licence, ACCEPTED):
+        if not part.reason and not is_accepted(part.licence, ACCEPTED):
             yield f"{package.name} brings {part.name} along, {part.licence}: nothing says why that goes"
     for library in package.libraries:
         if not any(fnmatch(library, pattern) for part in parts for pattern in part.files):
             yield f"{package.name} {package.version} brings {library} along, whose licence nobody has read"
     known = {part.component: part.licence for part in parts if part.component}
     for component in package.components:
-        yield from _component(package, component, known)
+        yield from _component_faults(package, component, known)
     for kind in sorted(package.texts):
         if (package.name, kind) not in TEXTS:
             yield f"{package.name} {package.version} has a whole licence text, {kind}, whose nobody knows"
 
 
-def _component(package: Package, component: Component, known: dict[str, str]) -> Iterator[str]:
+def _component_faults(package: Package, component: Component, known: dict[str, str]) -> Iterator[str]:
     named = f"{component.name} in {package.name} {package.version}"
     if component.name not in known:
-        if not goes(component.licence, ACCEPTED):
+        if not is_accepted(component.licence, ACCEPTED):
             licence = component.licence or "of no stated licence"
             yield f"{named} is {licence}, which does not go with Apache-2.0"
-    elif not _is(known[component.name], component.licence):
+    elif not _is_same_licence(known[component.name], component.licence):
         yield f"{named} is {component.licence}, no longer {known[component.name]}: read it again"
 
 
-def _is(known: str, said: str) -> bool:
+def _is_same_licence(known: str, declared: str) -> bool:
     """Whether it is the licence it was, where SPDX has a name for it."""
-    return is_own_text(known) or canonical(said) == known
+    return is_own_text(known) or canonical(declared) == known
 
 
-def _out_of_date(package: Package) -> Iterator[str]:
+def _outdated_faults(package: Package) -> Iterator[str]:
     """What is said of a package and is no longer so, by the wheels for x86_64."""
     if platform.machine() != "x86_64":
         return

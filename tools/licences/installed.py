@@ -17,9 +17,9 @@ from packaging.utils import canonicalize_name
 from tools.licences.accepted import STATED
 
 LOCKS = ("requirements.lock", "aravis.lock")
-_NOT_RUN = ("peers", "test")
+_DEVELOPMENT_EXTRAS = ("peers", "test")
 """Extras of ``pyproject.toml`` that work on altd needs, and a unit does not."""
-_LOCKED_FOR = {
+_LOCK_ENVIRONMENT = {
     "implementation_name": "cpython",
     "os_name": "posix",
     "platform_machine": "x86_64",
@@ -31,7 +31,7 @@ _LOCKED_FOR = {
 }
 """What the locks are resolved for: the same answer on every machine."""
 _CLASSIFIER = re.compile(r"License :: (?:OSI Approved :: )?(.+)")
-_LICENCE_FILE = re.compile(
+_LICENCE_FILE_PATH = re.compile(
     r".*/[^/]*(licen[cs]e|copying|notice)[^/]*(?<!\.py)(?<!\.pyc)|[^/]+\.dist-info/licenses/.+", re.IGNORECASE
 )
 _TEXTS = {
@@ -76,10 +76,10 @@ class Package:
     needed_by: set[str] = field(default_factory=set)
 
     @property
-    def says(self) -> str:
-        """Its licence in its own words, in one line."""
-        said = [part for part in (self.expression, self.line) if part]
-        return "; ".join([*said, *self.classifiers])
+    def declared(self) -> str:
+        """Its licence as its metadata declare it, in one line."""
+        declared = [part for part in (self.expression, self.line) if part]
+        return "; ".join([*declared, *self.classifiers])
 
 
 class NotAsLockedError(Exception):
@@ -95,7 +95,7 @@ def run_time_packages(project: Path) -> list[Package]:
     extras = about.get("optional-dependencies", {})
     lines = [
         *about["dependencies"],
-        *(line for name in extras if name not in _NOT_RUN for line in extras[name]),
+        *(line for name in extras if name not in _DEVELOPMENT_EXTRAS for line in extras[name]),
     ]
     locked = {name: dict(_versions(project / name)) for name in LOCKS}
     found: dict[str, Package] = {}
@@ -115,7 +115,7 @@ def run_time_packages(project: Path) -> list[Package]:
 def _applies(requirement: Requirement, extras: set[str]) -> bool:
     if requirement.marker is None:
         return True
-    return any(requirement.marker.evaluate({**_LOCKED_FOR, "extra": extra}) for extra in ("", *extras))
+    return any(requirement.marker.evaluate({**_LOCK_ENVIRONMENT, "extra": extra}) for extra in ("", *extras))
 
 
 def _versions(lock: Path) -> Iterator[tuple[str, str]]:
@@ -132,7 +132,7 @@ def _locked_package(name: str, locked: dict[str, dict[str, str]]) -> Package:
         if name in locked["requirements.lock"] or name not in STATED:  # those of aravis.lock must be compiled
             raise NotAsLockedError(f"{name} {version} is not installed: make venv") from None
         requires = tuple(map(Requirement, STATED[name].requires))
-        return Package(name, version, line=STATED[name].says, requires=requires, is_installed=False)
+        return Package(name, version, line=STATED[name].declared, requires=requires, is_installed=False)
     if package.version != version:
         raise NotAsLockedError(f"{name} {package.version} is installed, the lock has {version}: make venv")
     return package
@@ -141,13 +141,13 @@ def _locked_package(name: str, locked: dict[str, dict[str, str]]) -> Package:
 def _package(name: str, installed: Distribution) -> Package:
     about = installed.metadata
     classifiers = [_CLASSIFIER.fullmatch(line) for line in about.get_all("Classifier") or ()]
-    licence = (_one(about, "License") or "").strip().splitlines()
+    licence = (_first(about, "License") or "").strip().splitlines()
     files = [str(path) for path in installed.files or ()]
-    texts = [_text(installed, path) for path in files if _LICENCE_FILE.fullmatch(path)]
+    texts = [_text(installed, path) for path in files if _LICENCE_FILE_PATH.fullmatch(path)]
     return Package(
         name,
         installed.version,
-        expression=_one(about, "License-Expression"),
+        expression=_first(about, "License-Expression"),
         line=f"{licence[0].strip()} …" if len(licence) > 1 else next(iter(licence), None),
         classifiers=tuple(match[1] for match in classifiers if match),
         requires=tuple(map(Requirement, installed.requires or ())),
@@ -160,7 +160,7 @@ def _package(name: str, installed: Distribution) -> Package:
     )
 
 
-def _one(about: PackageMetadata, key: str) -> str | None:
+def _first(about: PackageMetadata, key: str) -> str | None:
     return next(iter(about.get_all(key) or ()), None)
 
 

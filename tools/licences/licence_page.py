@@ -9,7 +9,7 @@ from pathlib import Path
 from tools.licences.accepted import ACCEPTED, PARTS, POSITIONS, PURPOSES, STATED, Part
 from tools.licences.check import licence_of
 from tools.licences.installed import NotAsLockedError, Package, run_time_packages
-from tools.licences.spdx import canonical, goes, is_own_text
+from tools.licences.spdx import canonical, is_accepted, is_own_text
 from tools.markdown import wrapped
 
 
@@ -35,7 +35,7 @@ Compiled libraries in the packages' wheels on PyPI (for x86_64), and parts that 
 lists name many small parts more, such as the Rust crates in pydantic-core; `make check` reads these too: they
 ask for their notices alone.
 
-{_table(("package", "part", "licence", "note"), (_part_row(part) for part in parts if part.is_there))}
+{_table(("package", "part", "licence", "note"), (_part_row(part) for part in parts if part.is_bundled))}
 ## Licences that ask for more than notices
 
 {_bullets(packages, parts)}
@@ -71,25 +71,25 @@ def _purpose(package: Package) -> str:
 
 def _part_row(part: Part) -> tuple[str, ...]:
     licence = "its own" if is_own_text(part.licence) else part.licence
-    return part.package, part.name, licence, part.why
+    return part.package, part.name, licence, part.reason
 
 
 def _bullets(packages: list[Package], parts: list[Part]) -> str:
-    whys: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for package in packages:
         if package.name in POSITIONS:
-            whys.setdefault(POSITIONS[package.name].why, []).append(package.name)
+            by_reason.setdefault(POSITIONS[package.name].reason, []).append(package.name)
     for part in parts:
-        if not goes(part.licence, ACCEPTED) and not is_own_text(part.licence):
-            whys.setdefault(part.why, []).append(f"{part.name} in {part.package}")
-    return wrapped("".join(f"- **{', '.join(who)}**: {why}.\n" for why, who in whys.items()))
+        if not is_accepted(part.licence, ACCEPTED) and not is_own_text(part.licence):
+            by_reason.setdefault(part.reason, []).append(f"{part.name} in {part.package}")
+    return wrapped("".join(f"- **{', '.join(who)}**: {reason}.\n" for reason, who in by_reason.items()))
 
 
 def _read_by_hand(versions: dict[str, str]) -> list[tuple[str, ...]]:
     return [
-        (name, stated.licence, stated.why)
+        (name, stated.licence, stated.reason)
         for name, stated in STATED.items()
-        if name in versions and canonical(stated.says) != stated.licence
+        if name in versions and canonical(stated.declared) != stated.licence
     ]
 
 

@@ -16,12 +16,12 @@ def canonical(text: str) -> str | None:
         return None
 
 
-def goes(expression: str, accepted: Container[str]) -> bool:
+def is_accepted(expression: str, accepted: Container[str]) -> bool:
     """Whether accepted licences fulfil it: each part of an AND, one of an OR. False where it is none."""
     spelled = canonical(expression)
     if spelled is None:
         return False
-    return _one_of(re.findall(r"[()]|[^\s()]+", spelled)[::-1], accepted)
+    return _any_of(re.findall(r"[()]|[^\s()]+", spelled)[::-1], accepted)
 
 
 def is_own_text(expression: str) -> bool:
@@ -36,7 +36,7 @@ def names(expression: str) -> set[str]:
     return {word.replace("_WITH_", " WITH ") for word in words}
 
 
-def _one_of(words: list[str], accepted: Container[str]) -> bool:
+def _any_of(words: list[str], accepted: Container[str]) -> bool:
     """The words, of which the next is the last, up to a bracket's end; AND binds more strongly than OR."""
     goes_with = _all_of(words, accepted)
     while words and words[-1] == "OR":
@@ -46,17 +46,17 @@ def _one_of(words: list[str], accepted: Container[str]) -> bool:
 
 
 def _all_of(words: list[str], accepted: Container[str]) -> bool:
-    goes_with = _single(words, accepted)
+    goes_with = _single_licence(words, accepted)
     while words and words[-1] == "AND":
         words.pop()
-        goes_with = _single(words, accepted) and goes_with
+        goes_with = _single_licence(words, accepted) and goes_with
     return goes_with
 
 
-def _single(words: list[str], accepted: Container[str]) -> bool:
+def _single_licence(words: list[str], accepted: Container[str]) -> bool:
     word = words.pop()
     if word == "(":
-        goes_with = _one_of(words, accepted)
+        goes_with = _any_of(words, accepted)
         words.pop()
         return goes_with
     if words and words[-1] == "WITH":

@@ -13,12 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tools.pictures.browser import photograph
-from tools.pictures.film import Shot, film
+from tools.pictures.animation import Still, animated_svg
+from tools.pictures.browser import screenshot
 from tools.pictures.terminal import Terminal, terminal
 
 _COLUMNS, _ROWS = 84, 14
-_SHOWN_S = 0.5
+_STILL_S = 0.5
 _FOLDER = Path("docs")
 _TITLE = (
     "make demo: measured x, y, yaw and pitch beside the truth; the beam is blocked, the measurement is not "
@@ -32,25 +32,25 @@ def main() -> int:
         tempfile.TemporaryDirectory(prefix="altd-pictures-") as folder,
         terminal(f"{sys.executable} -m hw_sim demo", _COLUMNS, 32) as demo,
     ):
-        demo.await_text("VALID, mean of 20", within_s=180.0)
-        shots = list(_story(demo))
-        (_FOLDER / "demo.svg").write_text(film(shots, _COLUMNS, _ROWS, _TITLE))
+        demo.await_text("VALID, mean of 20", timeout_s=180.0)
+        stills = list(_record_demo(demo))
+        (_FOLDER / "demo.svg").write_text(animated_svg(stills, _COLUMNS, _ROWS, _TITLE))
         (address,) = re.findall(r"http://127\.0\.0\.1:\d+/", demo.text().split("browser")[1].split("\n")[0])
-        photograph(address, _FOLDER / "page.png", Path(folder, "browser"), 560, 480, after_s=4.0)
+        screenshot(address, _FOLDER / "page.png", Path(folder, "browser"), 560, 480, after_s=4.0)
         demo.press("q")
         _draw_report(Path(folder), _FOLDER / "report.png")
     return 0
 
 
-def _story(demo: Terminal) -> Iterator[Shot]:
+def _record_demo(demo: Terminal) -> Iterator[Still]:
     """The beam moves, is blocked, and is back."""
     for key, seconds in (("", 5.0), ("b", 4.0), ("c", 7.0)):
         if key:
             demo.press(key)
-        for _ in range(round(seconds / _SHOWN_S)):
+        for _ in range(round(seconds / _STILL_S)):
             began_s = time.monotonic()
-            yield Shot(demo.screen()[:_ROWS], _SHOWN_S)
-            time.sleep(max(began_s + _SHOWN_S - time.monotonic(), 0.0))
+            yield Still(demo.screen()[:_ROWS], _STILL_S)
+            time.sleep(max(began_s + _STILL_S - time.monotonic(), 0.0))
 
 
 def _draw_report(folder: Path, picture: Path) -> None:

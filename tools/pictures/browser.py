@@ -1,4 +1,4 @@
-"""A picture of a page in Chromium, told over its DevTools pipe: the page may go on loading, as a stream."""
+"""A screenshot of a page in Chromium over its DevTools pipe: the page may go on loading, as a stream."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COMMANDS_FD, _ANSWERS_FD = 3, 4
 """Where Chromium's ``--remote-debugging-pipe`` reads and writes, JSON that ends in NUL."""
 
 
-def photograph(address: str, picture: Path, profile: Path, width: int, height: int, after_s: float) -> None:
+def screenshot(address: str, picture: Path, profile: Path, width: int, height: int, after_s: float) -> None:
     """Write a PNG of the page some seconds after it was opened; ``width`` and ``height`` in CSS px.
 
     ``profile`` is a folder for the browser. Raises RuntimeError when the browser does not do its part.
@@ -29,8 +29,8 @@ def photograph(address: str, picture: Path, profile: Path, width: int, height: i
         browser.call("Emulation.setDeviceMetricsOverride", session, **size)
         browser.call("Page.navigate", session, url=address)
         time.sleep(after_s)
-        shot = browser.call("Page.captureScreenshot", session, format="png")
-        picture.write_bytes(base64.b64decode(shot["data"]))
+        still = browser.call("Page.captureScreenshot", session, format="png")
+        picture.write_bytes(base64.b64decode(still["data"]))
 
 
 class _Browser:

@@ -43,11 +43,11 @@ class Terminal:
 
     def screen(self) -> Screen:
         """The same with its looks."""
-        return parsed(self._tmux("capture-pane", "-p", "-e"))
+        return parse_screen(self._tmux("capture-pane", "-p", "-e"))
 
-    def await_text(self, wanted: str, within_s: float) -> None:
+    def await_text(self, wanted: str, timeout_s: float) -> None:
         """Wait until the screen shows it; raises TimeoutError with what it shows instead."""
-        deadline_s = time.monotonic() + within_s
+        deadline_s = time.monotonic() + timeout_s
         while wanted not in (shown := self.text()):
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"{wanted!r} is not on the screen:\n{shown}")
@@ -77,7 +77,7 @@ def terminal(command: str, columns: int, rows: int) -> Iterator[Terminal]:
             tmux(socket, "kill-server")
 
 
-def parsed(text: str) -> Screen:
+def parse_screen(text: str) -> Screen:
     """Lines of text with control sequences SGR between the letters, and no others."""
     lines, style = [], frozenset[str]()
     for line in text.split("\n"):

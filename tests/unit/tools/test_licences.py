@@ -19,7 +19,7 @@ from tools.licences import installed
 from tools.licences.check import faults
 from tools.licences.installed import Component, NotAsLockedError, run_time_packages
 from tools.licences.licence_page import page
-from tools.licences.spdx import canonical, goes, names
+from tools.licences.spdx import canonical, is_accepted, names
 
 GPL = "License :: OSI Approved :: GNU General Public License v3 (GPLv3)"
 GPL_TITLE = "GNU GENERAL PUBLIC LICENSE"
@@ -52,7 +52,7 @@ class TestExpressions:
     )
     def test_what_accepted_licences_fulfil(self, expression: str, fulfilled: bool) -> None:
         accepted = {"MIT", "BSD-3-Clause", "GPL-3.0-or-later WITH GCC-exception-3.1"}
-        assert goes(expression, accepted) is fulfilled
+        assert is_accepted(expression, accepted) is fulfilled
 
     def test_the_licences_in_one(self) -> None:
         expression = "mit AND (BSD-3-Clause OR GPL-3.0-or-later with GCC-exception-3.1)"

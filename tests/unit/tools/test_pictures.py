@@ -5,15 +5,15 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
-from tools.pictures.film import Shot, film
-from tools.pictures.terminal import Run, parsed
+from tools.pictures.animation import Still, animated_svg
+from tools.pictures.terminal import Run, parse_screen
 
 SVG = "{http://www.w3.org/2000/svg}"
 
 
 def test_a_screen_is_read_with_its_looks() -> None:
     shown = "\x1b[1mx  mm\x1b[0m   1.5\n\n  \x1b[1m\x1b[32mVALID\x1b[39m now\x1b[0m\n"
-    first, empty, last, _ = parsed(shown)
+    first, empty, last, _ = parse_screen(shown)
     bold, plain = frozenset({"1"}), frozenset[str]()
     assert first == (Run(0, "x  mm", bold), Run(8, "1.5", plain))
     assert empty == ()
@@ -23,7 +23,7 @@ def test_a_screen_is_read_with_its_looks() -> None:
 
 
 def test_looks_go_on_over_the_end_of_a_line() -> None:
-    assert parsed("\x1b[2mone\ntwo\x1b[0m three")[1] == (
+    assert parse_screen("\x1b[2mone\ntwo\x1b[0m three")[1] == (
         Run(0, "two", frozenset({"2"})),
         Run(4, "three", frozenset()),
     )
@@ -31,8 +31,12 @@ def test_looks_go_on_over_the_end_of_a_line() -> None:
 
 def test_each_line_is_seen_while_it_stood_there() -> None:
     """4 s in all: the first line stays, the second changes after one second, and is empty for the last."""
-    shots = [Shot(parsed("head\n<a>"), 1.0), Shot(parsed("head\nb & c"), 2.0), Shot(parsed("head\n"), 1.0)]
-    root = ElementTree.fromstring(film(shots, columns=10, rows=2, title="A film"))
+    stills = [
+        Still(parse_screen("head\n<a>"), 1.0),
+        Still(parse_screen("head\nb & c"), 2.0),
+        Still(parse_screen("head\n"), 1.0),
+    ]
+    root = ElementTree.fromstring(animated_svg(stills, columns=10, rows=2, title="A film"))
     assert root.findtext(f"{SVG}title") == "A film"
     style = root.findtext(f"{SVG}style") or ""
     assert "animation:4.00s step-end infinite" in style

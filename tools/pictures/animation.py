@@ -15,22 +15,22 @@ _INK, _DIM, _GROUND = "#d6dde6", "#8b949e", "#161b22"
 
 
 @dataclass(frozen=True, slots=True)
-class Shot:
+class Still:
     """A screen, and how long it stands."""
 
     screen: Screen
     seconds: float
 
 
-def film(shots: Sequence[Shot], columns: int, rows: int, title: str) -> str:
+def animated_svg(stills: Sequence[Still], columns: int, rows: int, title: str) -> str:
     """The SVG; it begins anew at its end. Lines that stay are drawn once, over the time that they stay."""
-    whole_s = sum(shot.seconds for shot in shots)
+    whole_s = sum(still.seconds for still in stills)
     width = columns * _LETTER_WIDTH + 2 * _MARGIN
     height = rows * _LINE_HEIGHT + 2 * _MARGIN
     drawn: list[str] = []
     rules: list[str] = []
     for row in range(rows):
-        for runs, begin_s, end_s in _stays(shots, row):
+        for runs, begin_s, end_s in _intervals(stills, row):
             if not runs:
                 continue
             if (begin_s, end_s) == (0.0, whole_s):
@@ -54,18 +54,18 @@ def film(shots: Sequence[Shot], columns: int, rows: int, title: str) -> str:
     )
 
 
-def _stays(shots: Sequence[Shot], row: int) -> list[tuple[tuple[Run, ...], float, float]]:
+def _intervals(stills: Sequence[Still], row: int) -> list[tuple[tuple[Run, ...], float, float]]:
     """What stands in a row, and from when to when, s."""
-    stays: list[tuple[tuple[Run, ...], float, float]] = []
+    intervals: list[tuple[tuple[Run, ...], float, float]] = []
     at_s = 0.0
-    for shot in shots:
-        runs = shot.screen[row] if row < len(shot.screen) else ()
-        if stays and stays[-1][0] == runs:
-            stays[-1] = runs, stays[-1][1], at_s + shot.seconds
+    for still in stills:
+        runs = still.screen[row] if row < len(still.screen) else ()
+        if intervals and intervals[-1][0] == runs:
+            intervals[-1] = runs, intervals[-1][1], at_s + still.seconds
         else:
-            stays.append((runs, at_s, at_s + shot.seconds))
-        at_s += shot.seconds
-    return stays
+            intervals.append((runs, at_s, at_s + still.seconds))
+        at_s += still.seconds
+    return intervals
 
 
 def _rule(name: str, begin: float, end: float) -> str:
