@@ -42,14 +42,14 @@ def test_a_port_of_a_group_that_the_user_is_not_in(tree: Tree, configured: Confi
     port.chmod(0o660)
     group = port.stat().st_gid
     finding = says(found(tree, configured), Verdict.WRONG, "somebody may not open it (crw-rw----")
-    assert finding.mend.startswith(f"sudo usermod -aG {group_name(group)} somebody")
+    assert finding.remedy.startswith(f"sudo usermod -aG {group_name(group)} somebody")
     tree.account = Account("somebody", 4242, frozenset({group}))
     assert says(found(tree, configured), Verdict.GOOD, "somebody may open it")
 
 
 def test_a_port_that_no_group_may_open_needs_a_rule(tree: Tree, configured: Configured, port: Path) -> None:
     port.chmod(0o600)
-    assert "udev" in says(found(tree, configured), Verdict.WRONG, "may not open it (crw-------").mend
+    assert "udev" in says(found(tree, configured), Verdict.WRONG, "may not open it (crw-------").remedy
 
 
 class TestTheService:
@@ -59,7 +59,7 @@ class TestTheService:
         tree.account = Account("root", 0, frozenset())
         tree.write(UNIT, "[Service]\nSupplementaryGroups=nogroup")
         finding = says(found(tree, configured), Verdict.WRONG, "the service may not open it")
-        assert finding.mend == f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
+        assert finding.remedy == f"sudo systemctl edit altd   # [Service] SupplementaryGroups={group}"
         tree.write(f"{UNIT}.d/override.conf", f"[Service]\nSupplementaryGroups={group}")
         assert says(found(tree, configured), Verdict.GOOD, "root and the service may open it")
 
@@ -67,7 +67,7 @@ class TestTheService:
         port.chmod(0o666)
         tree.write(UNIT, "[Service]\nDevicePolicy=closed\nDeviceAllow=char-ttyUSB rw")
         finding = says(found(tree, configured), Verdict.WRONG, "does not list its kind, pts")
-        assert "DeviceAllow=char-pts rw" in finding.mend
+        assert "DeviceAllow=char-pts rw" in finding.remedy
         tree.write(f"{UNIT}.d/override.conf", "[Service]\nDeviceAllow=char-pts rw")
         assert says(found(tree, configured), Verdict.GOOD, "may open it")
         tree.write(f"{UNIT}.d/zz.conf", "[Service]\nDeviceAllow=\nDeviceAllow=/dev/null rw")  # takes all back
@@ -76,7 +76,7 @@ class TestTheService:
 
 def test_a_missing_port_names_those_that_are_there(tree: Tree, configured: Configured, port: Path) -> None:
     finding = says(found(tree, configured, "/dev/ttyUSB7"), Verdict.WRONG, f"is not there; there is {BY_ID}")
-    assert "/dev/serial/by-id" in finding.mend
+    assert "/dev/serial/by-id" in finding.remedy
 
 
 def test_a_name_that_leads_nowhere_is_a_missing_port(tree: Tree, configured: Configured) -> None:
@@ -118,7 +118,7 @@ def test_a_port_that_a_program_has_open(
             findings = found(tree, configured)
         finally:
             other.kill()
-    assert mend in says(findings, verdict, words).mend
+    assert mend in says(findings, verdict, words).remedy
     assert all(finding.verdict is Verdict.GOOD for finding in found(tree, configured))
 
 
@@ -157,7 +157,7 @@ class TestUsbCameras:
         tree.link("/dev/video0", "/dev/null")
         cameras = {name: {"driver": "v4l2", "device": f"/dev/v4l/{name}"} for name in ("front", "rear")}
         findings = list(devices.video_cameras(configured(cameras=cameras), tree.machine))
-        assert [f.says for f in findings] == ["is not there; there is /dev/video0"] * 2
+        assert [f.text for f in findings] == ["is not there; there is /dev/video0"] * 2
 
 
 def test_a_gpio_chip_that_is_not_there(tree: Tree, configured: Configured) -> None:
@@ -189,7 +189,7 @@ def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: 
     stage = {"driver": "grbl", "device": "/dev/ttyUSB0"}
     findings = list(devices.serial_ports(configured(serial=entries[:1], stage=stage), tree.machine))
     assert says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
-    assert all("same device" not in finding.says for finding in found(tree, configured))
+    assert all("same device" not in finding.text for finding in found(tree, configured))
 
 
 def test_one_camera_by_two_of_its_names(tree: Tree, configured: Configured, terminal: Path) -> None:
@@ -226,7 +226,7 @@ class TestGpioLines:
         finding = says(
             self.findings(configured, ["LED1"], "LED7", self.LABEL), Verdict.WRONG, "no line 'LED7'"
         )
-        assert "indicators.ok" in finding.says
+        assert "indicators.ok" in finding.text
 
     @pytest.mark.parametrize(("ok", "chip"), [("LED1", "/dev/gpiochip0"), ("0", LABEL), ("0", "gpiochip0")])
     def test_one_line_by_two_of_its_names(self, configured: Configured, ok: str, chip: str) -> None:
