@@ -17,6 +17,8 @@ from support.ports import free_port
 from support.recordings import write_beams
 from support.unit_toml import write_config
 
+pytestmark = pytest.mark.real_time
+
 STALE_AFTER_S = 1.0
 HALF_A_WINDOW_S = 0.1
 HOLD_S = 4.0

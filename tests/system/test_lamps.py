@@ -57,6 +57,7 @@ def seen(unit: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
     return found
 
 
+@pytest.mark.real_time
 class TestDaemon:
     def test_shows_that_it_runs_and_that_what_it_measures_is_no_live_value(
         self, seen: dict[str, Any]

@@ -241,6 +241,7 @@ class TestBadInput:
         )
 
 
+@pytest.mark.real_time
 def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path, tmp_path: Path) -> None:
     port = free_port()
     more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
