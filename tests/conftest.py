@@ -11,7 +11,8 @@ import time
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as altd itself; before numpy is there
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # both as altd itself, before numpy and OpenCV are there
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))
 
 import cv2
 import pytest

@@ -30,7 +30,7 @@ def altd(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outco
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=100,
         check=False,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)

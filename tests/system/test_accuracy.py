@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 
 def measure(scan: Path, poses: Path, tmp_path: Path, exposures: int = 4) -> list[dict[str, Any]]:
     calibration = tmp_path / "cal.json"
-    calibrated = altd("calibrate", scan, "-o", calibration)
+    calibrated = altd_here("calibrate", scan, "-o", calibration)
     assert calibrated.status == 0, calibrated.err
-    replayed = altd(
+    replayed = altd_here(
         "replay", poses, "--calibration", calibration, "--window", exposures, "--every", exposures
     )
     assert replayed.status == 0, replayed.err
@@ -70,7 +70,7 @@ def test_a_simulated_unit(seed: int, tmp_path: Path) -> None:
         ("scan", "-o", scan),
         ("measure", "-o", poses, "--truth", truth, "--poses", 30, "--exposures", 4),
     ):
-        outcome = altd(*arguments, "--seed", seed, module="hw_sim")
+        outcome = altd_here(*arguments, "--seed", seed, module="hw_sim")
         assert outcome.status == 0, outcome.err
     lines = measure(scan, poses, tmp_path)
     check(*errors_and_sigmas(lines, json.loads(truth.read_text())["poses"]))

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from support import evidence
-from support.cli import altd, refusal, unreadable
+from support.cli import altd_here, refusal, unreadable
 from support.devices import full_device
 from support.pngs import png
 from support.ports import free_port
@@ -38,8 +38,8 @@ def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_calibration(evidence.calibration(), path / "cal.json")
     write_beams(path / "beams", [BEAM], exposures=2)
     write_config(path / "altd.toml", path / "cal.json", path / "beams")
-    assert altd("check-config", path / "altd.toml").status == 0
-    assert altd("replay", path / "beams", "--calibration", path / "cal.json").status == 0
+    assert altd_here("check-config", path / "altd.toml").status == 0
+    assert altd_here("replay", path / "beams", "--calibration", path / "cal.json").status == 0
     return path
 
 
@@ -88,7 +88,7 @@ NO_FILES = {
 @pytest.mark.parametrize("name", ["altd.toml", "cal.json", "beams/recording.json", "beams/frames.csv"])
 def test_what_is_no_file_in_place_of_one(name: str, spoil: Callable[[Path], None], copy: Path) -> None:
     spoil(copy / name)
-    line = refusal(altd("check-config", copy / "altd.toml"))
+    line = refusal(altd_here("check-config", copy / "altd.toml"))
     assert f"{copy / name}: " in line
     assert NO_FILES[spoil] in line
 
@@ -98,8 +98,8 @@ def test_what_is_no_file_in_place_of_a_frame(spoil: Callable[[Path], None], copy
     frame = copy / "beams" / "rear0001.png"
     why = NO_FILES[spoil]
     spoil(frame)
-    assert why in unreadable(altd("locate", frame))
-    outcome = altd("replay", copy / "beams", "--calibration", copy / "cal.json")
+    assert why in unreadable(altd_here("locate", frame))
+    outcome = altd_here("replay", copy / "beams", "--calibration", copy / "cal.json")
     assert outcome.status == 2
     assert "frames.csv: row 5: rear0001.png: " in outcome.err
     assert why in outcome.err
@@ -110,12 +110,12 @@ def test_what_is_no_file_in_place_of_a_frame(spoil: Callable[[Path], None], copy
 def test_a_picture_that_claims_to_be_huge(picture: bytes, copy: Path) -> None:
     frame = copy / "beams" / "rear0001.png"
     frame.write_bytes(picture)
-    assert "more than 268435456 pixels" in unreadable(altd("locate", frame))
+    assert "more than 268435456 pixels" in unreadable(altd_here("locate", frame))
     assert "frames.csv: row 5: rear0001.png is" in refusal(
-        altd("replay", copy / "beams", "--calibration", copy / "cal.json")
+        altd_here("replay", copy / "beams", "--calibration", copy / "cal.json")
     )
     assert "frames.csv: row 5: rear0001.png is" in refusal(
-        altd("calibrate", copy / "beams", "-o", copy / "new.json")
+        altd_here("calibrate", copy / "beams", "-o", copy / "new.json")
     )
 
 
@@ -183,16 +183,18 @@ def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_
 def test_a_config_that_no_parser_expects(old: str, new: str, why: str, copy: Path) -> None:
     path = copy / "altd.toml"
     path.write_text(path.read_text().replace(old, new))
-    assert why in refusal(altd("check-config", path))
+    assert why in refusal(altd_here("check-config", path))
 
 
 def test_a_path_with_letters_that_are_none_is_shown(unit: Path, tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff.toml")
     shutil.copy(unit / "altd.toml", path)
-    outcome = altd("check-config", path)
+    outcome = altd_here("check-config", path)
     assert outcome.status == 0
     assert "\\udcff.toml: good" in outcome.out
-    assert "\\udcfe.toml: No such file" in refusal(altd("check-config", tmp_path / os.fsdecode(b"\xfe.toml")))
+    assert "\\udcfe.toml: No such file" in refusal(
+        altd_here("check-config", tmp_path / os.fsdecode(b"\xfe.toml"))
+    )
 
 
 @pytest.mark.parametrize(
@@ -208,7 +210,7 @@ def test_a_path_with_letters_that_are_none_is_shown(unit: Path, tmp_path: Path) 
 )
 def test_json_that_no_parser_expects(content: bytes, why: str, copy: Path) -> None:
     (copy / "cal.json").write_bytes(content)
-    assert why in refusal(altd("check-config", copy / "altd.toml"))
+    assert why in refusal(altd_here("check-config", copy / "altd.toml"))
 
 
 TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
@@ -230,7 +232,7 @@ def test_a_table_that_no_parser_expects(old: bytes, new: bytes, why: str, copy: 
     content = table.read_bytes()
     assert old in content
     table.write_bytes(content.replace(old, new, 1))
-    outcome = altd("check-config", copy / "altd.toml")
+    outcome = altd_here("check-config", copy / "altd.toml")
     if outcome.status == 0 and b",a" in new:
         return  # a million columns that nobody asks for are ignored
     assert why in refusal(outcome)
@@ -240,7 +242,7 @@ def test_a_table_may_have_a_byte_order_mark_and_any_line_ends(copy: Path) -> Non
     table = copy / "beams" / "frames.csv"
     lines = table.read_bytes().splitlines()
     table.write_bytes(b"\xef\xbb\xbf" + b"\r\n".join(lines[:2]) + b"\n" + b"\r\n".join(lines[2:]))
-    assert altd("check-config", copy / "altd.toml").status == 0
+    assert altd_here("check-config", copy / "altd.toml").status == 0
 
 
 def test_lines_of_altd_map_that_are_no_text(unit: Path) -> None:
@@ -263,7 +265,7 @@ def test_lines_of_altd_map_that_are_no_text(unit: Path) -> None:
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_scan(tmp_path_factory.mktemp("scanned") / "scan")
+    return write_scan(tmp_path_factory.mktemp("scanned") / "scan", columns=5, rows=4)
 
 
 class TestWriting:
@@ -282,7 +284,7 @@ class TestWriting:
             (device, "is a device, not a file that can be replaced"),
             ("/proc/version/x", "Not a directory"),
         ):
-            assert why in refusal(altd("calibrate", scan, "-o", output)), output
+            assert why in refusal(altd_here("calibrate", scan, "-o", output)), output
         assert stat.S_ISCHR(device.stat().st_mode)
         assert (tmp_path / "kept.json").read_text() == "kept"
         assert sorted(path.name for path in tmp_path.iterdir()) == before
@@ -295,7 +297,7 @@ class TestWriting:
         before = os.umask(0o077)
         try:
             for name, mode in (("new.json", 0o600), ("old.json", 0o640)):
-                outcome = altd("calibrate", scan, "-o", tmp_path / name)
+                outcome = altd_here("calibrate", scan, "-o", tmp_path / name)
                 assert outcome.status == 0, outcome.err
                 assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
         finally:
@@ -304,7 +306,9 @@ class TestWriting:
     def test_a_recording_is_not_written_onto_what_is_no_folder(self, unit: Path, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "pipe")
         for output in (tmp_path / "pipe", full_device(tmp_path)):
-            line = refusal(altd("record", "--config", unit / "altd.toml", "-o", output, "--seconds", "0.2"))
+            line = refusal(
+                altd_here("record", "--config", unit / "altd.toml", "-o", output, "--seconds", "0.2")
+            )
             assert "exists and is not an empty folder" in line
 
     def test_on_a_full_disk_a_recording_ends_with_one_line_and_what_is_there_is_whole(

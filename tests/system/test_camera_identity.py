@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 from support.recordings import write_beams, write_scan
 
 from altd.devices.v4l2 import node
@@ -25,13 +25,13 @@ def named(folder: Path, camera: str, **identity: str) -> Path:
 
 
 def test_a_recording_of_another_camera_is_refused_in_one_line(tmp_path: Path) -> None:
-    scan = named(write_scan(tmp_path / "scan"), "rear", serial="R-1", driver="aravis")
-    assert altd("calibrate", scan, "-o", tmp_path / "cal.json").status == 0
+    scan = named(write_scan(tmp_path / "scan", columns=5, rows=4), "rear", serial="R-1", driver="aravis")
+    assert altd_here("calibrate", scan, "-o", tmp_path / "cal.json").status == 0
     poses = write_beams(tmp_path / "poses", [(3.0, 4.0, 0.0, 0.0)])
     command = ("replay", poses, "--calibration", tmp_path / "cal.json", "--window", 4, "--every", 4)
-    assert altd(*command).status == 0  # the recording does not say which camera it was
+    assert altd_here(*command).status == 0  # the recording does not say which camera it was
     named(poses, "rear", serial="R-2", driver="aravis")
-    refused = altd(*command)
+    refused = altd_here(*command)
     assert refused.status == 2
     assert refused.out == ""
     assert refused.err.count("\n") == 1
@@ -39,17 +39,17 @@ def test_a_recording_of_another_camera_is_refused_in_one_line(tmp_path: Path) ->
         "target 'rear' was calibrated with another camera: its serial is 'R-2', expected 'R-1'" in refused.err
     )
     named(poses, "rear", serial="R-1")
-    assert altd(*command).status == 0
+    assert altd_here(*command).status == 0
 
 
 def test_cameras_that_are_exchanged_in_a_recording_are_refused(tmp_path: Path) -> None:
-    scan = write_scan(tmp_path / "scan")
+    scan = write_scan(tmp_path / "scan", columns=5, rows=4)
     poses = write_beams(tmp_path / "poses", [(3.0, 4.0, 0.0, 0.0)])
     for camera, at_scan, now in (("front", "1", "2"), ("rear", "2", "1")):
         named(scan, camera, serial=at_scan)
         named(poses, camera, serial=now)
-    assert altd("calibrate", scan, "-o", tmp_path / "cal.json").status == 0
-    refused = altd("replay", poses, "--calibration", tmp_path / "cal.json")
+    assert altd_here("calibrate", scan, "-o", tmp_path / "cal.json").status == 0
+    refused = altd_here("replay", poses, "--calibration", tmp_path / "cal.json")
     assert (refused.status, refused.out) == (2, "")
     assert "another camera" in refused.err
 

@@ -27,6 +27,8 @@ from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 from hw_sim.unit import CAMERAS
 
+pytestmark = pytest.mark.real_time
+
 SEED = 1
 EXPOSURES = 300
 """Twice what altd remembers: they are fed again and again, some are left out, and none is to be taken for a

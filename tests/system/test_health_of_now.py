@@ -9,6 +9,7 @@ import time
 import urllib.request
 from typing import Any
 
+import pytest
 from support.clock import stop
 from support.ports import free_port
 from support.unit_toml import TARGETS
@@ -19,6 +20,8 @@ from altd.measuring.calibration import Calibration
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
+
+pytestmark = pytest.mark.real_time
 
 
 def config(port: int) -> Config:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import http.client
 import json
+import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
-from support.cli import altd
 from support.held import hold
+from support.played_unit import PlayedUnit
 from support.ports import free_port
-from support.recordings import write_beams, write_scan
+from support.recordings import write_beams
 from support.unit_toml import write_config
+
+pytestmark = pytest.mark.real_time
 
 STALE_AFTER_S = 1.0
 HALF_A_WINDOW_S = 0.1
@@ -23,10 +26,9 @@ HOLD_S = 4.0
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("held")
-    scan = write_scan(folder / "scan", columns=5, rows=4)
-    assert altd("calibrate", scan, "-o", folder / "cal.json").status == 0
+    shutil.copy(played_unit.calibration, folder / "cal.json")
     write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=40)
     return folder
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.guest import run_in_guest
-from support.recordings import write_beams, write_scan
+from support.played_unit import PlayedUnit
+from support.recordings import write_beams
 from support.unit_toml import write_config
 
 SWALLOWED = """
@@ -40,11 +42,10 @@ DARK = {"LED_A": 0, "LED_B": 0, "DATA": 0, "ERROR": 0, "POWER": 0, "OK": 0}
 
 
 @pytest.fixture(scope="module")
-def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unit(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration and a recording of a beam, a second long."""
     folder = tmp_path_factory.mktemp("unit")
-    scan = write_scan(folder / "scan", columns=5, rows=4)
-    assert altd("calibrate", scan, "-o", folder / "cal.json").status == 0
+    shutil.copy(played_unit.calibration, folder / "cal.json")
     write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=20)
     return folder
 
@@ -56,6 +57,7 @@ def seen(unit: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
     return found
 
 
+@pytest.mark.real_time
 class TestDaemon:
     def test_shows_that_it_runs_and_that_what_it_measures_is_no_live_value(
         self, seen: dict[str, Any]
@@ -150,13 +152,13 @@ class TestCommand:
 class TestCommandLine:
     def test_without_lamps_in_the_config_says_so(self, unit: Path, tmp_path: Path) -> None:
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam")
-        assert refusal(altd("lamps", "test", "--config", config)).endswith(
+        assert refusal(altd_here("lamps", "test", "--config", config)).endswith(
             "altd.toml: no [lamps] and no [indicators] table"
         )
 
     def test_after_a_service_without_lamps_has_nothing_to_do(self, unit: Path, tmp_path: Path) -> None:
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam")
-        outcome = altd("lamps", "stopped", "--config", config)
+        outcome = altd_here("lamps", "stopped", "--config", config)
         assert (outcome.status, outcome.out, outcome.err) == (0, "", "")
 
     def test_an_interruption_that_a_library_swallows_ends_it_all_the_same(
@@ -173,7 +175,7 @@ class TestCommandLine:
     def test_without_a_chip_ends_in_one_line(self, unit: Path, tmp_path: Path) -> None:
         more = '\n[indicators]\ndriver = "gpiod"\nchip = "no such chip"\nok = "OK"\n'
         config = write_config(tmp_path / "altd.toml", unit / "cal.json", unit / "beam", more)
-        outcome = altd("lamps", "off", "--config", config)
+        outcome = altd_here("lamps", "off", "--config", config)
         assert (outcome.status, outcome.out) == (1, "")
         assert outcome.err.startswith(
             "altd lamps: no GPIO chip 'no such chip', those that can be looked at: "

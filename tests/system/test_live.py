@@ -31,7 +31,7 @@ from benchmarks.live.unit import (
 )
 from benchmarks.live.watch import Watch
 
-pytestmark = pytest.mark.own_network
+pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 from support.foreign import need_program
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
@@ -69,7 +69,7 @@ def origins(recording: Path) -> list[str | None]:
 
 
 def calibrated(recording: Path, output: Path, *more: object) -> dict[str, Any]:
-    outcome = altd("calibrate", recording, "-o", output, *more)
+    outcome = altd_here("calibrate", recording, "-o", output, *more)
     assert outcome.status == 0, outcome.err
     document: dict[str, Any] = json.loads(output.read_text())
     simulated = "simulated" in {
@@ -115,7 +115,7 @@ class TestReplay:
         self, files: Files, frames: str, calibration: str
     ) -> None:
         fitted = files.folder / f"{calibration}.json"
-        lines = altd("replay", files.beams(frames), "--calibration", fitted, "--window", "4").objects
+        lines = altd_here("replay", files.beams(frames), "--calibration", fitted, "--window", "4").objects
         assert any(line["valid"] for line in lines)
         assert any(not line["valid"] for line in lines)
         expected = "simulated" in (frames, calibration)
@@ -123,18 +123,18 @@ class TestReplay:
 
     def test_of_one_simulated_camera_says_so(self, files: Files, tmp_path: Path) -> None:
         beams = said_to_be(write_beams(tmp_path / "beams", BEAMS), "camera", "simulated")
-        lines = altd("replay", beams, "--calibration", files.real_calibration).objects
+        lines = altd_here("replay", beams, "--calibration", files.real_calibration).objects
         assert all("simulated" in line["status"] for line in lines)
 
     def test_of_a_recording_that_says_nothing_counts_as_cameras(self, files: Files, tmp_path: Path) -> None:
         beams = write_beams(tmp_path / "beams", BEAMS)
         assert origins(beams) == [None, None]
-        lines = altd("replay", beams, "--calibration", files.real_calibration, "--window", "4").objects
+        lines = altd_here("replay", beams, "--calibration", files.real_calibration, "--window", "4").objects
         assert {code for line in lines for code in line["status"]} == {"warming_up"}
 
     def test_of_an_unknown_origin_is_refused(self, files: Files, tmp_path: Path) -> None:
         beams = said_to_be(write_beams(tmp_path / "beams", BEAMS), "camera", "dreamt")
-        outcome = altd("replay", beams, "--calibration", files.real_calibration)
+        outcome = altd_here("replay", beams, "--calibration", files.real_calibration)
         assert outcome.status == 2
         assert "recording.json: cameras.rear.origin: " in outcome.err
 
@@ -161,7 +161,7 @@ class TestCalibration:
             ("camera", "simulated"),
             ("camera", "camera"),
         ]
-        lines = altd("replay", files.beams("real"), "--calibration", output).objects
+        lines = altd_here("replay", files.beams("real"), "--calibration", output).objects
         assert all("simulated" in line["status"] for line in lines)
 
     def test_of_a_plate_has_its_origin(self, tmp_path: Path) -> None:
@@ -221,7 +221,7 @@ def test_every_face_of_the_daemon_says_it(
             faces += f'[[serial]]\ndevice = "{device}"\nspeaks = "{speaks}"\nbaud = 115200\n'
         fitted, beams = files.folder / f"{calibration}.json", files.beams(frames)
         config = write_config(tmp_path / "altd.toml", fitted, beams, faces)
-        checked, examined = altd("check-config", config).out, altd("doctor", "--config", config).out
+        checked, examined = altd_here("check-config", config).out, altd_here("doctor", "--config", config).out
         assert ("SIMULATED" in checked) == (calibration == "simulated")
         assert ("SIMULATED" in examined) == (calibration == "simulated")
         command = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
@@ -272,7 +272,7 @@ class TestRecord:
         for name, origin in (("real", "camera"), ("simulated", "simulated")):
             config = write_config(tmp_path / f"{name}.toml", files.real_calibration, files.beams(name))
             copy = tmp_path / name
-            assert altd("record", "--config", config, "-o", copy, "--seconds", "0.3").status == 0
+            assert altd_here("record", "--config", config, "-o", copy, "--seconds", "0.3").status == 0
             assert origins(copy) == [origin, origin]
             about = json.loads((copy / "recording.json").read_text())
             assert about["note"] == "altd record, playback" + ", simulated" * (name == "simulated")
@@ -289,7 +289,7 @@ class TestRecord:
         calibrated(scan, fitted)
         config = write_live_config(tmp_path / "altd.toml", "SIM-1", fitted, (FRONT, REAR), Ports(8080, 5020))
         with both_cameras(tmp_path):
-            outcome = altd("record", "--config", config, "-o", tmp_path / "kept", "--seconds", "1")
+            outcome = altd_here("record", "--config", config, "-o", tmp_path / "kept", "--seconds", "1")
         assert outcome.status == 0
         assert re.fullmatch(rf"\d+ exposures in {tmp_path / 'kept'}\n", outcome.err)
         assert origins(tmp_path / "kept") == ["simulated", "simulated"]
@@ -298,7 +298,7 @@ class TestRecord:
         assert about["serial"]
         assert about["exposure_ms"] > 0
         assert about["gain_db"] >= 0
-        lines = altd("replay", tmp_path / "kept", "--calibration", fitted, "--window", "4").objects
+        lines = altd_here("replay", tmp_path / "kept", "--calibration", fitted, "--window", "4").objects
         assert lines
         assert all("simulated" in line["status"] for line in lines)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.recordings import write_beams
 from support.unit_toml import write_config
 
@@ -352,23 +352,23 @@ exposures = 1
         recording = open_recording(output)
         assert len(nodes(recording)) == len(recording.rows) / 2 == 16
         assert recording.header.note == "altd scan, playback"
-        assert "not an empty folder" in refusal(altd("scan", "--config", config, "-o", output))
+        assert "not an empty folder" in refusal(altd_here("scan", "--config", config, "-o", output))
 
     def test_a_stage_that_is_not_there_is_one_line(
         self, config: Path, table: GrblTable, tmp_path: Path
     ) -> None:
         table.unplug()
-        line = refusal(altd("scan", "--config", config, "-o", tmp_path / "scan"))
+        line = refusal(altd_here("scan", "--config", config, "-o", tmp_path / "scan"))
         assert line.startswith(f"altd scan: [stage] device: {table.device}: there is no such port now")
         assert not Path(f"{tmp_path / 'scan'}.unfinished").exists()
 
     def test_the_simulators_own_scan_refuses_a_used_folder(self, tmp_path: Path) -> None:
         (tmp_path / "something").touch()
-        line = refusal(altd("scan", "--stage", "-o", tmp_path, module="hw_sim"))
+        line = refusal(altd_here("scan", "--stage", "-o", tmp_path, module="hw_sim"))
         assert line == f"hw_sim: {tmp_path}: exists and is not an empty folder"
 
     def test_a_config_without_a_stage_is_one_line(self, tmp_path: Path) -> None:
         write_beams(tmp_path / "rec", [(10.0, 5.0, 0.0, 0.0)])
         config = write_config(tmp_path / "altd.toml", tmp_path / "none.json", tmp_path / "rec")
-        line = refusal(altd("scan", "--config", config, "-o", tmp_path / "scan"))
+        line = refusal(altd_here("scan", "--config", config, "-o", tmp_path / "scan"))
         assert line == f"altd scan: {config}: stage: no [stage] table"

@@ -15,10 +15,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.foreign import need
 from support.places import ROOT
-from support.recordings import write_beams, write_scan
+from support.played_unit import PlayedUnit
+from support.recordings import write_beams
 from support.unit_toml import write_config
 
 UNIT = ROOT / "systemd" / "altd.service"
@@ -64,7 +65,7 @@ class TestUnitFile:
     def test_a_bad_config_is_not_tried_again(self, tmp_path: Path) -> None:
         unit = settings(UNIT.read_text())
         program, *arguments, config = unit["ExecStart"].split()
-        refused = altd(*arguments, tmp_path / Path(config).name)
+        refused = altd_here(*arguments, tmp_path / Path(config).name)
         assert Path(program).name == "altd"
         assert "altd.toml: No such file" in refusal(refused)
         assert unit["Restart"] == "on-failure"
@@ -74,7 +75,7 @@ class TestUnitFile:
         unit = settings(UNIT.read_text())
         program, *arguments, _ = unit["ExecStopPost"].removeprefix("-").split()
         assert program == unit["ExecStart"].split()[0]
-        after = altd(*arguments, config)
+        after = altd_here(*arguments, config)
         assert (after.status, after.out, after.err) == (0, "", "")
 
     def test_every_group_that_it_asks_for_is_debians_or_made(self, tmp_path: Path) -> None:
@@ -152,11 +153,10 @@ def running(config: Path, folder: Path) -> Iterator[Daemon]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibration and a recording of a beam, a second long."""
     folder = tmp_path_factory.mktemp("unit")
-    scan = write_scan(folder / "scan", columns=5, rows=4)
-    assert altd("calibrate", scan, "-o", folder / "cal.json").status == 0
+    shutil.copy(played_unit.calibration, folder / "cal.json")
     write_beams(folder / "beam", [(2.0, -3.0, 0.01, 0.02)], exposures=20)
     return folder
 
@@ -166,6 +166,7 @@ def config(folder: Path, tmp_path: Path) -> Path:
     return write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beam")
 
 
+@pytest.mark.real_time
 class TestDaemonToSystemd:
     def test_is_ready_with_the_first_word_on_the_board_and_then_alive(
         self, config: Path, tmp_path: Path

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd, altd_here, refusal
 from support.frames import frame
 from support.ports import free_port
 from support.recordings import write, write_beams, write_scan
@@ -46,7 +46,7 @@ def back_to_back(folder: Path) -> tuple[object, ...]:
 
 
 def test_a_calibrated_unit_measures_its_beams(folder: Path) -> None:
-    outcome = altd(
+    outcome = altd_here(
         "replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
     )
     assert (outcome.status, outcome.err) == (0, "")
@@ -65,7 +65,7 @@ def test_a_calibrated_unit_measures_its_beams(folder: Path) -> None:
 
 
 def test_the_sliding_mean_gives_a_line_after_every_exposure(folder: Path) -> None:
-    outcome = altd("replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4)
+    outcome = altd_here("replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4)
     assert [line["sequence"] for line in outcome.objects] == list(range(12))
     assert outcome.objects[0]["status"] == ["warming_up"]
     assert outcome.objects[5]["status"] == ["unsteady"]  # half the window before, half after the beam moved
@@ -77,7 +77,7 @@ def test_frames_that_stood_still_when_they_were_recorded_are_said_to(folder: Pat
     shutil.copytree(folder / "beams", rec)
     for number in (5, 6, 7, 8):
         shutil.copy(rec / "rear0004.png", rec / f"rear{number:04d}.png")
-    outcome = altd("replay", rec, "--calibration", folder / "cal.json", "--window", 4)
+    outcome = altd_here("replay", rec, "--calibration", folder / "cal.json", "--window", 4)
     assert (outcome.status, outcome.err) == (0, "")
     still = [n for n, line in enumerate(outcome.objects) if line["status"] == ["rear_frame_repeated"]]
     assert still == [6, 7, 8, 9]  # and until half a window is new
@@ -87,23 +87,25 @@ def test_frames_that_stood_still_when_they_were_recorded_are_said_to(folder: Pat
 def test_a_start_time_in_the_recording_gives_utc(folder: Path, tmp_path: Path) -> None:
     beam = (10.0, 5.0)
     rec = write(tmp_path / "rec", "measurement", [(beam, beam, None)] * 2, start="2026-11-20T08:15:30Z")
-    outcome = altd("replay", rec, "--calibration", folder / "cal.json", "--window", 2, "--every", 2)
+    outcome = altd_here("replay", rec, "--calibration", folder / "cal.json", "--window", 2, "--every", 2)
     assert outcome.objects[0]["time"] == "2026-11-20T08:15:30.025Z"
 
 
 def test_check_config_says_good(folder: Path) -> None:
-    outcome = altd("check-config", folder / "altd.toml")
+    outcome = altd_here("check-config", folder / "altd.toml")
     assert outcome.status == 0
     assert "good: unit TEST-1, 2 targets" in outcome.out
 
 
 def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> None:
-    outcome = altd("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
+    outcome = altd_here(
+        "record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5"
+    )
     assert outcome.status == 0, outcome.err
-    kept = altd(
+    kept = altd_here(
         "replay", tmp_path / "kept", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
     )
-    original = altd(
+    original = altd_here(
         "replay", folder / "beams", "--calibration", folder / "cal.json", "--window", 4, "--every", 4
     )
     assert kept.objects[0]["x_mm"] == original.objects[0]["x_mm"]
@@ -112,7 +114,7 @@ def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> 
     header = json.loads((tmp_path / "kept" / "recording.json").read_text())
     assert header["note"] == "altd record, playback"
     assert "not an empty folder" in refusal(
-        altd("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
+        altd_here("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
     )
 
 
@@ -125,14 +127,16 @@ def test_a_flat_that_was_recorded_with_the_unit_goes_into_its_calibration(
         cv2.imwrite(str(path), lit)
     config = write_config(tmp_path / "altd.toml", folder / "cal.json", screen)
     flat, output = tmp_path / "flat", tmp_path / "cal.json"
-    outcome = altd("record", "--config", config, "-o", flat, "--seconds", "0.2", "--kind", "flat")
+    outcome = altd_here("record", "--config", config, "-o", flat, "--seconds", "0.2", "--kind", "flat")
     assert outcome.status == 0, outcome.err
     assert json.loads((flat / "recording.json").read_text())["kind"] == "flat"
-    outcome = altd("calibrate", folder / "scan", "--flat", flat, "-o", output)
+    outcome = altd_here("calibrate", folder / "scan", "--flat", flat, "-o", output)
     assert outcome.status == 0, outcome.err
     assert "\nrear: localised through its recorded flat" in outcome.out
     assert [target.flat is not None for target in load_calibration(output).targets] == [True, True]
-    lines = altd("replay", folder / "beams", "--calibration", output, "--window", 4, "--every", 4).objects
+    lines = altd_here(
+        "replay", folder / "beams", "--calibration", output, "--window", 4, "--every", 4
+    ).objects
     assert [line["valid"] for line in lines] == [True] * len(BEAMS)
 
 
@@ -140,13 +144,13 @@ class TestBadInput:
     """One clear line on stderr that names file and place, exit status 2, no output, nothing half written."""
 
     def replay(self, folder: Path, recording: Path, calibration: str = "cal.json") -> str:
-        return refusal(altd("replay", recording, "--calibration", folder / calibration))
+        return refusal(altd_here("replay", recording, "--calibration", folder / calibration))
 
     def test_recording_with_a_missing_frame(self, folder: Path, tmp_path: Path) -> None:
         rec = write_beams(tmp_path / "rec", BEAMS)
         (rec / "rear0011.png").unlink()
         assert f"{rec}/frames.csv: row 25: rear0011.png: No such file" in self.replay(folder, rec)
-        assert "rear0011.png" in refusal(altd("calibrate", rec, "-o", tmp_path / "new.json"))
+        assert "rear0011.png" in refusal(altd_here("calibrate", rec, "-o", tmp_path / "new.json"))
         assert not (tmp_path / "new.json").exists()
 
     def test_recording_with_a_torn_table(self, folder: Path, tmp_path: Path) -> None:
@@ -200,8 +204,8 @@ class TestBadInput:
             path = tmp_path / "altd.toml"
             path.write_text(good.replace(old, new))
             for command in (("run", "--config", path), ("check-config", path)):
-                assert message in refusal(altd(*command)), command
-        assert "No such file" in refusal(altd("run", "--config", tmp_path / "none.toml"))
+                assert message in refusal(altd_here(*command)), command
+        assert "No such file" in refusal(altd_here("run", "--config", tmp_path / "none.toml"))
 
     def test_a_file_that_is_not_there_yet_is_told_and_no_fault_of_the_config(
         self, folder: Path, tmp_path: Path
@@ -209,8 +213,8 @@ class TestBadInput:
         """What is beside the config depends on the computer; `altd doctor` calls it wrong."""
         path = tmp_path / "altd.toml"
         path.write_text((folder / "altd.toml").read_text().replace(str(folder / "beams"), "nowhere"))
-        assert "nowhere/recording.json: No such file" in refusal(altd("run", "--config", path))
-        outcome = altd("check-config", path)
+        assert "nowhere/recording.json: No such file" in refusal(altd_here("run", "--config", path))
+        outcome = altd_here("check-config", path)
         assert (outcome.status, outcome.err) == (0, "")
         assert outcome.out.splitlines() == [
             f"{path}: good: unit TEST-1, 2 targets",
@@ -229,14 +233,15 @@ class TestBadInput:
 
     def test_a_target_that_is_none(self, folder: Path) -> None:
         arguments = ("map", "--calibration", folder / "cal.json", "--target", "side")
-        assert "does not know target 'side'" in refusal(altd(*arguments, stdin=""))
+        assert "does not know target 'side'" in refusal(altd_here(*arguments, stdin=""))
 
     def test_an_output_that_cannot_be_written(self, folder: Path, tmp_path: Path) -> None:
         assert "its folder does not exist" in refusal(
-            altd("calibrate", folder / "scan", "-o", tmp_path / "none" / "cal.json")
+            altd_here("calibrate", folder / "scan", "-o", tmp_path / "none" / "cal.json")
         )
 
 
+@pytest.mark.real_time
 def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path, tmp_path: Path) -> None:
     port = free_port()
     more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'

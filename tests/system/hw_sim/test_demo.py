@@ -23,6 +23,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.real_time
+
 DEMO = [sys.executable, "-m", "hw_sim", "demo", "--seed", "3"]
 NUMBER = r"([+-]?\d+\.\d+)"
 VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)")

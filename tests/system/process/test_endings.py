@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from support.places import ROOT
 from support.played_unit import PlayedUnit
+from support.recordings import write_scan
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FRAME = "altd.recording.reader:Recording.frame 5"
@@ -57,7 +58,7 @@ COMMANDS = {
     ),
     "replay": Command("replay {beams} --calibration {cal}", FRAME),
     "replay's lines": Command("replay {beams} --calibration {cal} -o t.jsonl", FRAME),
-    "replay's csv": Command("replay {scan} --calibration {cal} --format csv -o t.csv", FRAME),
+    "replay's csv": Command("replay {nodes} --calibration {cal} --format csv -o t.csv", FRAME),
     "replay's csv on standard output": Command("replay {beams} --calibration {cal} --format csv", FRAME),
     "replay's parquet": Command("replay {beams} --calibration {cal} --format parquet -o t.parquet", FRAME),
     "replay's parquet, at its footer": Command(
@@ -156,9 +157,16 @@ class Ended:
     temporary: frozenset[str]
 
 
+@pytest.fixture(scope="module")
+def small_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of as few nodes as a calibration takes: it is made a dozen times here."""
+    return write_scan(tmp_path_factory.mktemp("small") / "scan", columns=4, rows=4)
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A working folder; temporary files go beside it."""
+def folder(tmp_path: Path, small_scan: Path) -> Path:
+    """A working folder; the scan and temporary files lie beside it."""
+    (tmp_path / "scan").symlink_to(small_scan)
     for name in ("work", "temporary"):
         (tmp_path / name).mkdir()
     return tmp_path / "work"
@@ -167,11 +175,9 @@ def folder(tmp_path: Path) -> Path:
 def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     lamps = folder.parent / "lamps.toml"
     lamps.write_text(unit.config.read_text() + '[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["L"]\n')
-    return shlex.split(
-        line.format(
-            beams=unit.beams, cal=unit.calibration, scan=unit.folder / "scan", config=unit.config, lamps=lamps
-        )
-    )
+    scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan"}
+    files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config, "lamps": lamps}
+    return shlex.split(line.format(**scans, **files))
 
 
 def _take_signals() -> None:

@@ -18,7 +18,7 @@ from altd.ports import (
 )
 from altd.records import CameraIdentity, Origin
 
-pytestmark = pytest.mark.own_network
+pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 
 PRIVILEGE = 0xA00
 EXPOSURE_US, GAIN, PIXEL_FORMAT = 0x120, 0x110, 0x128

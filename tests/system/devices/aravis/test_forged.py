@@ -18,7 +18,7 @@ from support.gige import HOME, Cameras, Grabbed, driver, register
 from altd.records import Frame
 from benchmarks.live.attacker import udp_ports
 
-pytestmark = pytest.mark.own_network
+pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 
 FOREIGN = "127.0.0.2"
 WIDTH, HEIGHT, PACKET_BYTES = 752, 480, 1400

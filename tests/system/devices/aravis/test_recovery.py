@@ -12,7 +12,7 @@ from support.gige import DYING_WITH_US, HOME, Cameras, Grabbed, driver, wait_for
 
 from altd.ports import CameraBusyError, CameraLostError
 
-pytestmark = pytest.mark.own_network
+pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 
 BACK_S = 1.7
 """The unit promises 2 s; a few exposures must be averaged."""

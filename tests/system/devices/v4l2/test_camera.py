@@ -9,6 +9,8 @@ import pytest
 from support.foreign import need_program
 from support.guest import GuestRun, run_in_guest
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture(scope="module")
 def frames(tmp_path_factory: pytest.TempPathFactory) -> GuestRun:

@@ -46,6 +46,7 @@ def test_a_signal_ends_it_and_leaves_nothing(number: int, streaming: bool) -> No
     assert not on_lo(cameras.rear)
 
 
+@pytest.mark.real_time
 def test_two_cameras_of_20_frames_a_second_lose_nothing() -> None:
     with served("--seed", "3") as cameras, client(cameras.front) as front, client(cameras.rear) as rear:
         front.start()
