@@ -1,4 +1,4 @@
-"""Exposures on demand: paired frames of all cameras that were exposed after a given instant."""
+"""The frames of all cameras, paired: for who keeps pictures, a recording or a scan."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Self
 
-from altd.acquisition.auto_exposure.control import ExposureSetter
-from altd.acquisition.grabbing import grab
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.acquiring import acquire
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.latest_frames import keep_mark
+from altd.acquisition.latest_of_each import LatestOfEach
 from altd.config import Measuring
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, CameraError
 from altd.records import Frame
 from altd.status.health import Health, State
 
-PATIENCE_S = 5.0
+FRAME_SET_TIMEOUT_S = 5.0
 """Without an exposure of all cameras for so long, something is wrong with one."""
 
 
-class Exposures:
+class FrameSets:
     """``async with``: the cameras deliver; what nobody asks for is dropped.
 
-    Their exposure is set by ``setters`` when they are opened, and holds still.
+    Their exposure is set by ``exposure`` when they are opened, and holds still.
     """
 
     def __init__(
@@ -30,53 +31,73 @@ class Exposures:
         cameras: Sequence[Camera],
         measuring: Measuring,
         health: Health,
-        setters: Mapping[str, ExposureSetter] | None = None,
+        exposure: Mapping[str, ExposureControl] | None = None,
     ) -> None:
+        self._components = {camera.name: health.component(f"camera {camera.name}") for camera in cameras}
         self._cameras = cameras
-        self._setters = setters or {}
+        self._exposure = exposure or {}
         self._measuring = measuring
-        self._health = health
-        self._grabbers: list[asyncio.Task[None]] = []
+        self._acquiring: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        names = tuple(camera.name for camera in self._cameras)
-        self._inbox = Inbox(names)
+        names, components = tuple(self._components), tuple(self._components.values())
+        self._latest = LatestOfEach[Frame](names, components[0].clock, keep_mark)
         settings = self._measuring
         self._pairer: Pairer[Frame] = Pairer(
             names, settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
         )
-        self._grabbers = [
+        self._acquiring = [
             asyncio.create_task(
-                grab(
-                    camera,
-                    self._inbox,
-                    self._health.component(f"camera {camera.name}"),
-                    self._setters.get(camera.name),
-                )
+                acquire(camera, self._latest, self._components[camera.name], self._exposure.get(camera.name))
             )
             for camera in self._cameras
         ]
-        for grabber in self._grabbers:
-            grabber.add_done_callback(lambda _: self._inbox.tick())
+        for task in self._acquiring:
+            task.add_done_callback(lambda _: self._latest.wake())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for grabber in self._grabbers:
-            grabber.cancel()
-        await asyncio.gather(*self._grabbers, return_exceptions=True)
+        for task in self._acquiring:
+            task.cancel()
+        await asyncio.gather(*self._acquiring, return_exceptions=True)
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether no camera delivers any more, or a driver has failed, and all that they gave was taken."""
+        ended = [task.done() for task in self._acquiring]
+        return self._latest.is_empty and (all(ended) or self._failure is not None)
+
+    def check(self) -> None:
+        """Raise a driver's own failure; a camera that was lost, or is at its end, is none."""
+        if self._failure is not None:
+            raise self._failure
+
+    @property
+    def _failure(self) -> BaseException | None:
+        failures = (task.exception() for task in self._acquiring if task.done() and not task.cancelled())
+        return next((failure for failure in failures if failure is not None), None)
+
+    async def settled(self) -> list[Pair[Frame]]:
+        """The frame sets that are settled next, complete or not; maybe none, when a camera has ended."""
+        frames = await self._latest.take(wake_for_each=self._pairer.is_waiting)
+        return [
+            pair
+            for frame in frames
+            for pair in self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
+        ]
 
     async def after(self, t_ns: int, count: int) -> list[Pair[Frame]]:
         """The next ``count`` exposures that were begun after ``t_ns``, each with the frames of all cameras.
 
         A frame carries the middle of its exposure, so the first one behind ``t_ns`` may have begun before
         it. It is passed over: a camera begins no exposure before the one before has ended. Raises
-        CameraError when a camera is at its end or when none come for PATIENCE_S, and a driver's own failure.
-        Exposures during which a camera was being set are passed over too.
+        CameraError when a camera is at its end or when none come for FRAME_SET_TIMEOUT_S, and a driver's own
+        failure. Exposures during which a camera was being set are passed over too.
         """
         found: list[Pair[Frame]] = []
         under_way = True
         while len(found) < count:
-            for pair in await self._next():
+            for pair in await self._complete():
                 frames = pair.items.values()
                 if min(frame.t_ns for frame in frames) <= t_ns or any(frame.changing for frame in frames):
                     continue
@@ -86,26 +107,24 @@ class Exposures:
                     found.append(pair)
         return found[:count]
 
-    async def _next(self) -> list[Pair[Frame]]:
+    async def _complete(self) -> list[Pair[Frame]]:
         """The next complete exposures, at least one."""
         complete: list[Pair[Frame]] = []
         try:
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(FRAME_SET_TIMEOUT_S):
                 while not complete:
-                    for frame in await self._inbox.take():
-                        pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
-                        complete += [pair for pair in pairs if len(pair.items) == len(self._cameras)]
-                    for grabber in self._grabbers:
-                        if grabber.done() and not complete:
-                            grabber.result()  # a driver's defect
-                            raise CameraError(self._complaint())
+                    complete = [p for p in await self.settled() if len(p.items) == len(self._cameras)]
+                    if not complete and any(task.done() for task in self._acquiring):
+                        self.check()
+                        raise CameraError(self._complaint())
         except TimeoutError:
             raise CameraError(self._complaint()) from None
         return complete
 
     def _complaint(self) -> str:
-        states = {camera.name: self._health.component(f"camera {camera.name}") for camera in self._cameras}
         bad = [
-            f"camera {name}: {c.message or 'no frames'}" for name, c in states.items() if c.state != State.OK
+            f"camera {name}: {component.message or 'no frames'}"
+            for name, component in self._components.items()
+            if component.state != State.OK
         ]
-        return "; ".join(bad) or f"no exposure of all cameras together for {PATIENCE_S:g} s"
+        return "; ".join(bad) or f"no exposure of all cameras together for {FRAME_SET_TIMEOUT_S:g} s"

@@ -1,14 +1,16 @@
-"""The pipeline task: frames from the inbox through the chain onto the board."""
+"""The pipeline task: what the cameras' threads located, through the chain onto the board."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.latest_frames import LatestFrames
+from altd.acquisition.latest_of_each import LatestOfEach
 from altd.measuring.chain import MeasuringChain
+from altd.measuring.spot_locator import Located
 from altd.ports import Clock
-from altd.records import Frame, Measurement
+from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, State
 
@@ -18,12 +20,13 @@ class Pipeline:
 
     When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time an
     exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames that are
-    taken and come to nothing do not.
+    taken and come to nothing do not. ``frames`` are the slots in which frames wait to be located.
     """
 
     def __init__(
         self,
-        inbox: Inbox,
+        located: LatestOfEach[Located],
+        frames: LatestFrames,
         chain: MeasuringChain,
         board: Board,
         component: Component,
@@ -31,7 +34,8 @@ class Pipeline:
         silent_after_s: float,
         progress: Callable[[], None] = lambda: None,
     ) -> None:
-        self._inbox = inbox
+        self._located = located
+        self._frames = frames
         self._chain = chain
         self._board = board
         self._component = component
@@ -39,13 +43,17 @@ class Pipeline:
         self._silent_after_s = silent_after_s
         self._progress = progress
         self._heard_ns = clock.monotonic_ns()
+        """When something came or, if that was later, when it was last said that nothing does."""
+        self._is_silent = True
 
     async def run(self) -> None:
         """Measure until cancelled; a failure here ends the daemon."""
         ticking = asyncio.create_task(self._tick(), name="silence-tick")
         try:
             while True:
-                self._measure(await self._inbox.take())
+                # after a silence nobody knows whose frame comes next
+                each = self._is_silent or self._chain.awaits_partner
+                self._measure(await self._located.take(wake_for_each=each))
         finally:
             ticking.cancel()
             await asyncio.gather(ticking, return_exceptions=True)
@@ -53,28 +61,34 @@ class Pipeline:
     async def _tick(self) -> None:
         """Wake the reader when nothing was heard for ``silent_after_s``, and no sooner."""
         while True:
-            left_s = self._silent_after_s - (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
+            left_s = self._silent_after_s - self._silent_for_s()
             if left_s <= 0:
-                self._inbox.tick()
+                self._located.wake()
                 left_s = self._silent_after_s
             await self._clock.sleep(left_s)
 
-    def _measure(self, frames: Sequence[Frame]) -> None:
-        now_ns = self._clock.monotonic_ns()
-        if not frames and now_ns - self._heard_ns < self._silent_after_s * 1e9:
+    def _silent_for_s(self) -> float:
+        self._heard_ns = max(self._heard_ns, self._located.delivered_ns or 0)
+        return (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
+
+    def _measure(self, located: list[Located]) -> None:
+        is_silent = self._silent_for_s() >= self._silent_after_s
+        if not located and not is_silent:
             return
-        self._heard_ns = now_ns
+        self._is_silent = is_silent
         before = self._chain.exposures, self._board.published
-        for frame in frames:
-            for measurement in self._chain.push(frame):
+        for one in located:
+            for measurement in self._chain.add(one):
                 self._put_up(measurement)
-        if not frames:
-            self._put_up(self._chain.silence(now_ns))
+        if is_silent:
+            self._heard_ns = self._clock.monotonic_ns()
+            self._put_up(self._chain.silence(self._heard_ns))
         not_told = dict.fromkeys(self._component.figures)
         self._component.observe(not_told | self._chain.step() | self._chain.views())
         self._component.counters["late_frames"] = self._chain.late_frames
-        for camera, dropped in self._inbox.dropped.items():
-            self._component.counters[f"dropped_{camera}"] = dropped
+        of_frames = self._frames.dropped
+        for camera, dropped in self._located.dropped.items():
+            self._component.counters[f"dropped_{camera}"] = dropped + of_frames[camera]
         if (self._chain.exposures, self._board.published) != before:
             self._progress()
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 
-from altd.acquisition.auto_exposure.control import ExposureSetter
-from altd.acquisition.grabbing import grab
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.frame_sets import FrameSets
 from altd.config import Measuring
 from altd.errors import BadInputError
-from altd.measuring.pairing import Pair, Pairer
+from altd.measuring.pairing import Pair
 from altd.ports import Camera
 from altd.recording.header import (
     MADE_BY,
@@ -38,45 +36,30 @@ async def record(
     seconds: float,
     kind: Kind = "measurement",
     fps: float = 20.0,
-    setters: Mapping[str, ExposureSetter] | None = None,
+    exposure: Mapping[str, ExposureControl] | None = None,
     progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
     """Write a recording of a kind; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
-    written until then is whole. Exposure is set by ``setters`` when a camera is opened, and holds still; what
-    was exposed while it was being set is not kept. ``progress`` is told after each exposure how many of how
-    many are kept. Raises BadInputError when the folder cannot be used, and
-    a driver's own failure; a camera that is merely lost is waited for.
+    written until then is whole. Exposure time and gain are set by ``exposure`` when a camera is opened, and
+    hold still; what was exposed while they were being set is not kept. ``progress`` is told after each
+    exposure how many of how many are kept. Raises BadInputError when the folder cannot be used, and a
+    driver's own failure; a camera that is merely lost is waited for.
     """
-    names = tuple(camera.name for camera in cameras)
-    inbox = Inbox(names)
-    pairer: Pairer[Frame] = Pairer(names, measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns)
     sink = _Sink(path, unit, cameras, kind, fps, utc)
-    grabbers = [
-        asyncio.create_task(
-            grab(camera, inbox, health.component(f"camera {camera.name}"), (setters or {}).get(camera.name))
-        )
-        for camera in cameras
-    ]
-    sources = asyncio.gather(*grabbers)
-    sources.add_done_callback(lambda _: inbox.tick())
-    sources.add_done_callback(lambda done: done.cancelled() or done.exception())  # nobody may ask for it
     try:
-        while sink.length_s < seconds and not (sources.done() and not inbox.waiting):
-            for frame in await inbox.take():
-                for pair in pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
-                    changing = any(taken.changing for taken in pair.items.values())
+        async with FrameSets(cameras, measuring, health, exposure) as sets:
+            while sink.length_s < seconds and not sets.is_at_end:
+                for pair in await sets.settled():
+                    changing = any(frame.changing for frame in pair.items.values())
                     if sink.length_s < seconds and not changing:
                         sink.write(pair)
                         progress(sink.exposures, round(seconds * fps))
-        if sources.done():
-            sources.result()  # a source that failed, not one at its end
-        return sink.exposures
+            sets.check()
+            return sink.exposures
     finally:
         sink.close()
-        sources.cancel()
-        await asyncio.gather(sources, *grabbers, return_exceptions=True)
 
 
 class _Sink:
@@ -115,7 +98,7 @@ class _Sink:
                 name: camera_header(frame, self._cameras[name]) for name, frame in pair.items.items()
             }
             self._writer = RecordingWriter(self._path, self._header())
-        self._see_that_cameras_stay()
+        self._check_cameras()
         t_s = (pair.t_ns - self._first_ns) * 1e-9
         last_sequence, last_s = self._last
         if t_s <= last_s:
@@ -132,7 +115,7 @@ class _Sink:
         self.exposures += 1
         self.length_s = t_s + 1 / self._fps
 
-    def _see_that_cameras_stay(self) -> None:
+    def _check_cameras(self) -> None:
         """A camera that was changed for another would have its frames taken for those of the first."""
         for name, header in self._headers.items():
             camera = self._cameras[name]

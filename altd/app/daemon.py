@@ -9,11 +9,13 @@ from pathlib import Path
 import cv2
 
 from altd import __version__
-from altd.acquisition.auto_exposure.control import ExposureKeeper
-from altd.acquisition.grabbing import grab
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.acquiring import acquire
+from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
+from altd.acquisition.latest_frames import LatestFrames
+from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.locating import locate_frames
 from altd.acquisition.pipeline import Pipeline
 from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
 from altd.config import (
@@ -27,13 +29,14 @@ from altd.errors import BadInputError, bare
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.spot_locator import Located
 from altd.ports import Camera, Clock, Indicators, Lamps
-from altd.records import CameraIdentity, Fault, Frame, NoSpot, Spot, origin_faults
+from altd.records import CameraIdentity, Fault, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.service_manager import ServiceManager
 from altd.runtime.supervision import Publisher, keep_running
 from altd.status.board import Board
-from altd.status.health import MEASURING, Component, Health, State
+from altd.status.health import MEASURING, Health, State
 
 _FACES_START_TIMEOUT_S = 1.0
 
@@ -79,7 +82,6 @@ class Daemon:
             instrument,
             self._origin_faults,
             self.clock.utc,
-            self._watch,
             lambda camera: self._cameras[camera].identity,
             {
                 name: CameraIdentity(serial=settings.serial)
@@ -87,10 +89,8 @@ class Daemon:
                 if isinstance(settings, LiveCameraSettings)
             },
         )
-        self._keepers = {
-            name: ExposureKeeper(
-                settings.exposure, settings.fps, config.measuring.window, self._camera_health(name)
-            )
+        self._exposure = {
+            name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
@@ -102,7 +102,8 @@ class Daemon:
         daemon with that failure. A publisher's failure never does.
         """
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        inbox = Inbox(self._cameras)
+        frames = LatestFrames(self._cameras)
+        located = LatestOfEach[Located](self._cameras, self.clock)
         faces = dict(self._publishers())
         manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(faces))
         try:
@@ -113,14 +114,11 @@ class Daemon:
                     face = keep_running(place, publisher, component, self.clock, first_try.set)
                     tasks.create_task(face, name=place)
                 await _all_of(tried)
-                for name, camera in self._cameras.items():
-                    keeper = self._keepers.get(name)
-                    grabbing = grab(
-                        camera, inbox, self._camera_health(name), keeper.setter if keeper else None
-                    )
-                    tasks.create_task(grabbing, name=f"camera {name}")
+                for camera in self._cameras.values():
+                    self._measure_camera(tasks, camera, frames, located)
                 pipeline = Pipeline(
-                    inbox,
+                    located,
+                    frames,
                     self.chain,
                     self.board,
                     self.health.component(MEASURING),
@@ -136,6 +134,21 @@ class Daemon:
                 raise
             raise refused from None
 
+    def _measure_camera(
+        self,
+        tasks: asyncio.TaskGroup,
+        camera: Camera,
+        frames: LatestFrames,
+        located: LatestOfEach[Located],
+    ) -> None:
+        """One thread acquires a camera's frames, another one locates the spot in the newest of them."""
+        exposure = self._exposure.get(camera.name)
+        health = self.health.component(f"camera {camera.name}")
+        acquiring = tasks.create_task(acquire(camera, frames, health, exposure), name=health.name)
+        acquiring.add_done_callback(lambda _: frames.end(camera.name))
+        locating = locate_frames(frames, self.chain.locators[camera.name], located, exposure, camera.waits)
+        tasks.create_task(locating, name=f"locate {camera.name}")
+
     async def _lights(self) -> None:
         """Keep lamps and indicators, until cancelled."""
         async with asyncio.TaskGroup() as tasks:
@@ -147,13 +160,6 @@ class Daemon:
         cameras = self._cameras.values()
         played = [camera.name for camera in cameras if camera.playback]
         return origin_faults({camera.name: camera.origin for camera in cameras}, played)
-
-    def _camera_health(self, name: str) -> Component:
-        return self.health.component(f"camera {name}")
-
-    def _watch(self, frame: Frame, spot: Spot | NoSpot) -> None:
-        if (keeper := self._keepers.get(frame.camera)) is not None:
-            keeper.see(frame, spot)
 
     def _publishers(self) -> Iterator[tuple[str, Publisher]]:
         """The faces that the config asks for, with their places in it. Imported only when wanted."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.acquisition.auto_exposure.control import ExposureSetter
+from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
 from altd.config import (
     AravisCameraSettings,
@@ -127,10 +127,10 @@ def calibration_of(config: Config, cameras: Mapping[str, Camera]) -> Calibration
     return calibration
 
 
-def setters_of(config: Config) -> dict[str, ExposureSetter]:
+def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:
     """For a recording or a scan: each live camera gets its exposure from the config once, and keeps it."""
     return {
-        name: ExposureSetter(settings.exposure, settings.fps)
+        name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
         for name, settings in config.cameras.items()
         if isinstance(settings, LiveCameraSettings) and settings.exposure.control != "camera"
     }

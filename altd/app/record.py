@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from altd.acquisition.record import record
-from altd.app.parts import cameras_of, setters_of
+from altd.app.parts import cameras_of, exposure_controls_of
 from altd.config import Config
 from altd.recording.header import Kind, UnitHeader
 from altd.recording.writer import refuse_used_folder
@@ -40,6 +40,6 @@ async def record_of(
         clock.utc,
         seconds,
         kind,
-        setters=setters_of(config),
+        exposure=exposure_controls_of(config),
         progress=progress,
     )

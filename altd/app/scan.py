@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from altd.acquisition.scan.scanner import Scanner, Teller
-from altd.app.parts import cameras_of, lamps_of, setters_of, stage_of
+from altd.app.parts import cameras_of, exposure_controls_of, lamps_of, stage_of
 from altd.config import Config
 from altd.ports import Camera, Lamps
 from altd.runtime.clock import SystemClock
@@ -27,5 +27,5 @@ def scanner_of(
     stage = stage_of(config, place)
     cameras = cameras_of(config, place) if cameras is None else cameras
     lamps = lamps_of(config, cameras, place) if lamps is None else lamps
-    clock, setters = SystemClock(), setters_of(config)
-    return Scanner(config, folder, list(cameras.values()), stage, lamps, clock, teller, setters)
+    clock, exposure = SystemClock(), exposure_controls_of(config)
+    return Scanner(config, folder, list(cameras.values()), stage, lamps, clock, teller, exposure)

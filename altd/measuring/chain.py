@@ -54,9 +54,11 @@ class MeasuringChain:
 
     ``origins`` tells what every measurement has to say of where the frames come from; that the calibration
     is of simulated frames is said as well.
-    ``watch`` is shown each new frame that is measured, with what was found in it. ``identity`` tells which
-    camera stands behind a name, ``expected`` which should, beside the one that was calibrated. ``place``
-    tells where an exposure was made, by its sequence.
+    ``identity`` tells which camera stands behind a name, ``expected`` which should, beside the one that was
+    calibrated. ``place`` tells where an exposure was made, by its sequence.
+
+    ``locators`` locate the spots, by camera. ``push`` calls them itself; who calls them from threads of their
+    own hands on to ``add`` what they found, and neither shares anything with the other.
     """
 
     def __init__(
@@ -67,7 +69,6 @@ class MeasuringChain:
         instrument: Instrument,
         origins: Callable[[], Iterable[Fault]] = tuple,
         utc: Callable[[int], datetime | None] = lambda t_ns: None,
-        watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
         identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
         expected: Mapping[str, CameraIdentity] | None = None,
         place: Callable[[int], Place | None] = lambda sequence: None,
@@ -90,16 +91,16 @@ class MeasuringChain:
         self._utc = utc
         self._place = place
         self._last_place: Place | None = None
-        self._locators = {
+        self.locators: Mapping[str, SpotLocator] = {
             view.camera: SpotLocator(
                 view.camera,
                 self._calibration[view.target],
-                watch,
                 partial(identity, view.camera),
                 (expected or {}).get(view.camera),
             )
             for view in views
         }
+        self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
         self._gate = Gate()
         self._breaks_in_window = dict.fromkeys(self._views, 0)
@@ -116,6 +117,11 @@ class MeasuringChain:
     def late_frames(self) -> int:
         """Frames that came after their exposure was given up."""
         return self._pairer.late
+
+    @property
+    def awaits_partner(self) -> bool:
+        """Whether a frame waits for that of another camera."""
+        return self._pairer.is_waiting
 
     def seen(self) -> str:
         """What each camera saw last, in words: for the technician who aims the beam."""
@@ -139,8 +145,8 @@ class MeasuringChain:
         """Whether the cameras are those that were calibrated, for health."""
         return {
             name: figure
-            for locator in self._locators.values()
-            for name, figure in locator.view_check.figures(self._now_ns).items()
+            for status in self._view_status.values()
+            for name, figure in status.figures(self._now_ns).items()
         }
 
     def _silent(self) -> set[str]:
@@ -152,12 +158,13 @@ class MeasuringChain:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
         if frame.leds_on:
             return []
-        return self.add(self._locators[frame.camera].locate(frame))
+        return self.add(self.locators[frame.camera].locate(frame))
 
     def add(self, located: Located) -> list[Measurement]:
         """Take what one frame holds; returns the measurements that it completes."""
         self._now_ns = self._last_frame_ns[located.camera] = located.t_ns
         self._last_spots[self._views[located.camera].target] = located.spot
+        self._view_status[located.camera] = located.view
         return self._measure(self._pairer.add(located.camera, located.sequence, located.t_ns, located))
 
     def flush(self) -> list[Measurement]:

@@ -146,6 +146,11 @@ class Pairer(Generic[Item]):
         """Items that came after their exposure was given up."""
 
     @property
+    def is_waiting(self) -> bool:
+        """Whether an item waits for its partner."""
+        return any(self._waiting.values())
+
+    @property
     def lags_ns(self) -> Mapping[str, int]:
         """How far each camera exposes behind the first; empty where pairing is by sequence."""
         return self._lags.ns if self._lags else {}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.freshness import FreshnessCheck
-from altd.measuring.view_check import ViewCheck
+from altd.measuring.view_check import ViewCheck, ViewStatus
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.vision.frame_analysis import FrameAnalysis
@@ -20,10 +20,13 @@ _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """What a frame holds, and how many of its camera's frames, up to it, no window may reach across.
+    """What a frame holds. Everything in it is frozen: it is read by another thread than made it.
 
-    Those are frames that were exposed during a change, and the second and later ones of a row that are not
-    new: one that comes twice is lost, with two in a row the camera stands still.
+    ``spot`` is what is to be measured, ``found`` what the localiser saw, whosever camera it is; None in a
+    frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
+    across, so one that gets lost is in the next one's: frames that were exposed during a change, or of
+    another view, and the second and later ones of a row that are not new: one that comes twice is lost, with
+    two in a row the camera stands still. ``view`` is what is known of the camera.
     """
 
     camera: str
@@ -31,32 +34,32 @@ class Located:
     t_ns: int
     spot: Spot | NoSpot
     breaks: int
+    found: Spot | NoSpot | None
+    view: ViewStatus
 
 
 class SpotLocator:
     """Locates the spot in each frame of one camera, and holds the frame against those before it.
 
-    ``watch`` is shown each new frame, with what was found in it; ``identity`` tells which camera delivers,
-    ``expected`` which should, beside the one that was calibrated.
+    ``identity`` tells which camera delivers, ``expected`` which should, beside the one that was calibrated.
+    One thread calls ``locate``, with one frame after the other.
     """
 
     def __init__(
         self,
         camera: str,
         target: TargetCalibration,
-        watch: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
         identity: Callable[[], CameraIdentity | None] = lambda: None,
         expected: CameraIdentity | None = None,
     ) -> None:
-        self._camera = camera
+        self.camera = camera
         self._target = target
-        self._watch = watch
         self._identity = identity
         self._freshness = FreshnessCheck()
         self._stands_still = False
         """The last frame was not new."""
         self._breaks = 0
-        self.view_check = ViewCheck(target, (target.camera, expected or CameraIdentity()))
+        self._view_check = ViewCheck(target, (target.camera, expected or CameraIdentity()))
 
     def locate(self, frame: Frame) -> Located:
         """The spot of a frame that was taken with the frame LEDs off."""
@@ -64,14 +67,18 @@ class SpotLocator:
         repeated = self._freshness.repeated(frame)
         self._stands_still = bool(repeated)
         analysis = FrameAnalysis(frame, self._target.localiser)
-        spot = NoSpot(Reason.FRAME_REPEATED, repeated) if repeated else self._spot(analysis)
         self._breaks += frame.changing or (bool(repeated) and stood_still)
-        if not repeated:
-            self._watch(frame, spot)
-            spot = self._checked(analysis, spot)
-        return Located(self._camera, frame.sequence, frame.t_ns, spot, self._breaks)
+        found = None if repeated else self._found(analysis)
+        spot = NoSpot(Reason.FRAME_REPEATED, repeated) if found is None else self._checked(analysis, found)
+        view = self._view_check.status
+        return Located(self.camera, frame.sequence, frame.t_ns, spot, self._breaks, found, view)
 
-    def _spot(self, analysis: FrameAnalysis) -> Spot | NoSpot:
+    @property
+    def view(self) -> ViewStatus:
+        """What is known of the camera now."""
+        return self._view_check.status
+
+    def _found(self, analysis: FrameAnalysis) -> Spot | NoSpot:
         target = self._target
         spot = _CHANGING if analysis.frame.changing else locate_in(analysis, target.flat, target.spot)
         if isinstance(spot, NoSpot) and len(target.leds_px):
@@ -80,7 +87,7 @@ class SpotLocator:
 
     def _checked(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> Spot | NoSpot:
         """The spot as far as the camera and its view are those that were calibrated."""
-        check = self.view_check
+        check = self._view_check
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
             self._breaks += 1  # the exposures before it are not to be believed either
             return objection

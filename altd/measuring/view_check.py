@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
@@ -21,6 +22,50 @@ _MIN_FRAMES_BETWEEN = 4
 _JUMP_PX = 0.5
 """From where steady motion would have brought it: a picture that is moved moves its spot."""
 _ESTABLISHED_AFTER = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ViewStatus:
+    """What is known of a target's camera after one of its frames; others may read it than checked that.
+
+    ``has_fingerprint``: something is known to verify it by. ``verified_ns`` is when it was verified last,
+    ``wrong`` and ``doubt`` say what is wrong with it or not known, ``shift_px`` is by how much the picture
+    moved, ``frame_ns`` the time of the last frame that was held against the calibration; None: not known.
+    """
+
+    target: str
+    has_fingerprint: bool
+    verified_ns: int | None
+    wrong: str
+    doubt: str
+    sensor_is_same: bool
+    shift_px: float | None
+    frame_ns: int | None
+
+    def figures(self, now_ns: int) -> dict[str, float | str]:
+        """What health shows: whether the view is verified, since when, and the picture's shift.
+
+        Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
+        """
+        figures: dict[str, float | str] = {f"view_{self.target}": self._in_words(now_ns)}
+        if self.shift_px is not None and not self._is_silent(now_ns):
+            figures[f"view_shift_{self.target}_px"] = round(self.shift_px, 3)
+        return figures
+
+    def _is_silent(self, now_ns: int) -> bool:
+        return self.frame_ns is not None and now_ns - self.frame_ns > _GAP_NS
+
+    def _in_words(self, now_ns: int) -> str:
+        if not self.has_fingerprint:
+            return "could not be verified: the calibration has no fingerprint of the camera"
+        if not self.wrong and self.verified_ns is not None:
+            return f"verified {max(now_ns - self.verified_ns, 0) * 1e-9:.0f} s ago"
+        if self._is_silent(now_ns):
+            return "could not be verified: no frame comes"
+        if self.wrong:
+            return f"wrong: {self.wrong}"
+        sensor = "the sensor is verified, its view " if self.sensor_is_same else ""
+        return f"{sensor}could not be verified: {self.doubt}"
 
 
 class ViewCheck:
@@ -79,31 +124,19 @@ class ViewCheck:
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
 
-    def figures(self, now_ns: int) -> dict[str, float | str]:
-        """What health shows: whether the view is verified, since when, and the picture's shift.
-
-        Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
-        """
-        name = self._target.name
-        figures: dict[str, float | str] = {f"view_{name}": self._in_words(now_ns)}
-        if self._shift_px is not None and not self._is_silent(now_ns):
-            figures[f"view_shift_{name}_px"] = round(self._shift_px, 3)
-        return figures
-
-    def _is_silent(self, now_ns: int) -> bool:
-        return self._last_ns is not None and now_ns - self._last_ns > _GAP_NS
-
-    def _in_words(self, now_ns: int) -> str:
-        if self._target.fingerprint is None:
-            return "could not be verified: the calibration has no fingerprint of the camera"
-        if self._wrong is None and self._verified_ns is not None:
-            return f"verified {max(now_ns - self._verified_ns, 0) * 1e-9:.0f} s ago"
-        if self._is_silent(now_ns):
-            return "could not be verified: no frame comes"
-        if self._wrong is not None:
-            return f"wrong: {self._wrong.wrong}"
-        sensor = "the sensor is verified, its view " if self._sensor_is_same else ""
-        return f"{sensor}could not be verified: {self._doubt}"
+    @property
+    def status(self) -> ViewStatus:
+        """What is known after the last frame."""
+        return ViewStatus(
+            self._target.name,
+            self._target.fingerprint is not None,
+            self._verified_ns,
+            "" if self._wrong is None else self._wrong.wrong,
+            self._doubt,
+            self._sensor_is_same,
+            self._shift_px,
+            self._last_ns,
+        )
 
     def _is_due(self, frame: Frame, spot: Spot | NoSpot) -> bool:
         is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER

@@ -18,7 +18,7 @@ import numpy as np
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
-from altd.records import FloatArray, Frame, NoSpot, Spot
+from altd.records import FloatArray, Frame, NoSpot
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
 from benchmarks.campaign.scene import Noise, mean_image, noisy_image
@@ -188,18 +188,12 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
     rng = np.random.default_rng([seed, hour, *name.encode()])
     count = Count()
 
-    def watch(frame: Frame, spot: Spot | NoSpot, *_: object) -> None:
-        count.frames += 1
-        if isinstance(spot, NoSpot):
-            count.frames_refused[f"{frame.camera}_{spot.reason}"] += 1
-
     measuring = Measuring(window=WINDOW, every=1)
     chain = MeasuringChain(
         [View(camera, camera) for camera in good.calibration.target_names],
         good.calibration,
         measuring,
         BeamInstrument(good.calibration, measuring),
-        watch=watch,
     )
     for step in range(max(1, round(HOUR_S / step_s))):
         start_ns = round((hour * HOUR_S + step * step_s) * 1e9) // PERIOD_NS * PERIOD_NS + PERIOD_NS
@@ -215,7 +209,11 @@ def _measure_burst(
         t_ns = start_ns + k * PERIOD_NS
         truth.append(good.truth(t_ns))
         for camera in CAMERAS:
-            for measurement in chain.push(good.frame(camera, t_ns // PERIOD_NS, t_ns, rng)):
+            located = chain.locators[camera].locate(good.frame(camera, t_ns // PERIOD_NS, t_ns, rng))
+            count.frames += located.found is not None
+            if isinstance(located.found, NoSpot):
+                count.frames_refused[f"{camera}_{located.found.reason}"] += 1
+            for measurement in chain.add(located):
                 if k < WINDOW - 1:  # a window that is still filling is no measurement of the unit's life
                     continue
                 times_ns = t_ns + PERIOD_NS * np.arange(1.0 - WINDOW, 1.0)

@@ -8,13 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.latest_frames import LatestFrames
+from altd.acquisition.latest_of_each import LatestOfEach
 from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.timestamps import StampCheck
 from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.spot_locator import Located
 from altd.records import FloatArray, Frame, Measurement, PixelArray
 from altd.status.board import Board
 from altd.status.health import Health
@@ -89,15 +91,16 @@ async def _read(
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
     instrument = BeamInstrument(rig.calibration, measuring)
     board = Board(clock, Measuring().stale_after_s, instrument.quantities)
-    inbox = Inbox(CAMERAS)
+    located = LatestOfEach[Located](CAMERAS, clock)
     chain = MeasuringChain(
         [View(name, name) for name in rig.calibration.target_names],
         rig.calibration,
         measuring,
         instrument,
     )
+    component = Health(clock).component("measuring")
     pipeline = Pipeline(
-        inbox, chain, board, Health(clock).component("measuring"), clock, Measuring().silent_after_s
+        located, LatestFrames(CAMERAS), chain, board, component, clock, Measuring().silent_after_s
     )
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
@@ -117,7 +120,7 @@ async def _read(
                 continue
             frame = Frame(one.camera, one.sequence, t_ns, pixels, rig.bits)
             if not stamps[one.camera].refusal(frame, clock.monotonic_ns()):
-                inbox.put(frame, wait=False)
+                located.put(chain.locators[one.camera].locate(frame), wait=False)
             await clock.settle()
         await clock.pass_to(now_ns, at_one_blow=was_held)
         await clock.settle()

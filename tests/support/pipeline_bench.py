@@ -1,31 +1,28 @@
-"""The pipeline between an inbox and a board, with a chain that a test controls and a clock that it drives."""
+"""The pipeline between its slots and a board, with a chain that a test controls and a clock it drives."""
 
 from __future__ import annotations
 
 import asyncio
 
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.latest_frames import LatestFrames
+from altd.acquisition.latest_of_each import LatestOfEach
 from altd.acquisition.pipeline import Pipeline
 from altd.instruments.beam.quantities import QUANTITIES
+from altd.measuring.spot_locator import Located
 from altd.reasons import Reason
-from altd.records import Frame, Measurement
+from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Health
 from support.clock import FakeClock
-from support.frames import Blob, frame, light
+from support.located import located
 from support.measurements import measurement
-
-PIXELS = frame(light(Blob(300, 200))).pixels
-
-
-def shot(camera: str, sequence: int, t_ns: int = 0) -> Frame:
-    return Frame(camera, sequence, t_ns, PIXELS)
 
 
 class Chain:
     """Stands in for the measuring chain: a measurement for every frame of the rear camera."""
 
     late_frames = 0
+    awaits_partner = False
 
     def __init__(self) -> None:
         self.broken = False
@@ -33,10 +30,10 @@ class Chain:
         self.spot = "spot_missing"
         self.shift: dict[str, float | str] = {}
 
-    def push(self, frame: Frame) -> list[Measurement]:
+    def add(self, one: Located) -> list[Measurement]:
         if self.broken:
             raise ZeroDivisionError("a defect")
-        return [measurement(frame.sequence, frame.t_ns)] if frame.camera == "rear" else []
+        return [measurement(one.sequence, one.t_ns)] if one.camera == "rear" else []
 
     def silence(self, t_ns: int) -> Measurement:
         return measurement(0, t_ns, Reason.CAMERA_SILENT)
@@ -57,12 +54,14 @@ class Bench:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.board = Board(self.clock, 1.0, QUANTITIES)
-        self.inbox = Inbox(("front", "rear"))
+        self.located = LatestOfEach[Located](("front", "rear"), self.clock)
+        self.frames = LatestFrames(("front", "rear"))
         self.chain = Chain()
         self.component = Health(self.clock).component("measuring")
         self.progress = 0
         self.pipeline = Pipeline(
-            self.inbox,
+            self.located,
+            self.frames,
             self.chain,  # type: ignore[arg-type]
             self.board,
             self.component,
@@ -74,3 +73,6 @@ class Bench:
 
     def count(self) -> None:
         self.progress += 1
+
+    def put(self, camera: str, sequence: int) -> None:
+        self.located.put(located(camera, sequence, self.clock.monotonic_ns()), wait=False)

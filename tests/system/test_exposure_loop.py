@@ -1,4 +1,4 @@
-"""Exposure control on simulated cameras in their own time: chain, keeper and setter as in the daemon."""
+"""Exposure control on simulated cameras in their own time: located and controlled as in the daemon."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from support.clock import stop
 from support.measurements import beam_of
 from support.unit_toml import TARGETS
 
-from altd.acquisition.auto_exposure.control import ExposureKeeper
-from altd.acquisition.auto_exposure.rule import HIGH, LOW, Seen, look
+from altd.acquisition.auto_exposure.control import ExposureControl, Refused
+from altd.acquisition.auto_exposure.rule import HIGH, LOW, Content, sample_brightness
+from altd.acquisition.locating import locate_frame
 from altd.app.daemon import Daemon
 from altd.config import Config, ExposureSettings, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
@@ -22,8 +23,6 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
 from altd.records import Frame, Measurement, NoSpot, Spot
-from altd.runtime.clock import SystemClock
-from altd.status.health import Health
 from hw_sim.beam import BeamPose, Laser
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
@@ -53,26 +52,18 @@ class Loop:
     ) -> None:
         self.unit = Unit(UnitConfig(seed=3, lux=lux, bits=bits, laser=Laser(power_mw=power_mw)))
         self.unit.place(POSE)
-        self.health = Health(SystemClock())
-        control = ExposureSettings(exposure_ms=start_ms, longest_ms=longest_ms)
-        self.keepers = {
-            name: ExposureKeeper(control, 20.0, WINDOW, self.health.component(name)) for name in CAMERAS
-        }
+        settings = ExposureSettings(exposure_ms=start_ms, longest_ms=longest_ms)
+        self.exposure = {name: ExposureControl(settings, 20.0, WINDOW) for name in CAMERAS}
         self.chain = MeasuringChain(
             [View(name, name) for name in CAMERAS],
             calibration,
             Measuring(window=WINDOW, pair_by="time"),
             BeamInstrument(calibration, Measuring()),
-            watch=self._watch,
         )
         self.cameras = make_cameras(self.unit, real_time=False)
-        self.setters = {}
         for camera in self.cameras:
             camera.open()
-            setter = self.keepers[camera.name].setter
-            assert setter is not None
-            setter.opened(camera)
-            self.setters[camera.name] = setter
+            self.exposure[camera.name].opened(camera)
         self.tells = tells
         self.seen: list[tuple[int, Frame, Spot | NoSpot]] = []
         self.measured: list[tuple[int, Measurement]] = []
@@ -84,10 +75,15 @@ class Loop:
         first = self.number
         for _ in range(exposures):
             for camera in self.cameras:
-                setter = self.setters[camera.name]
-                assert setter.set(camera) in (None, "")
-                taken = setter.marked(self._next(camera.name))
-                self.measured += [(self.number, m) for m in self.chain.push(taken)]
+                exposure = self.exposure[camera.name]
+                if exposure.is_due:
+                    assert not isinstance(exposure.apply(camera), Refused)
+                taken = exposure.mark(self._next(camera.name))
+                located = locate_frame(taken, self.chain.locators[camera.name], exposure)
+                assert located is not None
+                if located.found is not None:
+                    self.seen.append((self.number, taken, located.found))
+                self.measured += [(self.number, m) for m in self.chain.add(located)]
             self.number += 1
         return first
 
@@ -95,7 +91,8 @@ class Loop:
         self.unit.config = replace(self.unit.config, laser=Laser(power_mw=power_mw))
 
     def changes(self) -> list[int]:
-        return [self.health.component(name).counters.get("exposure_changes", 0) for name in CAMERAS]
+        figures = [self.exposure[name].figures for name in CAMERAS]
+        return [0 if known is None else known.changes for known in figures]
 
     def exposures_until_valid(self, since: int) -> int:
         """After how many exposures from ``since`` on every measurement is valid."""
@@ -110,9 +107,9 @@ class Loop:
         assert self.exposures_until_valid(since) == 0
         for number, taken, spot in self.seen:
             if number >= since:
-                sight = look(taken, spot)
-                assert sight.seen is Seen.SPOT
-                assert LOW - 0.04 <= sight.level <= HIGH + 0.04
+                sample = sample_brightness(taken, spot)
+                assert sample.content is Content.SPOT
+                assert LOW - 0.04 <= sample.level <= HIGH + 0.04
         errors = [(b.x_mm - POSE.x_mm, b.y_mm - POSE.y_mm) for b in self.beams(since)]
         assert np.abs(errors).max() <= LARGEST_ERROR_MM
 
@@ -125,10 +122,6 @@ class Loop:
         waiting.append(replace(taken, exposure_ms=None, gain_db=None))
         late = waiting.pop(0) if len(waiting) > 2 else waiting[0]
         return replace(late, sequence=taken.sequence, t_ns=taken.t_ns)
-
-    def _watch(self, frame: Frame, spot: Spot | NoSpot) -> None:
-        self.seen.append((self.number, frame, spot))
-        self.keepers[frame.camera].see(frame, spot)
 
 
 @pytest.fixture(autouse=True)
@@ -176,13 +169,13 @@ def test_where_the_exposure_may_not_be_longer_gain_does_it_and_goes_first(
     loop = Loop(calibration_of_unit_3, power_mw=1.0, start_ms=1.0, longest_ms=1.0)
     loop.run(60)
     loop.check_well(since=40)
-    dim = [loop.setters[name].wish for name in CAMERAS]
+    dim = [loop.exposure[name].setpoint for name in CAMERAS]
     assert [setting.exposure_ms for setting in dim] == [1.0, 1.0]
     assert all(6.0 < setting.gain_db < 12.0 for setting in dim)
     loop.set_power(5.0)
     loop.run(100)
     loop.check_well(since=140)
-    bright = [loop.setters[name].wish for name in CAMERAS]
+    bright = [loop.exposure[name].setpoint for name in CAMERAS]
     assert all(setting.gain_db == 0.0 and setting.exposure_ms < 1.0 for setting in bright)
 
 
@@ -242,7 +235,7 @@ def test_a_flooded_picture_is_exposed_less_and_all_is_well_when_the_flood_ends(
     loop.run(50)
     loop.unit.inject(Fault.WHITE)
     loop.run(100)
-    lowest = [loop.setters[name].wish.exposure_ms for name in CAMERAS]
+    lowest = [loop.exposure[name].setpoint.exposure_ms for name in CAMERAS]
     assert all(0.02 <= exposure_ms < 0.02 * 1.05 for exposure_ms in lowest), (
         "a change by less than 5 % is none"
     )

@@ -20,7 +20,7 @@ from support.cli import altd_here, refusal
 from support.recordings import write_beams
 from support.unit_toml import write_config
 
-from altd.acquisition import frame_sets as exposures
+from altd.acquisition import frame_sets
 from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
 from altd.app.scan import scanner_of
 from altd.calibration.calibrating import calibrate
@@ -274,7 +274,7 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
 async def test_a_silent_camera_stops_the_scan(
     unit: Unit, table: GrblTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exposures, "PATIENCE_S", 0.6)
+    monkeypatch.setattr(frame_sets, "FRAME_SET_TIMEOUT_S", 0.6)
     listener = Listener()
     listener.at["node x -12.5 y -37.5 mm"] = lambda: unit.inject(Fault.FRONT_SILENT)
     with pytest.raises(ScanStoppedError, match=r"^node x -12.5 y -37.5 mm: camera front: no frame for"):

@@ -1,136 +1,180 @@
-"""Exposure of one camera: the loop looks and wishes, the camera's own thread sets, between two frames."""
+"""Exposure of one camera: how bright its spot is, what it should be set to, setting it, marking its frames.
+
+Two threads of the camera use one ``ExposureControl``. The one that locates spots calls ``sample``, which
+replaces ``setpoint``; the one that acquires frames calls ``opened``, ``apply`` and ``mark``. What one of them
+wants of the other are frozen records, replaced as a whole; so are the ``figures`` that health shows.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from altd.acquisition.auto_exposure.rule import ExposureRule, Setting, limits_of, look, setting_for
+from altd.acquisition.auto_exposure.rule import (
+    ExposureRule,
+    Setting,
+    limits_of,
+    sample_brightness,
+    setting_for,
+)
 from altd.config import ExposureSettings
 from altd.ports import Camera, CameraRefusedError, ExposureRange
 from altd.records import Frame, NoSpot, Spot
-from altd.status.health import Component
 
 MARKED_FRAMES = 4
 """So many frames after a change belong to nobody, unless they tell: what waits in a driver's buffers or is
 just being exposed is one or two of them."""
-_AS_WISHED = 0.05
-_AS_WISHED_DB = 0.5
+_TOLERANCE = 0.05
+"""Relative, of an exposure time that a frame tells."""
+_TOLERANCE_DB = 0.5
 
 
-class ExposureSetter:
-    """The thread's side. ``wish`` may be replaced from the loop at any time; what stands in it is set.
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """The camera took a setting."""
 
-    It outlives the camera: a camera that was opened again gets what was last wished for.
+    setting: Setting
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The camera did not take a setting; it goes on with what it had. ``complaint`` says why."""
+
+    complaint: str
+
+
+@dataclass(frozen=True, slots=True)
+class ExposureFigures:
+    """What health shows of a camera's exposure, of the last frame that tells; None: that is not known."""
+
+    exposure_control: str
+    level: float
+    exposure_ms: float | None
+    gain_db: float | None
+    changes: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Ability:
+    """What the camera that is open lets itself be set to: nothing without ``limits`` or when it refuses."""
+
+    limits: ExposureRange | None = None
+    refuses: bool = False
+
+
+class ExposureControl:
+    """One camera's control; it outlives the camera, which gets the setpoint again when it is opened again.
+
+    ``setpoint`` may be replaced at any time. It stays what the config says unless ``sample`` is called and
+    the control is ``auto``. ``figures`` is None until a frame was sampled.
     """
 
-    def __init__(self, control: ExposureSettings, fps: float) -> None:
-        self.wish = Setting(control.exposure_ms, control.gain_db)
-        self.limits: ExposureRange | None = None
-        """Within which may be wished; None before the camera was opened, and where it has nothing to set."""
-        self.refused = False
-        """The camera did not take the last wish; it goes on with what it had."""
-        self._control = control
+    def __init__(self, settings: ExposureSettings, fps: float, window: int) -> None:
+        self.setpoint = Setting(settings.exposure_ms, settings.gain_db)
+        self.figures: ExposureFigures | None = None
+        self._settings = settings
         self._fps = fps
-        self._asked: Setting | None = None
-        self._set: Setting | None = None
-        self._marked_left = 0
+        self._window = window
+        self._ability = _Ability()
+        self._requested: Setting | None = None
+        self._applied: Setting | None = None
         self._gain_stays = False
+        self._marks_left = 0
+        self._rule: tuple[ExposureRange, ExposureRule] | None = None
+        """With the limits that it was made for."""
+        self._changes = 0
+
+    def sample(self, frame: Frame, found: Spot | NoSpot) -> None:
+        """Take a frame with what the localiser found in it; a setting that would do better is the setpoint.
+
+        Frames under LEDs or of a change tell nothing.
+        """
+        if frame.changing or frame.leds_on:
+            return
+        ability = self._ability
+        brightness = sample_brightness(frame, found)
+        # without an exposure the frame comes of a camera that tells nonsense, or nothing and was never set
+        exposed = frame.exposure_ms is not None and frame.exposure_ms > 0
+        if (
+            self._settings.control == "auto"
+            and ability.limits is not None
+            and not ability.refuses
+            and exposed
+        ):
+            if self._rule is None or self._rule[0] != ability.limits:
+                self._rule = ability.limits, ExposureRule(ability.limits, self._window)
+            present = Setting(frame.exposure_ms or 0.0, frame.gain_db or 0.0)
+            if (setting := self._rule[1].next(brightness, present)) is not None:
+                self.setpoint = setting
+                self._changes += 1
+        self.figures = ExposureFigures(
+            self._in_words(ability),
+            round(brightness.level, 2),
+            None if frame.exposure_ms is None else float(f"{frame.exposure_ms:.3g}"),
+            None if frame.gain_db is None else round(frame.gain_db, 1),
+            self._changes,
+        )
 
     def opened(self, camera: Camera) -> None:
         """The camera was opened: whatever was set before is set again."""
-        able = camera.exposure_range
-        self.limits = limits_of(self._control, able, self._fps) if able is not None else None
-        self._asked, self._set, self._marked_left, self.refused = None, None, 0, False
+        able = None if self._settings.control == "camera" else camera.exposure_range
+        self._ability = _Ability(None if able is None else limits_of(self._settings, able, self._fps))
+        self._requested, self._applied, self._marks_left = None, None, 0
 
-    def set(self, camera: Camera) -> str | None:
-        """Set what is new in ``wish``: "" when the camera took it, else why it did not; None: nothing is new.
+    @property
+    def is_due(self) -> bool:
+        """Whether there is a setpoint that the camera was not asked for yet."""
+        return self._ability.limits is not None and self.setpoint != self._requested
 
-        Raises CameraError when the camera fails.
-        """
-        wish = self.wish
-        if self.limits is None or wish == self._asked:
-            return None
-        self._asked = wish
-        setting = setting_for(wish.light, self.limits) if self._control.control == "auto" else wish
+    def apply(self, camera: Camera) -> Applied | Refused:
+        """Set the camera to the setpoint, between two frames; raises CameraError when the camera fails."""
+        limits = self._ability.limits
+        assert limits is not None  # noqa: S101  it is due
+        self._requested = setting = self.setpoint
+        if self._settings.control == "auto":
+            setting = setting_for(setting.light, limits)
         try:
             camera.set_exposure(setting.exposure_ms, setting.gain_db)
         except CameraRefusedError as error:
-            self.refused = True
-            return str(error)
-        self._gain_stays = self._set is not None and self._set.gain_db == setting.gain_db
-        self._set, self._marked_left, self.refused = setting, MARKED_FRAMES, False
-        return ""
+            self._ability = _Ability(limits, refuses=True)
+            return Refused(str(error))
+        self._gain_stays = self._applied is not None and self._applied.gain_db == setting.gain_db
+        self._applied, self._marks_left = setting, MARKED_FRAMES
+        self._ability = _Ability(limits)
+        return Applied(setting)
 
-    def marked(self, frame: Frame) -> Frame:
+    def mark(self, frame: Frame) -> Frame:
         """The frame with what it was exposed with, and with ``changing`` until that is certain.
 
         The first frame after a change is always marked: a window must see where it lies.
         """
-        if self._set is None:
+        setting = self._applied
+        if setting is None:
             return frame
-        if 0 < self._marked_left < MARKED_FRAMES and self._is_as_wished(frame, self._set):
-            self._marked_left = 0
-        changing = self._marked_left > 0
-        self._marked_left -= changing
+        if 0 < self._marks_left < MARKED_FRAMES and self._is_exposed_with(setting, frame):
+            self._marks_left = 0
+        changing = self._marks_left > 0
+        self._marks_left -= changing
         return replace(
             frame,
-            exposure_ms=self._set.exposure_ms if frame.exposure_ms is None else frame.exposure_ms,
-            gain_db=self._set.gain_db if frame.gain_db is None else frame.gain_db,
+            exposure_ms=setting.exposure_ms if frame.exposure_ms is None else frame.exposure_ms,
+            gain_db=setting.gain_db if frame.gain_db is None else frame.gain_db,
             changing=frame.changing or changing,
         )
 
-    def _is_as_wished(self, frame: Frame, setting: Setting) -> bool:
+    def _is_exposed_with(self, setting: Setting, frame: Frame) -> bool:
         """Whether a frame tells that it was exposed so; one that tells nothing does not."""
         if frame.exposure_ms is None:
             return False
         if frame.gain_db is None:
             gain_fits = self._gain_stays
         else:
-            gain_fits = abs(frame.gain_db - setting.gain_db) <= _AS_WISHED_DB
-        return gain_fits and abs(frame.exposure_ms - setting.exposure_ms) <= _AS_WISHED * setting.exposure_ms
+            gain_fits = abs(frame.gain_db - setting.gain_db) <= _TOLERANCE_DB
+        return gain_fits and abs(frame.exposure_ms - setting.exposure_ms) <= _TOLERANCE * setting.exposure_ms
 
-
-class ExposureKeeper:
-    """The loop's side: what is seen of the spot becomes wishes and, in the camera's health, figures."""
-
-    def __init__(self, control: ExposureSettings, fps: float, window: int, component: Component) -> None:
-        self.setter = None if control.control == "camera" else ExposureSetter(control, fps)
-        """What the camera's thread sets with; None: nothing is set."""
-        self._control = control.control
-        self._window = window
-        self._component = component
-        self._limits: ExposureRange | None = None
-        self._rule: ExposureRule | None = None
-
-    def see(self, frame: Frame, spot: Spot | NoSpot) -> None:
-        """Take a frame, with what the localiser made of it. Frames under LEDs are none of ours."""
-        if frame.changing or frame.leds_on:
-            return
-        sight = look(frame, spot)
-        told: dict[str, float] = {}
-        if frame.exposure_ms is not None:
-            told["exposure_ms"] = float(f"{frame.exposure_ms:.3g}")
-        if frame.gain_db is not None:
-            told["gain_db"] = round(frame.gain_db, 1)
-        self._component.observe(
-            {"exposure_control": self._in_words(), "level": round(sight.level, 2), **told}
-        )
-        setter = self.setter
-        if self._control != "auto" or setter is None or setter.limits is None or setter.refused:
-            return
-        if self._rule is None or setter.limits != self._limits:
-            self._limits, self._rule = setter.limits, ExposureRule(setter.limits, self._window)
-        if frame.exposure_ms is None or not frame.exposure_ms > 0:
-            return  # a camera that tells nonsense
-        setting = self._rule.next(sight, Setting(frame.exposure_ms, frame.gain_db or 0.0))
-        if setting is not None:
-            setter.wish = setting
-            self._component.count("exposure_changes")
-
-    def _in_words(self) -> str:
-        setter = self.setter
-        if setter is None:
-            return self._control
-        if setter.limits is None:
-            return f"{self._control}, but this camera has nothing to set"
-        return f"{self._control}, but the camera refuses" if setter.refused else self._control
+    def _in_words(self, ability: _Ability) -> str:
+        control = self._settings.control
+        if control == "camera":
+            return control
+        if ability.limits is None:
+            return f"{control}, but this camera has nothing to set"
+        return f"{control}, but the camera refuses" if ability.refuses else control

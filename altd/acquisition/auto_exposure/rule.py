@@ -1,4 +1,4 @@
-"""How bright a spot was, and what exposure and gain its camera should have next (docs/exposure.md)."""
+"""How bright a frame is, and what exposure and gain its camera should have next (docs/exposure.md)."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ _CELL_PX = 8
 _CLIPPED_CELL = 0.1
 """Share of a cell's pixels: the dots of a window cover a fifth of it, a hot pixel a sixty-fourth."""
 
-_QUICK = 3
+_MIN_AGREEING = 3
 """Exposures that must agree while nothing valid is measured: one may be a flash."""
-_HOLD_WINDOWS = 2
+_ABSENCE_WINDOWS = 2
 """A spot that is gone is waited for so long; most come back as they were."""
 _SEARCH_FACTOR = 4.0
 _OVEREXPOSED_FACTOR = 1 / 4
 """``saturated`` is said from 1.8-fold over-exposure on at the earliest, so this leaves 0.45 at least."""
 _CLIPPED_FACTOR = HIGH / 2
 """A clipped spot that is found is over-exposed about twofold at most: this brings it to 0.4 to 0.8."""
-_LARGEST_BACKGROUND = 0.5
+_MAX_BACKGROUND = 0.5
 """A search makes no background brighter than this."""
-_DARKEST = 0.01
+_MIN_LEVEL = 0.01
 """Level that is taken for the least, so that a black frame does not ask for infinitely more."""
-_WORTH = 1.05
-"""A change by less is none."""
+_MIN_CHANGE = 1.05
+"""Factor; a change by less is none."""
 _READOUT_SHARE = 0.1
 """Of the time between two frames, what a camera may need beside the exposure."""
 
@@ -61,8 +61,8 @@ class Setting:
         return self.exposure_ms * _factor(self.gain_db)
 
 
-class Seen(Enum):
-    """What a frame shows to who sets the exposure."""
+class Content(Enum):
+    """What a frame holds, as far as that decides on its exposure."""
 
     SPOT = auto()
     OVEREXPOSED = auto()
@@ -74,18 +74,18 @@ class Seen(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
-    """What was seen of one frame.
+class BrightnessSample:
+    """How bright one frame is, and what it holds.
 
     ``level`` is a share of full scale, the background in it: that of the spot, or of the brightest place.
     """
 
-    seen: Seen
+    content: Content
     level: float
 
 
-def look(frame: Frame, spot: Spot | NoSpot) -> Sight:
-    """What a frame, with what the localiser made of it, tells about its exposure.
+def sample_brightness(frame: Frame, spot: Spot | NoSpot) -> BrightnessSample:
+    """How bright a frame is, by what the localiser found in it.
 
     The level of a spot is the 98th percentile of a square as wide as half its 1/e² diameter: a Gaussian fades
     there to 0.78 at the corners, so on a plate as on the dots of a window (a fifth of the area) that is the
@@ -97,11 +97,11 @@ def look(frame: Frame, spot: Spot | NoSpot) -> Sight:
         u, v = round(spot.u_px), round(spot.v_px)
         around = pixels[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].ravel()
         place = int(_PERCENTILE * (around.size - 1))
-        return Sight(Seen.SPOT, float(np.partition(around, place)[place]) / full)
+        return BrightnessSample(Content.SPOT, float(np.partition(around, place)[place]) / full)
     if spot.reason is Reason.SATURATED or _is_clipped_somewhere(pixels, full):
-        return Sight(Seen.OVEREXPOSED, 1.0)
-    seen = Seen.NOTHING if spot.reason is Reason.SPOT_MISSING else Seen.OTHER
-    return Sight(seen, float(_cells(pixels).max()) / full)
+        return BrightnessSample(Content.OVEREXPOSED, 1.0)
+    content = Content.NOTHING if spot.reason is Reason.SPOT_MISSING else Content.OTHER
+    return BrightnessSample(content, float(_cells(pixels).max()) / full)
 
 
 def limits_of(control: ExposureSettings, camera: ExposureRange, fps: float) -> ExposureRange:
@@ -124,15 +124,15 @@ def setting_for(light: float, limits: ExposureRange) -> Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
-    """Light that would do better, and for how many exposures in a row more, or less, must be wanted."""
+class _Demand:
+    """Light that would do better, and how many exposures in a row must ask for more, or for less."""
 
     light: float
-    patience: int
+    exposures: int
 
 
 class ExposureRule:
-    """One camera's rule: sights in, settings out.
+    """One camera's rule: brightness samples in, settings out.
 
     ``window`` is the number of exposures that one measurement averages. While all is well a change needs
     that many exposures out of the band, so it disturbs no more than one window of several. Until the level
@@ -147,54 +147,54 @@ class ExposureRule:
         self._brighter = False
         self._count = 0
 
-    def next(self, sight: Sight, present: Setting) -> Setting | None:
-        """What to set now that a frame exposed with ``present`` shows ``sight``; None: leave it."""
-        wish = self._wish(sight, present.light)
-        if wish is None:
+    def next(self, sample: BrightnessSample, present: Setting) -> Setting | None:
+        """What to set now that a frame exposed with ``present`` shows ``sample``; None: leave it."""
+        demand = self._demand(sample, present.light)
+        if demand is None:
             self._count = 0
             return None
-        brighter = wish.light > present.light
+        brighter = demand.light > present.light
         self._count = self._count + 1 if brighter is self._brighter else 1
         self._brighter = brighter
-        if self._count < wish.patience:
+        if self._count < demand.exposures:
             return None
-        setting = setting_for(wish.light, self._limits)
-        if 1 / _WORTH < setting.light / present.light < _WORTH:
+        setting = setting_for(demand.light, self._limits)
+        if 1 / _MIN_CHANGE < setting.light / present.light < _MIN_CHANGE:
             return None  # as far as it goes
         self._count, self._settled = 0, False
         return setting
 
-    def _wish(self, sight: Sight, light: float) -> _Wish | None:
-        match sight.seen:
-            case Seen.OVEREXPOSED:
+    def _demand(self, sample: BrightnessSample, light: float) -> _Demand | None:
+        match sample.content:
+            case Content.OVEREXPOSED:
                 return self._darker(light)
-            case Seen.NOTHING:
-                return self._searched(light, sight.level)
-            case Seen.OTHER:
+            case Content.NOTHING:
+                return self._searched(light, sample.level)
+            case Content.OTHER:
                 return None
-        patience = max(self._window, _QUICK) if self._settled else _QUICK
-        if sight.level >= CLIPPED_FROM:
-            return _Wish(light * _CLIPPED_FACTOR, patience)
-        if not LOW <= sight.level <= HIGH:
-            return _Wish(light * TARGET / max(sight.level, _DARKEST), patience)
+        exposures = max(self._window, _MIN_AGREEING) if self._settled else _MIN_AGREEING
+        if sample.level >= CLIPPED_FROM:
+            return _Demand(light * _CLIPPED_FACTOR, exposures)
+        if not LOW <= sample.level <= HIGH:
+            return _Demand(light * TARGET / max(sample.level, _MIN_LEVEL), exposures)
         self._settled, self._good_light = True, light
         return None
 
-    def _darker(self, light: float) -> _Wish:
+    def _darker(self, light: float) -> _Demand:
         """Back to where the spot was good, when that is darker: a search ends with a spot far too bright."""
         good = self._good_light
-        if good is not None and good * _WORTH < light:
-            return _Wish(good, _QUICK)
-        return _Wish(light * _OVEREXPOSED_FACTOR, _QUICK)
+        if good is not None and good * _MIN_CHANGE < light:
+            return _Demand(good, _MIN_AGREEING)
+        return _Demand(light * _OVEREXPOSED_FACTOR, _MIN_AGREEING)
 
-    def _searched(self, light: float, level: float) -> _Wish:
+    def _searched(self, light: float, level: float) -> _Demand:
         """Up only, for a spot too bright would be seen; and to rest where the limits or the background end.
 
         A spot that was good is waited for first.
         """
-        most = light * _LARGEST_BACKGROUND / max(level, _DARKEST)
-        patience = max(_HOLD_WINDOWS * self._window, _QUICK) if self._settled else _QUICK
-        return _Wish(max(min(light * _SEARCH_FACTOR, most), light), patience)
+        most = light * _MAX_BACKGROUND / max(level, _MIN_LEVEL)
+        exposures = max(_ABSENCE_WINDOWS * self._window, _MIN_AGREEING) if self._settled else _MIN_AGREEING
+        return _Demand(max(min(light * _SEARCH_FACTOR, most), light), exposures)
 
 
 def _factor(gain_db: float) -> float:

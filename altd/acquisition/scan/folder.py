@@ -31,7 +31,7 @@ from altd.records import Frame
 STATE_FILE = "scan.json"
 FPS = 20.0
 
-_LARGEST_STATE_BYTES = 1 << 24
+_MAX_STATE_BYTES = 1 << 24
 
 SpotPx = tuple[float, float]
 
@@ -85,7 +85,7 @@ class ScanFolder:
     def _read(self, facts: Facts) -> State:
         file = self.path / STATE_FILE
         try:
-            state = State.model_validate(parse_json(read_file(file, _LARGEST_STATE_BYTES)))
+            state = State.model_validate(parse_json(read_file(file, _MAX_STATE_BYTES)))
         except BadInputError as error:
             raise BadInputError(file, f"{error.message}; remove the folder to scan anew") from error
         except ValueError as error:  # also pydantic's
@@ -98,10 +98,10 @@ class ScanFolder:
                     f"was begun with {key} = {_shown(then)}, now it is {_shown(now)}: "
                     "set it back, or remove the folder to scan anew",
                 )
-        self._see_that_all_is_there(state)
+        self._check_frames(state)
         return state
 
-    def _see_that_all_is_there(self, state: State) -> None:
+    def _check_frames(self, state: State) -> None:
         """Cut off what does not count, and check every frame that does."""
         table = self.path / FRAMES_FILE
         read_head(table, 1)  # a regular file, or it is named here

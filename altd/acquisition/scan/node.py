@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from altd.calibration.scan_nodes import node_spot
 from altd.measuring.pairing import Pair
@@ -13,12 +14,26 @@ from altd.vision.settings import SpotSettings
 
 SpotPx = tuple[float, float]
 
-LARGEST_SCATTER_PX = 1.0
+MAX_SCATTER_PX = 1.0
 """Exposures of a stage at rest scatter by a tenth of this; further apart it still moves, or is shaken."""
 
 
-def judge(exposures: Sequence[Pair[Frame]]) -> Mapping[str, SpotPx] | str:
-    """The mean spot of each camera, px, or what is wrong with the first bad one, in words.
+@dataclass(frozen=True, slots=True)
+class NodeSpots:
+    """A node that can be used: the mean spot of each camera, px."""
+
+    px: Mapping[str, SpotPx]
+
+
+@dataclass(frozen=True, slots=True)
+class BadNode:
+    """A node that cannot: what is wrong with its first bad camera, in words."""
+
+    complaint: str
+
+
+def judge(exposures: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
+    """Whether the exposures of a node can be used.
 
     Every exposure must have one good spot on every target (``calibration.scan_nodes``), and they must agree.
     """
@@ -28,11 +43,13 @@ def judge(exposures: Sequence[Pair[Frame]]) -> Mapping[str, SpotPx] | str:
         for pair in exposures:
             spot = node_spot(pair.items[camera], SpotSettings(), None)
             if isinstance(spot, NoSpot):
-                return f"{camera} {spot.reason}" + (f" ({spot.detail})" if spot.detail else "")
+                return BadNode(f"{camera} {spot.reason}" + (f" ({spot.detail})" if spot.detail else ""))
             spots.append((spot.u_px, spot.v_px))
         mean = sum(u for u, _ in spots) / len(spots), sum(v for _, v in spots) / len(spots)
         scatter_px = max(math.dist(spot, mean) for spot in spots)
-        if scatter_px > LARGEST_SCATTER_PX:
-            return f"{camera} {Reason.UNSTEADY} (its exposures lie up to {scatter_px:.1f} px off their mean)"
+        if scatter_px > MAX_SCATTER_PX:
+            return BadNode(
+                f"{camera} {Reason.UNSTEADY} (its exposures lie up to {scatter_px:.1f} px off their mean)"
+            )
         means[camera] = mean
-    return means
+    return NodeSpots(means)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
 
-from altd.acquisition.auto_exposure.control import ExposureSetter
-from altd.acquisition.frame_sets import Exposures
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
-from altd.acquisition.scan.node import SpotPx, judge
+from altd.acquisition.scan.node import NodeSpots, SpotPx, judge
 from altd.acquisition.scan.plan import Node, fingerprint, nodes_of
 from altd.config import Config
 from altd.errors import BadInputError
@@ -26,7 +26,7 @@ from altd.status.health import Health
 
 Result = TypeVar("Result")
 
-LARGEST_SHIFT_PX = 1.0
+MAX_SHIFT_PX = 1.0
 """A resumed scan looks at its last node again; a spot further than this from where it was is no longer the
 same stage, laser and cameras."""
 
@@ -56,7 +56,7 @@ class Teller(Protocol):
 class Scanner:
     """One scan. ``cameras``, ``stage`` and ``lamps`` stand behind their ports; the caller chooses them.
 
-    Exposure is set by ``setters`` when a camera is opened, and holds still from node to node.
+    Exposure is set by ``exposure`` when a camera is opened, and holds still from node to node.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Scanner:
         lamps: Lamps | None,
         clock: Clock,
         teller: Teller,
-        setters: Mapping[str, ExposureSetter] | None = None,
+        exposure: Mapping[str, ExposureControl] | None = None,
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
@@ -86,7 +86,7 @@ class Scanner:
             clock.utc,
             cameras,
         )
-        self._exposures = Exposures(cameras, config.measuring, Health(clock), setters)
+        self._frame_sets = FrameSets(cameras, config.measuring, Health(clock), exposure)
         self._doing = "getting ready"
 
     async def run(self) -> ScanResult:
@@ -96,7 +96,7 @@ class Scanner:
         for a stage that is not there, and a camera driver's own failure.
         """
         try:
-            async with self._exposures, self._ready_stage(), self._ready_lamps():
+            async with self._frame_sets, self._ready_stage(), self._ready_lamps():
                 await self._scan()
                 return self._finished()
         except StageNotFoundError as error:
@@ -117,7 +117,7 @@ class Scanner:
                 f"going on with {self._folder.path}: {len(state.nodes)} of {len(self._nodes)} nodes are done"
             )
             state.refused.clear()  # they are tried again
-            await self._see_that_nothing_moved()
+            await self._check_nothing_moved()
         await self._led_pairs("before")
         for node in self._nodes:
             if _key(node) not in state.nodes:
@@ -128,7 +128,7 @@ class Scanner:
     async def _ready_stage(self) -> AsyncIterator[None]:
         """The cameras deliver, then the stage is made ready; at the end it is let go."""
         self._tell("waiting for the cameras")
-        await self._exposures.after(self._clock.monotonic_ns(), 1)
+        await self._frame_sets.after(self._clock.monotonic_ns(), 1)
         try:
             self._tell("opening the stage")
             await self._in_thread(self._stage.open)
@@ -159,14 +159,14 @@ class Scanner:
         state, complaint = self._folder.state, ""
         for _ in range(1 + self._config.retries):
             exposures = await self._settled(self._config.exposures)
-            seen = judge(exposures)
-            if not isinstance(seen, str):
+            judged = judge(exposures)
+            if isinstance(judged, NodeSpots):
                 self._folder.keep(exposures, self._unit, note_of("altd scan", self._cameras), position_mm)
-                state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=dict(seen))
+                state.nodes[_key(node)] = DoneNode(position_mm=position_mm, spots_px=dict(judged.px))
                 state.refused.pop(_key(node), None)
                 self._folder.commit()
                 return
-            complaint = seen
+            complaint = judged.complaint
         state.refused[_key(node)] = complaint
         self._folder.commit()
         self._teller.say(f"node {node} refused: {complaint}")
@@ -198,7 +198,7 @@ class Scanner:
         state.led_pairs.append(when)
         self._folder.commit()
 
-    async def _see_that_nothing_moved(self) -> None:
+    async def _check_nothing_moved(self) -> None:
         """Raise ScanStoppedError unless the spots of the last node that was kept are where they were."""
         done = self._folder.state.nodes
         if not done:
@@ -206,11 +206,11 @@ class Scanner:
         node = next(n for n in self._nodes if _key(n) == list(done)[-1])
         self._tell(f"looking at node {node} again")
         await self._go(node.x_mm, node.y_mm)
-        seen = judge(await self._settled(self._config.exposures))
-        if isinstance(seen, str):
-            raise ScanStoppedError(f"node {node}, which was good, is not any more: {seen}")
-        shift_px, camera = _largest_shift(done[_key(node)].spots_px, seen)
-        if shift_px > LARGEST_SHIFT_PX:
+        judged = judge(await self._settled(self._config.exposures))
+        if not isinstance(judged, NodeSpots):
+            raise ScanStoppedError(f"node {node}, which was good, is not any more: {judged.complaint}")
+        shift_px, camera = _largest_shift(done[_key(node)].spots_px, judged.px)
+        if shift_px > MAX_SHIFT_PX:
             raise ScanStoppedError(
                 f"node {node}: the {camera} spot lies {shift_px:.1f} px from where it was before the "
                 f"interruption; the stage has another zero, or something was moved. Put it right, or remove "
@@ -223,7 +223,7 @@ class Scanner:
     async def _settled(self, count: int) -> list[Pair[Frame]]:
         """Exposures that begin once stage and lamps have settled."""
         await self._clock.sleep(self._config.settle_s)
-        return await self._exposures.after(self._clock.monotonic_ns(), count)
+        return await self._frame_sets.after(self._clock.monotonic_ns(), count)
 
     def _finished(self) -> ScanResult:
         state = self._folder.state

@@ -45,7 +45,7 @@ HW_SIM = "hw_sim"
 COMMANDS = {
     "run": Command(
         "run --config {config}",
-        "altd.measuring.chain:MeasuringChain.push 5",
+        "altd.measuring.chain:MeasuringChain.add 5",
         ends_with=0,
         says="(altd: .*\n)+",
     ),
@@ -108,7 +108,7 @@ COMMANDS = {
     "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
     "hw_sim measure": Command("measure -o kept --truth truth.json", EXPOSE, module=HW_SIM),
     "studies": Command("averaging", EXPOSE, module="studies"),
-    "hw_sim demo": Command("demo", "altd.measuring.chain:MeasuringChain.push 5", ends_with=0, module=HW_SIM),
+    "hw_sim demo": Command("demo", "altd.measuring.chain:MeasuringChain.add 5", ends_with=0, module=HW_SIM),
 }
 
 DONE = {

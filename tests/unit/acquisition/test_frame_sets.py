@@ -6,9 +6,9 @@ import time
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.acquisition import frame_sets as exposures
-from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureSetter
-from altd.acquisition.frame_sets import Exposures
+from altd.acquisition import frame_sets
+from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureControl
+from altd.acquisition.frame_sets import FrameSets
 from altd.config import ExposureSettings, Measuring
 from altd.ports import CameraEndedError, CameraError, ExposureRange
 from altd.records import Frame, Origin
@@ -56,11 +56,11 @@ class Camera:
     def close(self) -> None: ...
 
 
-def of(*cameras: Camera) -> Exposures:
+def of(*cameras: Camera) -> FrameSets:
     start_ns = time.monotonic_ns()
     for camera in cameras:
         camera.start_ns = start_ns
-    return Exposures(cameras, Measuring(), Health(SystemClock()))
+    return FrameSets(cameras, Measuring(), Health(SystemClock()))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.7, 0.999])
@@ -101,8 +101,8 @@ async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_
 
     front, rear = Settable("front"), Camera("rear")
     front.start_ns = rear.start_ns = time.monotonic_ns()
-    setters = {"front": ExposureSetter(ExposureSettings(exposure_ms=3.0), 20.0)}
-    async with Exposures((front, rear), Measuring(), Health(SystemClock()), setters) as cameras:
+    exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
+    async with FrameSets((front, rear), Measuring(), Health(SystemClock()), exposure) as cameras:
         taken = await cameras.after(front.start_ns - PERIOD_NS, 3)
     assert asked == [(3.0, 0.0)]
     assert taken[0].sequence > MARKED_FRAMES
@@ -116,7 +116,7 @@ async def test_a_camera_at_its_end_is_named() -> None:
 
 
 async def test_a_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposures, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(frame_sets, "FRAME_SET_TIMEOUT_S", 0.3)
     silence = threading.Event()
 
     class Silent(Camera):

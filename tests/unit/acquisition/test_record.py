@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureSetter
+from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureControl
 from altd.acquisition.record import record
 from altd.config import ExposureSettings, Measuring
 from altd.ports import CameraEndedError, ExposureRange
@@ -88,10 +88,10 @@ async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(t
     sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
     clock = SystemClock()
     unit = UnitHeader(serial="A", target_distance_mm=280.0)
-    setters = {"front": ExposureSetter(ExposureSettings(exposure_ms=3.0), 20.0)}
+    exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
     health = Health(clock)
     kept = await record(
-        sources, tmp_path / "rec", unit, Measuring(), health, clock.utc, 60.0, setters=setters
+        sources, tmp_path / "rec", unit, Measuring(), health, clock.utc, 60.0, exposure=exposure
     )
     assert [source.asked for source in sources] == [[3.0], []]
     assert kept == 12 - MARKED_FRAMES

@@ -6,7 +6,7 @@ from unittest.mock import Mock, call
 
 import pytest
 
-from altd.app.parts import lamps_of, setters_of
+from altd.app.parts import exposure_controls_of, lamps_of
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.ports import Camera, SwitchingCamera
@@ -30,8 +30,11 @@ def test_a_recording_or_scan_sets_the_live_cameras_that_are_not_left_to_themselv
             "measuring": {"pair_by": "time"},
         }
     )
-    setters = setters_of(config)
-    assert {name: setter.wish.exposure_ms for name, setter in setters.items()} == {"auto": 3.0, "fixed": 3.0}
+    controls = exposure_controls_of(config)
+    assert {name: control.setpoint.exposure_ms for name, control in controls.items()} == {
+        "auto": 3.0,
+        "fixed": 3.0,
+    }
 
 
 class TestLampsOfCameras:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.reasons import Reason
-from altd.records import Fault, Frame, Measurement, NoSpot, Spot
+from altd.records import CameraIdentity, Fault, Frame, Measurement, NoSpot, Spot
 
 VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
 
@@ -126,21 +127,66 @@ def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibrati
     assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
 
 
-def test_who_watches_is_shown_each_measured_frame_with_its_spot(calibration: Calibration) -> None:
-    seen: list[tuple[str, int, type]] = []
+def test_what_is_found_is_told_of_each_new_frame_also_of_another_camera(calibration: Calibration) -> None:
+    """Who sets the exposure wants to know of a spot whether it may be measured or not."""
     measured = MeasuringChain(
         VIEWS,
         calibration,
         Measuring(window=4),
         BeamInstrument(calibration, Measuring()),
-        watch=lambda frame, spot: seen.append((frame.camera, frame.sequence, type(spot))),
+        identity=lambda camera: CameraIdentity(serial=camera),
+        expected={"right": CameraIdentity(serial="another")},
     )
     *frames, third, _ = shots([(10.0, 5.0)] * 3)
     again = replace(frames[0], sequence=4)
-    for taken in (*frames, replace(third, changing=True), replace(third, sequence=3, leds_on=True), again):
-        measured.push(taken)
-    pairs = [(camera, number, Spot) for number in (0, 1) for camera in ("left", "right")]
-    assert seen == [*pairs, ("left", 2, NoSpot)]
+    located = [measured.locators[f.camera].locate(f) for f in (*frames, replace(third, changing=True), again)]
+    assert [(one.camera, one.sequence, type(one.found), type(one.spot)) for one in located] == [
+        ("left", 0, Spot, Spot),
+        ("right", 0, Spot, NoSpot),
+        ("left", 1, Spot, Spot),
+        ("right", 1, Spot, NoSpot),
+        ("left", 2, NoSpot, NoSpot),
+        ("left", 4, type(None), NoSpot),
+    ]
+    assert [str(one.spot.reason) for one in located if isinstance(one.spot, NoSpot)] == [
+        "wrong_camera",
+        "wrong_camera",
+        "exposure_changing",
+        "frame_repeated",
+    ]
+
+
+def test_what_threads_of_their_own_have_located_is_measured_alike(calibration: Calibration) -> None:
+    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 6)
+    alone = chain(calibration)
+    pushed = [m for frame in frames for m in alone.push(frame)]
+    apart = chain(calibration)
+    with ThreadPoolExecutor(2) as threads:
+        of_camera = {
+            camera: threads.submit(
+                lambda camera=camera: [apart.locators[camera].locate(f) for f in frames if f.camera == camera]  # type: ignore[misc]
+            )
+            for camera in ("left", "right")
+        }
+    located = [one for pair in zip(*(of.result() for of in of_camera.values()), strict=True) for one in pair]
+    added = [m for one in located for m in apart.add(one)]
+    assert added == pushed
+    assert len(added) == 12
+    assert (apart.seen(), apart.views(), apart.step()) == (alone.seen(), alone.views(), alone.step())
+
+
+def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart(
+    calibration: Calibration,
+) -> None:
+    """What the slot drops, the chain never sees: the change itself, and the frames about it."""
+    measured = chain(calibration)
+    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
+    frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]
+    located = [measured.locators[f.camera].locate(f) for f in frames]
+    after = [(one.sequence, m) for one in located if not 5 <= one.sequence <= 7 for m in measured.add(one)]
+    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
+    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
+    assert set(means) == {1, 2, 3, 4, *range(9, 16)}
 
 
 def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:

@@ -58,7 +58,7 @@ class Bench:
 
     def figures(self, after_s: float = 0.0) -> dict[str, float | str]:
         """What health is told so long after the last frame."""
-        return self.check.figures(self.t_ns + round(after_s * 1e9))
+        return self.check.status.figures(self.t_ns + round(after_s * 1e9))
 
 
 @pytest.fixture

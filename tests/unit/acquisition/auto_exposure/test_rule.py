@@ -10,12 +10,12 @@ from altd.acquisition.auto_exposure.rule import (
     HIGH,
     LOW,
     TARGET,
+    BrightnessSample,
+    Content,
     ExposureRule,
-    Seen,
     Setting,
-    Sight,
     limits_of,
-    look,
+    sample_brightness,
     setting_for,
 )
 from altd.config import ExposureSettings
@@ -34,14 +34,16 @@ def rule(limits: ExposureRange = LIMITS) -> ExposureRule:
 
 def settled(present: Setting = HERE) -> ExposureRule:
     one = rule()
-    assert one.next(Sight(Seen.SPOT, TARGET), present) is None
+    assert one.next(BrightnessSample(Content.SPOT, TARGET), present) is None
     return one
 
 
-def asked(one: ExposureRule, sight: Sight, present: Setting = HERE, limit: int = 200) -> tuple[int, Setting]:
+def asked(
+    one: ExposureRule, sample: BrightnessSample, present: Setting = HERE, limit: int = 200
+) -> tuple[int, Setting]:
     """After how many such frames another setting is asked for, and which."""
     for count in range(1, limit + 1):
-        if (setting := one.next(sight, present)) is not None:
+        if (setting := one.next(sample, present)) is not None:
             return count, setting
     raise AssertionError("nothing was asked for")
 
@@ -74,18 +76,18 @@ def test_the_limits_are_those_of_config_camera_and_frame_rate_together() -> None
 @pytest.mark.parametrize("level", [LOW, 0.5, HIGH])
 def test_in_the_band_nothing_is_asked_for(level: float) -> None:
     one = settled()
-    assert all(one.next(Sight(Seen.SPOT, level), HERE) is None for _ in range(500))
+    assert all(one.next(BrightnessSample(Content.SPOT, level), HERE) is None for _ in range(500))
 
 
 @pytest.mark.parametrize("level", [0.05, 0.2, 0.34, 0.81, 0.95])
 def test_out_of_the_band_for_a_whole_window_it_goes_to_the_middle(level: float) -> None:
-    count, setting = asked(settled(), Sight(Seen.SPOT, level))
+    count, setting = asked(settled(), BrightnessSample(Content.SPOT, level))
     assert count == WINDOW
     assert setting.light * level / HERE.light == pytest.approx(TARGET)
 
 
 def test_a_clipped_spot_comes_into_the_band_whatever_was_clipped() -> None:
-    _, setting = asked(settled(), Sight(Seen.SPOT, 1.0))
+    _, setting = asked(settled(), BrightnessSample(Content.SPOT, 1.0))
     for overexposed in (1.0, 2.0):
         assert LOW <= overexposed * setting.light / HERE.light <= HIGH
 
@@ -93,50 +95,65 @@ def test_a_clipped_spot_comes_into_the_band_whatever_was_clipped() -> None:
 def test_one_exposure_back_in_the_band_begins_the_count_anew() -> None:
     one = settled()
     for _ in range(20):
-        for sight in [Sight(Seen.SPOT, 0.9)] * (WINDOW - 1) + [Sight(Seen.SPOT, 0.79)]:
-            assert one.next(sight, HERE) is None
+        for sample in [BrightnessSample(Content.SPOT, 0.9)] * (WINDOW - 1) + [
+            BrightnessSample(Content.SPOT, 0.79)
+        ]:
+            assert one.next(sample, HERE) is None
 
 
 def test_a_spot_that_is_now_too_bright_and_now_too_dark_is_left_alone() -> None:
     one = settled()
     for _ in range(10):
         for level in (0.9, 0.2):
-            assert all(one.next(Sight(Seen.SPOT, level), HERE) is None for _ in range(WINDOW - 1))
+            assert all(
+                one.next(BrightnessSample(Content.SPOT, level), HERE) is None for _ in range(WINDOW - 1)
+            )
 
 
-@pytest.mark.parametrize("seen", [Sight(Seen.SPOT, 0.1), Sight(Seen.SPOT, 1.0), Sight(Seen.OVEREXPOSED, 1.0)])
-def test_until_the_level_was_in_the_band_three_exposures_do(seen: Sight) -> None:
-    assert asked(rule(), seen)[0] == 3
+@pytest.mark.parametrize(
+    "sample",
+    [
+        BrightnessSample(Content.SPOT, 0.1),
+        BrightnessSample(Content.SPOT, 1.0),
+        BrightnessSample(Content.OVEREXPOSED, 1.0),
+    ],
+)
+def test_until_the_level_was_in_the_band_three_exposures_do(sample: BrightnessSample) -> None:
+    assert asked(rule(), sample)[0] == 3
 
 
 def test_a_spot_that_saturates_is_not_waited_for() -> None:
-    count, setting = asked(settled(), Sight(Seen.OVEREXPOSED, 1.0))
+    count, setting = asked(settled(), BrightnessSample(Content.OVEREXPOSED, 1.0))
     assert count == 3
     assert setting.light == pytest.approx(HERE.light / 4)
 
 
 def test_a_flash_changes_nothing() -> None:
     one = settled()
-    for sight in [Sight(Seen.OVEREXPOSED, 1.0)] * 2 + [Sight(Seen.SPOT, TARGET)] * 5:
-        assert one.next(sight, HERE) is None
+    for sample in [BrightnessSample(Content.OVEREXPOSED, 1.0)] * 2 + [
+        BrightnessSample(Content.SPOT, TARGET)
+    ] * 5:
+        assert one.next(sample, HERE) is None
 
 
 def test_a_spot_that_went_out_is_waited_for_and_then_looked_for_upwards_to_the_end() -> None:
     one, present, steps = settled(), HERE, []
     for _ in range(400):
-        if (setting := one.next(Sight(Seen.NOTHING, 0.02), present)) is not None:
+        if (setting := one.next(BrightnessSample(Content.NOTHING, 0.02), present)) is not None:
             steps.append(setting)
             present = setting
-    assert asked(settled(), Sight(Seen.NOTHING, 0.02))[0] == 2 * WINDOW
+    assert asked(settled(), BrightnessSample(Content.NOTHING, 0.02))[0] == 2 * WINDOW
     assert [step.light for step in steps] == pytest.approx([8.0, 32.0, setting_for(1000.0, LIMITS).light])
     assert steps[-1] == setting_for(1000.0, LIMITS)
 
 
 def test_a_search_ends_where_the_spot_was_good() -> None:
     one, present = settled(), HERE
-    while (setting := one.next(Sight(Seen.NOTHING, 0.02), present)) != setting_for(1000.0, LIMITS):
+    while (setting := one.next(BrightnessSample(Content.NOTHING, 0.02), present)) != setting_for(
+        1000.0, LIMITS
+    ):
         present = setting or present
-    count, setting = asked(one, Sight(Seen.OVEREXPOSED, 1.0), setting_for(1000.0, LIMITS))
+    count, setting = asked(one, BrightnessSample(Content.OVEREXPOSED, 1.0), setting_for(1000.0, LIMITS))
     assert count == 3
     assert setting == HERE
 
@@ -147,28 +164,28 @@ def test_a_search_floods_no_frame() -> None:
     for _ in range(300):
         level = 0.03 * present.light / HERE.light
         assert level <= 0.5 + 1e-9
-        present = one.next(Sight(Seen.NOTHING, level), present) or present
+        present = one.next(BrightnessSample(Content.NOTHING, level), present) or present
     assert 0.03 * present.light / HERE.light > 0.45
 
 
 def test_what_exposure_does_not_mend_moves_nothing() -> None:
     one = rule()
-    assert all(one.next(Sight(Seen.OTHER, 0.2), HERE) is None for _ in range(500))
+    assert all(one.next(BrightnessSample(Content.OTHER, 0.2), HERE) is None for _ in range(500))
 
 
 @pytest.mark.parametrize(
-    ("sight", "end"),
+    ("sample", "end"),
     [
-        (Sight(Seen.OVEREXPOSED, 1.0), 0.0),
-        (Sight(Seen.SPOT, 1.0), 0.0),
-        (Sight(Seen.NOTHING, 0.0), 1e9),
-        (Sight(Seen.SPOT, 0.05), 1e9),
+        (BrightnessSample(Content.OVEREXPOSED, 1.0), 0.0),
+        (BrightnessSample(Content.SPOT, 1.0), 0.0),
+        (BrightnessSample(Content.NOTHING, 0.0), 1e9),
+        (BrightnessSample(Content.SPOT, 0.05), 1e9),
     ],
 )
-def test_at_the_end_of_its_range_it_rests(sight: Sight, end: float) -> None:
+def test_at_the_end_of_its_range_it_rests(sample: BrightnessSample, end: float) -> None:
     present = setting_for(max(end, 1e-9), LIMITS)
     one = rule()
-    assert all(one.next(sight, present) is None for _ in range(500))
+    assert all(one.next(sample, present) is None for _ in range(500))
 
 
 SPOT = Blob(300, 200, peak=150.0)
@@ -179,21 +196,21 @@ def test_the_level_is_that_of_the_peak_with_the_background_whatever_the_depth(
     bits: int, scale: float
 ) -> None:
     taken = frame(light(SPOT) * scale, background=8.0 * scale, bits=bits)
-    sight = look(taken, Spot(300, 200, 0.01, 44.0, 150.0 * scale))
-    assert sight.seen is Seen.SPOT
-    assert sight.level == pytest.approx(158 / 255, rel=0.03)
+    sample = sample_brightness(taken, Spot(300, 200, 0.01, 44.0, 150.0 * scale))
+    assert sample.content is Content.SPOT
+    assert sample.level == pytest.approx(158 / 255, rel=0.03)
 
 
 def test_hot_pixels_do_not_raise_the_level() -> None:
     taken = frame(light(SPOT))
     pixels = taken.pixels.copy()
     pixels[195:205:3, 300] = 255
-    assert look(Frame("front", 0, 0, pixels), Spot(300, 200, 0.01, 44.0, 150.0)).level < 0.65
+    assert sample_brightness(Frame("front", 0, 0, pixels), Spot(300, 200, 0.01, 44.0, 150.0)).level < 0.65
 
 
 def test_at_the_edge_of_the_picture_there_is_a_level_too() -> None:
     taken = frame(light(Blob(2, 1, peak=150.0)))
-    assert look(taken, Spot(2, 1, 0.01, 44.0, 150.0)).level == pytest.approx(158 / 255, rel=0.05)
+    assert sample_brightness(taken, Spot(2, 1, 0.01, 44.0, 150.0)).level == pytest.approx(158 / 255, rel=0.05)
 
 
 def flooded() -> Frame:
@@ -201,23 +218,23 @@ def flooded() -> Frame:
 
 
 @pytest.mark.parametrize(
-    ("taken", "why", "seen"),
+    ("taken", "why", "content"),
     [
-        (frame(light(Blob(300, 200, peak=5000.0))), Reason.SATURATED, Seen.OVEREXPOSED),
-        (frame(light(Blob(300, 200, peak=5000.0))), Reason.AMBIGUOUS, Seen.OVEREXPOSED),
-        (flooded(), Reason.SPOT_MISSING, Seen.OVEREXPOSED),
-        (frame(light(SPOT)), Reason.AMBIGUOUS, Seen.OTHER),
-        (frame(light(SPOT)), Reason.CUT_BY_EDGE, Seen.OTHER),
-        (frame(light()), Reason.SPOT_MISSING, Seen.NOTHING),
+        (frame(light(Blob(300, 200, peak=5000.0))), Reason.SATURATED, Content.OVEREXPOSED),
+        (frame(light(Blob(300, 200, peak=5000.0))), Reason.AMBIGUOUS, Content.OVEREXPOSED),
+        (flooded(), Reason.SPOT_MISSING, Content.OVEREXPOSED),
+        (frame(light(SPOT)), Reason.AMBIGUOUS, Content.OTHER),
+        (frame(light(SPOT)), Reason.CUT_BY_EDGE, Content.OTHER),
+        (frame(light()), Reason.SPOT_MISSING, Content.NOTHING),
     ],
 )
-def test_what_a_frame_without_a_spot_shows(taken: Frame, why: Reason, seen: Seen) -> None:
-    assert look(taken, NoSpot(why)).seen is seen
+def test_what_a_frame_without_a_spot_shows(taken: Frame, why: Reason, content: Content) -> None:
+    assert sample_brightness(taken, NoSpot(why)).content is content
 
 
 def test_hot_pixels_alone_are_not_over_exposed() -> None:
     pixels = frame(light()).pixels.copy()
     pixels[np.random.default_rng(1).integers(0, 480, 60), np.random.default_rng(2).integers(0, 752, 60)] = 255
-    sight = look(Frame("front", 0, 0, pixels), NoSpot(Reason.SPOT_MISSING))
-    assert sight.seen is Seen.NOTHING
-    assert sight.level < 0.1
+    sample = sample_brightness(Frame("front", 0, 0, pixels), NoSpot(Reason.SPOT_MISSING))
+    assert sample.content is Content.NOTHING
+    assert sample.level < 0.1

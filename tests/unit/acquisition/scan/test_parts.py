@@ -13,7 +13,7 @@ from support.frames import Blob, frame, light
 from support.unit_toml import write_config
 
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
-from altd.acquisition.scan.node import judge
+from altd.acquisition.scan.node import BadNode, NodeSpots, judge
 from altd.acquisition.scan.plan import fingerprint, nodes_of
 from altd.config import Config, Scan, load_config
 from altd.errors import BadInputError
@@ -59,10 +59,10 @@ def test_by_rows_every_node_is_reached_from_the_same_side() -> None:
 
 
 def test_good_exposures_give_the_mean_spots() -> None:
-    seen = judge([pair(spot(300.0, 200.0), spot(400.0, 210.0)), pair(spot(300.2, 200.0), spot(400.0, 210.4))])
-    assert not isinstance(seen, str)
-    assert seen["front"] == pytest.approx((300.1, 200.0), abs=0.05)
-    assert seen["rear"] == pytest.approx((400.0, 210.2), abs=0.05)
+    node = judge([pair(spot(300.0, 200.0), spot(400.0, 210.0)), pair(spot(300.2, 200.0), spot(400.0, 210.4))])
+    assert isinstance(node, NodeSpots)
+    assert node.px["front"] == pytest.approx((300.1, 200.0), abs=0.05)
+    assert node.px["rear"] == pytest.approx((400.0, 210.2), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -77,9 +77,9 @@ def test_good_exposures_give_the_mean_spots() -> None:
 )
 def test_a_bad_exposure_is_named_with_its_target_and_reason(rear: Frame, complaint: str) -> None:
     good = spot(400.0, 210.0)
-    seen = judge([pair(spot(300, 200), good), pair(spot(300, 200), rear)])
-    assert isinstance(seen, str)
-    assert seen.startswith(complaint)
+    node = judge([pair(spot(300, 200), good), pair(spot(300, 200), rear)])
+    assert isinstance(node, BadNode)
+    assert node.complaint.startswith(complaint)
 
 
 class TestFolder:

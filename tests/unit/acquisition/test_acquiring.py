@@ -13,11 +13,12 @@ import pytest
 from support.clock import FakeClock, stop
 from support.frames import Blob, frame, light
 
-from altd.acquisition import grabbing
-from altd.acquisition.auto_exposure.control import ExposureSetter
+from altd.acquisition import acquiring, camera_report
+from altd.acquisition.acquiring import acquire
+from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.auto_exposure.rule import Setting
-from altd.acquisition.grabbing import grab
-from altd.acquisition.inbox import Inbox
+from altd.acquisition.latest_frames import LatestFrames, keep_mark
+from altd.acquisition.latest_of_each import LatestOfEach
 from altd.config import ExposureSettings
 from altd.ports import (
     CameraBusyError,
@@ -85,6 +86,10 @@ def component() -> Component:
     return Health(SystemClock()).component("camera front")
 
 
+def newest() -> LatestOfEach[Frame]:
+    return LatestOfEach(["front"], SystemClock(), keep_mark)
+
+
 async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
     deadline = time.monotonic() + limit_s
     while not condition():
@@ -94,8 +99,8 @@ async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
 
 async def test_a_lost_camera_is_closed_and_opened_again(component: Component) -> None:
     camera = ScriptedCamera("frame", CameraError("unplugged"), "frame")
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component))
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
     await until(lambda: component.state is State.FAILED)
     assert component.message == "unplugged; trying again"
     await until(lambda: component.state is State.OK)
@@ -130,11 +135,11 @@ async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
     component: Component, off_s: float, why: str
 ) -> None:
     camera = LyingCamera(0.0, 0.0, off_s)
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component))
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while component.counters.get("mistimed", 0) < 1 or len(taken) < 5:
-        taken += await inbox.take()
+        taken += await frames.take(wake_for_each=False)
     assert all(earlier.t_ns < later.t_ns for earlier, later in itertools.pairwise(taken))
     assert max(frame.t_ns for frame in taken) <= time.monotonic_ns()
     assert component.counters["mistimed"] == 1
@@ -150,12 +155,12 @@ class SettableLyingCamera(LyingCamera):
 
 async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(component: Component) -> None:
     camera = SettableLyingCamera(3600.0)
-    setter = ExposureSetter(ExposureSettings(exposure_ms=3.0), 20.0)
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component, setter))
-    (first,) = await inbox.take()
+    exposure = ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component, exposure))
+    (first,) = await frames.take(wake_for_each=False)
     assert first.changing
-    assert component.counters["mistimed"] == 1
+    await until(lambda: component.counters.get("mistimed") == 1)
     await stop(task)
 
 
@@ -164,12 +169,12 @@ async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is
 ) -> None:
     """Exposure 2 came and was left out; the camera stays open."""
     camera = ScriptedCamera("frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component))
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while len(taken) < 5:
-        taken += await inbox.take()
-    assert component.counters["mistimed"] == 1
+        taken += await frames.take(wake_for_each=False)
+    await until(lambda: component.counters.get("mistimed") == 1)
     assert "lost" not in component.counters
     assert component.message == "not measured: exposure 2 came late"
     await stop(task)
@@ -179,9 +184,9 @@ async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is
 async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component) -> None:
     camera = LyingCamera(*[3600.0] * 20)
     camera.waits = True
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component))
-    assert len(await inbox.take()) == 1
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
+    assert len(await frames.take(wake_for_each=False)) == 1
     assert "mistimed" not in component.counters
     await stop(task)
 
@@ -190,7 +195,7 @@ async def test_the_journal_hears_of_a_lost_camera_once(
     component: Component, caplog: pytest.LogCaptureFixture
 ) -> None:
     camera = ScriptedCamera(*[CameraError("unplugged")] * 2, "frame")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.OK)
     await stop(task)
     assert caplog.messages == ["camera front: unplugged; trying again"]
@@ -198,7 +203,7 @@ async def test_the_journal_hears_of_a_lost_camera_once(
 
 async def test_a_camera_that_times_out_stays_open_and_is_said_to(component: Component) -> None:
     camera = ScriptedCamera("frame", CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.DEGRADED)
     camera.hang.set()
     await until(lambda: component.state is State.OK)
@@ -221,7 +226,7 @@ async def test_the_time_without_a_frame_counts_from_the_last_frame_on(
     clock = FakeClock(8_000_000_000)
     component = Health(clock).component("camera front")
     camera = ScriptedCamera(*script)
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.counters.get("frames") == 2)
     await until(lambda: not camera.script)
     clock.now_ns += 900_000_000
@@ -240,7 +245,7 @@ async def test_a_camera_that_never_delivered_counts_from_when_it_was_wanted() ->
     clock = FakeClock(8_000_000_000)
     component = Health(clock).component("camera front")
     camera = ScriptedCamera(CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.DEGRADED)
     clock.now_ns += 12_000_000_000
     assert component.message.endswith("no frame for 12 s")
@@ -252,7 +257,7 @@ async def test_a_camera_that_is_back_but_delivers_nothing_is_no_longer_said_to_h
     component: Component,
 ) -> None:
     camera = ScriptedCamera("frame", CameraLostError("unplugged"), CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.FAILED)
     await until(lambda: component.state is State.DEGRADED)
     assert re.fullmatch(r"no frame for \d\.\d s", component.message)
@@ -263,24 +268,24 @@ async def test_a_camera_that_is_back_but_delivers_nothing_is_no_longer_said_to_h
 
 async def test_a_source_at_its_end_ends_quietly(component: Component) -> None:
     camera = ScriptedCamera("frame", "frame", CameraEndedError("the recording is at its end"))
-    inbox = Inbox(["front"])
-    await grab(camera, inbox, component)
+    frames = newest()
+    await acquire(camera, frames, component)
     await until(lambda: component.state is State.ENDED)
     assert component.counters["frames"] == 2
     assert camera.calls == ["open", "close"]
-    assert [f.sequence for f in await inbox.take()] == [2]
+    assert [f.sequence for f in await frames.take(wake_for_each=False)] == [2]
 
 
 async def test_a_defect_in_a_driver_ends_the_daemon_not_just_the_thread(component: Component) -> None:
     with pytest.raises(ZeroDivisionError):
-        await grab(ScriptedCamera("frame", ZeroDivisionError()), Inbox(["front"]), component)
+        await acquire(ScriptedCamera("frame", ZeroDivisionError()), newest(), component)
 
 
 @pytest.mark.parametrize("call", ["open", "next_frame", "set_exposure", "close"])
 async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
     component: Component, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
-    monkeypatch.setattr(grabbing, "_FAREWELL_S", 0.2)
+    monkeypatch.setattr(acquiring, "_JOIN_TIMEOUT_S", 0.2)
     camera = SettableCamera("frame", CameraLostError("unplugged") if call == "close" else "frame")
     held = threading.Event()
 
@@ -290,7 +295,7 @@ async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
         raise CameraError("too late")
 
     monkeypatch.setattr(camera, call, hang)
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component, setter()))
+    task = asyncio.create_task(acquire(camera, newest(), component, exposure_of()))
     await until(held.is_set)
     started = time.monotonic()
     await stop(task)
@@ -302,7 +307,7 @@ async def test_a_driver_that_is_held_in_a_call_is_said_to_within_a_second(
     component: Component,
 ) -> None:
     camera = ScriptedCamera("frame", "hang")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.OK)
     heard = time.monotonic()
     await until(lambda: component.state is State.DEGRADED)
@@ -316,11 +321,11 @@ async def test_a_driver_that_is_held_in_a_call_is_said_to_within_a_second(
 async def test_a_source_whose_frames_nobody_takes_is_well(
     component: Component, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(grabbing, "_HELD_AFTER_S", 0.1)
+    monkeypatch.setattr(camera_report, "STALL_TIMEOUT_S", 0.1)
     camera = ScriptedCamera()
     camera.waits = True
-    inbox = Inbox(["front"])
-    task = asyncio.create_task(grab(camera, inbox, component))
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
     await until(lambda: component.counters.get("frames") == 2)
     await asyncio.sleep(0.6)
     assert component.state is State.OK
@@ -329,7 +334,7 @@ async def test_a_source_whose_frames_nobody_takes_is_well(
 
 async def test_lost_frames_are_counted_and_spoken_of_for_a_second(component: Component) -> None:
     camera = ScriptedCamera("frame", 2, "frame", 1, "frame")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.counters.get("frames", 0) >= 5)
     assert component.state is State.DEGRADED
     assert component.message == "3 frames lost in the last second"
@@ -342,7 +347,7 @@ async def test_lost_frames_are_counted_and_spoken_of_for_a_second(component: Com
 
 async def test_losses_are_forgotten_even_when_no_frame_follows(component: Component) -> None:
     camera = ScriptedCamera("frame", 2, *[CameraTimeoutError("late")] * 2, "frame", "hang")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.counters.get("lost") == 2)
     await until(lambda: component.message.startswith("the driver does not return; no frame for "))
     camera.hang.set()
@@ -352,7 +357,7 @@ async def test_losses_are_forgotten_even_when_no_frame_follows(component: Compon
 
 async def test_a_camera_that_starts_to_count_anew_has_lost_nothing(component: Component) -> None:
     camera = ScriptedCamera("frame", -500, "frame", CameraLostError("unplugged"), 700, "frame")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.counters.get("frames", 0) >= 6)
     assert "lost" not in component.counters
     await stop(task)
@@ -380,7 +385,7 @@ async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
             raise error
 
     monkeypatch.setattr(camera, "open", refuse)
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.state is State.FAILED)
     assert component.message == sentence
     await until(lambda: component.state is State.OK)
@@ -395,7 +400,7 @@ async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
     component: Component, caplog: pytest.LogCaptureFixture
 ) -> None:
     script = [CameraLostError("unplugged"), CameraNotFoundError("nothing there")] * 2
-    task = asyncio.create_task(grab(ScriptedCamera(*script, "frame"), Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(ScriptedCamera(*script, "frame"), newest(), component))
     await until(lambda: component.state is State.OK)
     await stop(task)
     assert caplog.messages == [
@@ -407,10 +412,10 @@ async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
 async def test_a_failure_is_news_again_when_the_camera_was_well_for_long(
     component: Component, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(grabbing, "_NEWS_AFTER_S", 0.05)
+    monkeypatch.setattr(acquiring, "_LOG_AGAIN_AFTER_S", 0.05)
     frames = ["frame"] * 50
     camera = ScriptedCamera(*frames, CameraLostError("unplugged"), *frames, CameraLostError("unplugged"))
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component))
+    task = asyncio.create_task(acquire(camera, newest(), component))
     await until(lambda: component.counters.get("failures") == 2 and component.state is State.OK)
     await stop(task)
     assert caplog.messages == ["camera front: lost: unplugged; trying again"] * 2
@@ -440,11 +445,11 @@ class SettableCamera(ScriptedCamera):
         return Frame("front", taken.sequence, taken.t_ns, pixels)
 
 
-def setter(exposure_ms: float = 10.0) -> ExposureSetter:
-    return ExposureSetter(ExposureSettings(control="fixed", exposure_ms=exposure_ms), fps=4.0)
+def exposure_of(exposure_ms: float = 10.0) -> ExposureControl:
+    return ExposureControl(ExposureSettings(control="fixed", exposure_ms=exposure_ms), 4.0, 20)
 
 
-class AllFrames(Inbox):
+class AllFrames(LatestFrames):
     """Keeps every frame."""
 
     def __init__(self) -> None:
@@ -455,19 +460,19 @@ class AllFrames(Inbox):
         self.frames.append(frame)
 
 
-async def test_a_wish_from_the_loop_is_set_between_two_frames_and_the_frames_of_the_change_are_marked(
+async def test_a_new_setpoint_is_applied_between_two_frames_and_the_frames_of_the_change_are_marked(
     component: Component,
 ) -> None:
-    camera, exposing, inbox = SettableCamera(), setter(10.0), AllFrames()
-    task = asyncio.create_task(grab(camera, inbox, component, exposing))
+    camera, exposure, frames = SettableCamera(), exposure_of(10.0), AllFrames()
+    task = asyncio.create_task(acquire(camera, frames, component, exposure))
     for exposure_ms in (10.0, 40.0, 160.0, 20.0):
-        exposing.wish = Setting(exposure_ms, 0.0)
-        counted = len(inbox.frames)
-        await until(lambda counted=counted: len(inbox.frames) > counted + 12)  # type: ignore[misc]
+        exposure.setpoint = Setting(exposure_ms, 0.0)
+        counted = len(frames.frames)
+        await until(lambda counted=counted: len(frames.frames) > counted + 12)  # type: ignore[misc]
     await stop(task)
-    certain = [frame for frame in inbox.frames if not frame.changing]
+    certain = [frame for frame in frames.frames if not frame.changing]
     assert all(frame.pixels[0, 0] == frame.exposure_ms for frame in certain)
-    assert [frame.exposure_ms for frame in inbox.frames if frame.changing] == [
+    assert [frame.exposure_ms for frame in frames.frames if frame.changing] == [
         ms for ms in (10.0, 40.0, 160.0, 20.0) for _ in range(4)
     ]
     assert [call for call in camera.calls if "expose" in call] == [
@@ -477,7 +482,7 @@ async def test_a_wish_from_the_loop_is_set_between_two_frames_and_the_frames_of_
 
 async def test_a_camera_that_was_opened_again_gets_its_exposure_again(component: Component) -> None:
     camera = SettableCamera("frame", CameraLostError("unplugged"), "frame")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component, setter()))
+    task = asyncio.create_task(acquire(camera, newest(), component, exposure_of()))
     await until(lambda: camera.calls.count("expose 10 ms 0 dB") == 2)
     await stop(task)
     assert camera.calls == ["open", "expose 10 ms 0 dB", "close"] * 2
@@ -486,15 +491,15 @@ async def test_a_camera_that_was_opened_again_gets_its_exposure_again(component:
 async def test_a_camera_that_refuses_an_exposure_goes_on_and_health_says_so(
     component: Component, caplog: pytest.LogCaptureFixture
 ) -> None:
-    camera, exposing = SettableCamera(), setter()
+    camera, exposure = SettableCamera(), exposure_of()
     camera.refusal = CameraRefusedError("the register is locked")
-    task = asyncio.create_task(grab(camera, Inbox(["front"]), component, exposing))
+    task = asyncio.create_task(acquire(camera, newest(), component, exposure))
     await until(lambda: component.counters.get("frames", 0) >= 3)
     assert component.state is State.DEGRADED
     assert component.message == "exposure refused: the register is locked"
     assert component.counters["refused_exposures"] == 1
     camera.refusal = None
-    exposing.wish = Setting(20.0, 0.0)
+    exposure.setpoint = Setting(20.0, 0.0)
     await until(lambda: component.state is State.OK)
     await stop(task)
     assert camera.calls == ["open", "expose 10 ms 0 dB", "expose 20 ms 0 dB", "close"]

@@ -1,0 +1,218 @@
+"""One thread per camera takes its frames: blocking calls, opening again after a loss, no block in the loop.
+
+It does nothing else, so that a camera is triggered, stamped and emptied in time however long a frame takes
+to be measured.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.camera_report import CameraReport, Deliveries
+from altd.acquisition.timestamps import StampCheck
+from altd.ports import (
+    Camera,
+    CameraBusyError,
+    CameraEndedError,
+    CameraError,
+    CameraLostError,
+    CameraMistimedError,
+    CameraNotFoundError,
+    CameraRefusedError,
+    CameraTimeoutError,
+    Clock,
+)
+from altd.records import Frame
+from altd.runtime.threads import call_in_thread
+from altd.status.health import Component
+
+log = logging.getLogger("altd")
+
+FRAME_TIMEOUT_S = 0.25
+_REPORT_INTERVAL_S = 0.25
+_MIN_RETRY_S = 0.2
+_MAX_RETRY_S = 0.5
+"""A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
+_LOG_AGAIN_AFTER_S = 10.0
+"""A failure goes to the journal once, and again when the camera has delivered for so long."""
+_JOIN_TIMEOUT_S = 3.0
+"""The service manager kills after 10 s, and the faces shut down too."""
+
+_KINDS: tuple[tuple[type[CameraError], str], ...] = (
+    (CameraNotFoundError, "not found"),
+    (CameraBusyError, "busy"),
+    (CameraLostError, "lost"),
+    (CameraRefusedError, "refused"),
+)
+
+
+class FrameSink(Protocol):
+    """Who takes the frames of a camera from its thread."""
+
+    def put(self, frame: Frame, wait: bool) -> None:
+        """Take a frame; ``wait``: nothing is to be dropped, so keep the thread until there is room for it."""
+
+    def close(self) -> None:
+        """Let a thread go that waits."""
+
+
+async def acquire(
+    camera: Camera, sink: FrameSink, component: Component, exposure: ExposureControl | None = None
+) -> None:
+    """Deliver a camera's frames until cancelled or until the source is at its end.
+
+    A camera that fails is closed and opened again, for ever. Without ``exposure`` its exposure is left alone.
+    Raises a driver's own failure.
+    """
+    report = CameraReport(component, camera.waits)
+    acquirer = _Acquirer(camera, sink, report, exposure, component.clock)
+    done = call_in_thread(acquirer.run, f"camera-{camera.name}")
+    done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
+    try:
+        while not (await asyncio.wait({done}, timeout=_REPORT_INTERVAL_S))[0]:
+            report.update(acquirer.deliveries)
+            if exposure is not None:
+                report.show(exposure.figures)
+    finally:
+        acquirer.stop.set()
+        if not done.done():
+            sink.close()
+        # The thread may sit in a driver's call; it is a daemon, so a dead camera cannot keep the process.
+        await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
+    done.result()
+
+
+def _in_words(error: CameraError) -> str:
+    kind = next((word for known, word in _KINDS if isinstance(error, known)), "")
+    return f"{kind}: {error}" if kind else str(error)
+
+
+class _Acquirer:
+    """The thread's side. ``deliveries`` is replaced by it; the rest goes through ``call_soon_threadsafe``."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        sink: FrameSink,
+        report: CameraReport,
+        exposure: ExposureControl | None,
+        clock: Clock,
+    ) -> None:
+        self.stop = threading.Event()
+        now_ns = clock.monotonic_ns()
+        self.deliveries = Deliveries(now_ns, now_ns)
+        self._camera = camera
+        self._sink = sink
+        self._report = report
+        self._exposure = exposure
+        self._clock = clock
+        self._loop = asyncio.get_running_loop()
+        self._has_delivered = False
+
+    def run(self) -> None:
+        try:
+            self._acquire_for_ever()
+        except CameraEndedError as error:
+            self._tell(self._report.ended, self.deliveries, str(error))
+
+    def _acquire_for_ever(self) -> None:
+        retry_s, failed_s, logged = _MIN_RETRY_S, time.monotonic(), set[str]()
+        while not self.stop.is_set():
+            self._has_delivered = False
+            try:
+                self._camera.open()
+                self._deliver()
+            except CameraEndedError:
+                raise
+            except CameraError as error:
+                sentence = _in_words(error)
+                now_s = time.monotonic()
+                if now_s - failed_s > _LOG_AGAIN_AFTER_S and self._has_delivered:
+                    logged.clear()
+                if sentence not in logged:
+                    logged.add(sentence)
+                    log.warning("camera %s: %s; trying again", self._camera.name, sentence)
+                self._tell(self._report.failed, self.deliveries, sentence)
+            finally:
+                self._camera.close()
+            if self._has_delivered:
+                retry_s = _MIN_RETRY_S
+            failed_s = time.monotonic()
+            self.stop.wait(retry_s)
+            retry_s = min(2 * retry_s, _MAX_RETRY_S)
+
+    def _deliver(self) -> None:
+        """Hand over the frames of a camera that has just been opened, until it fails or is at its end."""
+        exposure = self._exposure
+        self.deliveries = replace(
+            self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=False
+        )
+        self._tell(self._report.opened)
+        last: int | None = None
+        stamps = StampCheck()
+        if exposure is not None:
+            exposure.opened(self._camera)
+        while not self.stop.is_set():
+            if exposure is not None and exposure.is_due:
+                self._tell(self._report.exposure_set, exposure.apply(self._camera))
+            try:
+                frame = self._camera.next_frame(FRAME_TIMEOUT_S)
+            except CameraTimeoutError:
+                self.deliveries = replace(
+                    self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=True
+                )
+                self._tell(self._report.update, self.deliveries)
+                continue
+            except CameraMistimedError as error:
+                last = error.sequence
+                self._count_mistimed(str(error))
+                continue
+            lost = 0 if last is None else max(frame.sequence - last - 1, 0)
+            last = frame.sequence
+            self._has_delivered = True
+            if not self._camera.waits and (sentence := stamps.refusal(frame, time.monotonic_ns())):
+                self._count_mistimed(sentence)
+                continue
+            if exposure is not None:
+                frame = exposure.mark(frame)
+            self._count(lost)
+            self._sink.put(frame, wait=self._camera.waits)
+
+    def _count(self, lost: int) -> None:
+        """A frame came, and ``lost`` before it did not."""
+        now_ns, before = self._clock.monotonic_ns(), self.deliveries
+        self.deliveries = Deliveries(
+            frame_ns=now_ns,
+            returned_ns=now_ns,
+            frames=before.frames + 1,
+            lost=before.lost + lost,
+            mistimed=before.mistimed,
+            remark=before.remark,
+            is_fresh=True,
+        )
+
+    def _count_mistimed(self, sentence: str) -> None:
+        """A frame came whose time cannot be true; it is not measured."""
+        now_ns = self._clock.monotonic_ns()
+        self.deliveries = replace(
+            self.deliveries,
+            frame_ns=now_ns,
+            returned_ns=now_ns,
+            mistimed=self.deliveries.mistimed + 1,
+            remark=sentence,
+            is_fresh=True,
+            is_late=False,
+        )
+
+    def _tell(self, function: Callable[..., object], *arguments: object) -> None:
+        try:
+            self._loop.call_soon_threadsafe(function, *arguments)
+        except RuntimeError:
+            self.stop.set()  # the loop is closed: the process is going down

@@ -1,0 +1,140 @@
+"""What one camera's thread has to tell, as the camera's health; in the event loop only."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+
+from altd.acquisition.auto_exposure.control import Applied, ExposureFigures, Refused
+from altd.status.health import Component, State, duration
+
+log = logging.getLogger("altd")
+
+STALL_TIMEOUT_S = 0.6
+"""A driver that has neither delivered nor timed out for so long does not return from a call."""
+_LOSS_DISPLAY_S = 1.0
+"""A lost or mistimed frame is spoken of for so long."""
+
+
+@dataclass(frozen=True, slots=True)
+class Deliveries:
+    """What came from a camera so far, by the clock of the component; a new record after each frame.
+
+    ``mistimed`` frames came with a time that cannot be true, as ``remark`` says of the last one. The driver
+    returned last at ``returned_ns``, with a frame at ``frame_ns``; before the first one that is when the
+    camera was first wanted. ``is_fresh``: a frame came since the camera was opened and since the last
+    time-out, ``is_late``: it was a time-out.
+    """
+
+    frame_ns: int
+    returned_ns: int
+    frames: int = 0
+    lost: int = 0
+    mistimed: int = 0
+    remark: str = ""
+    is_fresh: bool = False
+    is_late: bool = False
+
+
+class CameraReport:
+    """Says in a component how the camera does. ``waits``: the source waits until its frame is taken."""
+
+    def __init__(self, component: Component, waits: bool) -> None:
+        self._component = component
+        self._waits = waits
+        """Then it is no fault that no frame follows."""
+        self._is_open = False
+        self._known = Deliveries(0, 0)
+        self._losses: deque[tuple[int, int]] = deque()
+        self._mistimed_ns: int | None = None
+        self._refusal = ""
+        self._logged_refusal = ""
+        self._figures: ExposureFigures | None = None
+
+    def opened(self) -> None:
+        """The camera was opened; it is well with its first frame."""
+        self._is_open = True
+        self._refusal = ""
+
+    def exposure_set(self, outcome: Applied | Refused) -> None:
+        """The camera took an exposure, or goes on with what it had."""
+        self._refusal = outcome.complaint if isinstance(outcome, Refused) else ""
+        if self._refusal:
+            self._component.count("refused_exposures")
+            if self._refusal != self._logged_refusal:
+                self._logged_refusal = self._refusal
+                log.warning("%s: exposure refused: %s", self._component.name, self._refusal)
+
+    def failed(self, deliveries: Deliveries, sentence: str) -> None:
+        """The camera was closed, or never open."""
+        self._count(deliveries)
+        self._is_open = False
+        self._losses.clear()
+        self._component.say(State.FAILED, f"{sentence}; trying again")
+        self._component.count("failures")
+
+    def ended(self, deliveries: Deliveries, sentence: str) -> None:
+        """The source is at its end."""
+        self._count(deliveries)
+        self._is_open = False
+        self._component.say(State.ENDED, sentence)
+
+    def update(self, deliveries: Deliveries) -> None:
+        """What came meanwhile, and what did not: a driver that does not return is seen here."""
+        self._count(deliveries)
+        if not self._is_open:
+            return
+        now_ns = self._component.clock.monotonic_ns()
+        if now_ns - deliveries.returned_ns > STALL_TIMEOUT_S * 1e9 and not self._waits:
+            self._say_silent(deliveries.frame_ns, "the driver does not return; ")
+        elif deliveries.is_late:
+            self._say_silent(deliveries.frame_ns)
+        elif deliveries.is_fresh:
+            self._say(deliveries, now_ns)
+
+    def show(self, figures: ExposureFigures | None) -> None:
+        """New figures of the exposure; those that were shown before go on ageing."""
+        if figures is None or figures is self._figures:
+            return
+        self._figures = figures
+        observed: dict[str, float | str | None] = {
+            "exposure_control": figures.exposure_control,
+            "level": figures.level,
+        }
+        if figures.exposure_ms is not None:
+            observed["exposure_ms"] = figures.exposure_ms
+        if figures.gain_db is not None:
+            observed["gain_db"] = figures.gain_db
+        self._component.observe(observed)
+        if figures.changes:
+            self._component.counters["exposure_changes"] = figures.changes
+
+    def _count(self, deliveries: Deliveries) -> None:
+        known, self._known = self._known, deliveries
+        now_ns = self._component.clock.monotonic_ns()
+        for counter in ("frames", "lost", "mistimed"):
+            if more := getattr(deliveries, counter) - getattr(known, counter):
+                self._component.count(counter, more)
+        if deliveries.lost > known.lost:
+            self._losses.append((now_ns, deliveries.lost - known.lost))
+        if deliveries.mistimed > known.mistimed:
+            self._mistimed_ns = now_ns
+
+    def _say_silent(self, frame_ns: int, why: str = "") -> None:
+        self._component.say(
+            State.DEGRADED, lambda now_ns: f"{why}no frame for {duration((now_ns - frame_ns) * 1e-9)}"
+        )
+
+    def _say(self, deliveries: Deliveries, now_ns: int) -> None:
+        oldest_ns = now_ns - _LOSS_DISPLAY_S * 1e9
+        while self._losses and self._losses[0][0] < oldest_ns:
+            self._losses.popleft()
+        complaints = []
+        if self._losses:
+            complaints.append(f"{sum(lost for _, lost in self._losses)} frames lost in the last second")
+        if self._mistimed_ns is not None and self._mistimed_ns >= oldest_ns:
+            complaints.append(f"not measured: {deliveries.remark}")
+        if self._refusal:
+            complaints.append(f"exposure refused: {self._refusal}")
+        self._component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))

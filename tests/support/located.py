@@ -1,0 +1,15 @@
+"""What a camera's thread hands to the event loop, without a picture."""
+
+from __future__ import annotations
+
+from altd.measuring.spot_locator import Located
+from altd.measuring.view_check import ViewStatus
+from altd.records import Spot
+
+SPOT = Spot(300.0, 200.0, 0.01, 40.0, 150.0)
+
+
+def located(camera: str, sequence: int, t_ns: int = 0, breaks: int = 0) -> Located:
+    """A good spot in one frame."""
+    view = ViewStatus(camera, False, None, "", "", False, None, t_ns)
+    return Located(camera, sequence, t_ns, SPOT, breaks, SPOT, view)
