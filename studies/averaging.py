@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Vibration
 from hw_sim.unit import Unit, UnitConfig
-from studies.bench import FloatArray, bench, rms, truth_of
+from studies.bench import bench, rms, truth_of
 from studies.plot import GREY, OURS, THESIS, panels, plain_decades
 from studies.result import Column, Progress, Result, Row
 

@@ -16,7 +16,8 @@ from altd.errors import BadInputError
 from altd.mapping.homography import apply_homography, fit_homography
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
-from studies.bench import FloatArray, rms
+from altd.records import FloatArray
+from studies.bench import rms
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose, footprint
 from hw_sim.measure import HALF_AREA_MM
 from hw_sim.sensor import FULL_WELL_E
 from hw_sim.targets import DotPattern
 from hw_sim.unit import FRONT, Unit, UnitConfig
-from studies.bench import FloatArray, bench, pooled_std, rms
+from studies.bench import bench, pooled_std, rms
 from studies.plot import GREY, OURS, THESIS, panels, plain_decades
 from studies.result import Column, Progress, Result, Row
 

@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.measure import random_poses
 from hw_sim.unit import Unit, UnitConfig
-from studies.bench import FloatArray, bench, pooled_std, rms, truth_of
+from studies.bench import bench, pooled_std, rms, truth_of
 from studies.plot import GREY, OURS, THESIS, draw_arrows, panels
 from studies.result import Column, Progress, Result, Row
 
