@@ -34,10 +34,10 @@ def at_least_one(text: str) -> int:
     return _whole(text, 1)
 
 
-def _whole(text: str, least: int) -> int:
+def _whole(text: str, minimum: int) -> int:
     value = int(text) if text.isdecimal() and len(text) <= 18 else -1
-    if value < least:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no whole number from {least} on")
+    if value < minimum:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no whole number from {minimum} on")
     return value
 
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from hw_sim.targets import Image, soft_disc
+from hw_sim.image import Image
+from hw_sim.targets import soft_disc
 
 SPECKS, SMEARS = 1000, 30
 """On a target with the heaviest dust: specks cover 1 % of it, seven lie in a spot of 12 mm."""

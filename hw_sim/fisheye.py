@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hw_sim.lens import MAX_NEWTON_STEPS, NEWTON_TOLERANCE, FloatArray, Lens
+from altd.records import FloatArray
+from hw_sim.lens import MAX_NEWTON_STEPS, NEWTON_TOLERANCE, Lens
 
 _MIN_RADIUS = 1e-12
 

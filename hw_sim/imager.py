@@ -10,7 +10,8 @@ import numpy as np
 from altd.records import PixelArray
 from hw_sim.beam import Footprint
 from hw_sim.dust import Dust
-from hw_sim.sensor import Image, Sensor
+from hw_sim.image import Image
+from hw_sim.sensor import Sensor
 from hw_sim.view import View
 
 

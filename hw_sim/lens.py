@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from altd.records import FloatArray
 
 WIDTH_PX, HEIGHT_PX = 752, 480
 """The sensor of App. A.3."""

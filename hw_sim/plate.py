@@ -17,10 +17,11 @@ from hw_sim.assembly import at_framing_distance
 from hw_sim.beam import BeamPose
 from hw_sim.faults import Fault
 from hw_sim.fisheye import FisheyeLens
+from hw_sim.image import Image
 from hw_sim.imager import Imager
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
 from hw_sim.recording import Progress, recording
-from hw_sim.targets import Image, soft_disc
+from hw_sim.targets import soft_disc
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
 from hw_sim.view import LED_LEVEL_E_PER_MS, PSF_SIGMA_PX, View, make_view
 

@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from altd.records import PixelArray
-
-Image = npt.NDArray[np.float32]
+from hw_sim.image import Image
 
 FULL_WELL_E = 15_000.0
 READ_NOISE_E = 40.0

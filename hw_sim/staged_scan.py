@@ -17,10 +17,8 @@ from altd.config import Config, GrblStageSettings, Scan, Target
 from altd.config import Unit as UnitTable
 from hw_sim.camera import make_cameras
 from hw_sim.grbl_table import GrblTable
+from hw_sim.scan import STAGE_STREAM
 from hw_sim.unit import FRONT, REAR, Unit, UnitConfig
-
-STAGE_STREAM = 6
-"""Keeps the stage's random numbers apart from those of the frames."""
 
 
 class SimulatedLamps:

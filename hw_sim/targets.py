@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-Image = npt.NDArray[np.float32]
+from hw_sim.image import Image
 
 DOT_DIAMETER_MM = 0.5
 DOT_PITCH_MM = 1.0

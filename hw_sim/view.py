@@ -15,11 +15,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from altd.records import FloatArray
 from hw_sim.beam import Footprint
 from hw_sim.dust import Dust
-from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, FloatArray, Lens
+from hw_sim.image import Image
+from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens
 from hw_sim.sensor import FULL_WELL_E
-from hw_sim.targets import DotPrint, Image, led_coverage, speckle
+from hw_sim.targets import DotPrint, led_coverage, speckle
 
 SUBSAMPLES = 4
 """Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""

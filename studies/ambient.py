@@ -13,8 +13,8 @@ from studies.sweep import (
     POSES,
     Condition,
     plot,
+    refused_text,
     rows,
-    said_of_refused,
     sweep,
 )
 
@@ -41,7 +41,7 @@ def run(progress: Progress) -> Result:
         rows=rows(points, lambda point: point.value == SPECIFIED_LUX),
         headline=(
             f"From darkness to 1000 lx the error goes from {dark[0]:.4f} to {bright[0]:.4f} mm and from "
-            f"{dark[1]:.5f}° to {bright[1]:.5f}°; {said_of_refused(points)}."
+            f"{dark[1]:.5f}° to {bright[1]:.5f}°; {refused_text(points)}."
         ),
         text=f"""
 One unit, calibrated once at {base.lux:g} lx, measures the same {POSES} beams at every level, {EXPOSURES}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Vibration
 from hw_sim.unit import Unit, UnitConfig
-from studies.bench import FloatArray, bench, rms, truth_of
+from studies.bench import bench, rms, truth_of
 from studies.plot import GREY, OURS, THESIS, panels, plain_decades
 from studies.result import Column, Progress, Result, Row
 
@@ -40,22 +41,22 @@ def run(progress: Progress) -> Result:
     moving = truth_of([unit.truth(t_ns) for t_ns in times_ns])
     rest = truth_of([POSE])
 
-    rows, seen, left = [], [], []
+    rows, scatter, residual = [], [], []
     for window, lines in readings.items():
         values = lines.values[window - 1 :]
-        seen.append(np.nanstd(values, axis=0))
-        left.append(sliding_mean(moving, window).std(axis=0))
+        scatter.append(np.nanstd(values, axis=0))
+        residual.append(sliding_mean(moving, window).std(axis=0))
         errors = values - rest
         rows.append(
             Row(
                 f"{window}",
                 (
-                    float(seen[-1][0]),
-                    float(left[-1][0]),
+                    float(scatter[-1][0]),
+                    float(residual[-1][0]),
                     rms(errors[:, 0]),
                     float(np.nanmean(lines.sigmas[window - 1 :, 0])),
-                    float(seen[-1][2]),
-                    float(left[-1][2]),
+                    float(scatter[-1][2]),
+                    float(residual[-1][2]),
                     rms(errors[:, 2]),
                     float(np.nanmean(lines.sigmas[window - 1 :, 2])),
                     100.0 * float(np.mean(~lines.valid[window - 1 :])),
@@ -67,7 +68,7 @@ def run(progress: Progress) -> Result:
     for axis, column, unit_name, what in ((axes[0], 0, "mm", "x"), (axes[1], 2, "°", "yaw")):
         axis.loglog(
             WINDOWS,
-            [s[column] for s in seen],
+            [s[column] for s in scatter],
             "o-",
             color=OURS,
             ms=4,
@@ -75,9 +76,9 @@ def run(progress: Progress) -> Result:
             label="scatter of altd's means",
         )
         axis.loglog(
-            WINDOWS, [s[column] for s in left], color=THESIS, lw=1.3, label="vibration left in the mean"
+            WINDOWS, [s[column] for s in residual], color=THESIS, lw=1.3, label="vibration left in the mean"
         )
-        white = left[0][column] / np.sqrt(WINDOWS)
+        white = residual[0][column] / np.sqrt(WINDOWS)
         axis.loglog(WINDOWS, white, color=GREY, lw=1.0, ls="--", label="σ/√N")
         axis.set_xticks(WINDOWS, [str(window) for window in WINDOWS])
         axis.minorticks_off()

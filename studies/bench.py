@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.cli.main import main as altd
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
 from hw_sim.measure import record_measurement
@@ -24,8 +25,6 @@ from hw_sim.scan import STAGE_STREAM, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit
 from studies.result import Progress
-
-FloatArray = npt.NDArray[np.float64]
 
 FLAT_EXPOSURES = 20
 """Lit, and as many dark: the simulator's own default."""

@@ -16,14 +16,15 @@ from altd.errors import BadInputError
 from altd.mapping.homography import apply_homography, fit_homography
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
-from studies.bench import FloatArray, rms
+from altd.records import FloatArray
+from studies.bench import rms
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Chessboard: real photographs"
 QUESTION = "How far off is a map at a corner that it was not shown, through a lens that nobody simulated?"
 
-PHOTOGRAPHS = Path(__file__).resolve().parents[3] / "shared" / "data" / "chessboard"
+PHOTOGRAPHS = Path(__file__).resolve().parents[2] / "shared" / "data" / "chessboard"
 """left01.jpg … left07.jpg of OpenCV's sample data, 320 × 240; beside the checkout, not in it."""
 
 CORNERS = (7, 5)
@@ -59,30 +60,31 @@ class _Photo:
 def run(progress: Progress) -> Result:
     """Leave out every corner of every photograph in turn; raises BadInputError without photographs."""
     photos = _photographs()
-    missed = {model: np.empty((len(photos), len(BOARD_MM), 2)) for model in MODELS}
+    errors_px = {model: np.empty((len(photos), len(BOARD_MM), 2)) for model in MODELS}
     for index, photo in enumerate(photos):
         progress(f"chessboard: {photo.name}")
-        elsewhere = _camera([other.corners_px for other in photos if other is not photo], photo.size)[:2]
+        others_px = [other.corners_px for other in photos if other is not photo]
+        camera_of_others = _camera(others_px, photo.size)[:2]
         for corner in range(len(BOARD_MM)):
-            for model, at_px in _predictions(photo, corner, elsewhere).items():
-                missed[model][index, corner] = at_px - photo.corners_px[corner]
+            for model, at_px in _predictions(photo, corner, camera_of_others).items():
+                errors_px[model][index, corner] = at_px - photo.corners_px[corner]
 
-    together_px = _camera([photo.corners_px for photo in photos], photos[0].size)[2]
-    alone_px = float(np.mean([_camera([photo.corners_px], photo.size)[2] for photo in photos]))
+    joint_rms_px = _camera([photo.corners_px for photo in photos], photos[0].size)[2]
+    single_rms_px = float(np.mean([_camera([photo.corners_px], photo.size)[2] for photo in photos]))
     share = 100.0 / np.array([photo.square_px for photo in photos])[:, None]
-    length = {model: np.linalg.norm(off, axis=2) for model, off in missed.items()}
+    lengths_px = {model: np.linalg.norm(error_px, axis=2) for model, error_px in errors_px.items()}
     rows = tuple(
         Row(
             model,
             (
-                float(off.mean()),
-                rms(off),
-                float(off.max()),
-                float(off[:, ~RIM].mean()),
-                float((off * share).mean()),
+                float(error_px.mean()),
+                rms(error_px),
+                float(error_px.max()),
+                float(error_px[:, ~RIM].mean()),
+                float((error_px * share).mean()),
             ),
         )
-        for model, off in length.items()
+        for model, error_px in lengths_px.items()
     )
     ours, flat, other = (rows[i].ours[0] for i in (2, 0, 4))
     return Result(
@@ -116,17 +118,17 @@ camera and distortion from the six other photographs, all of their corners, and 
 these 34 (`cv2.solvePnP`), so with more knowledge than a map of one plane has.
 
 The corners themselves are found to some hundredths of a pixel, and the board is paper on a tray: neither
-is taken out of the errors. One camera fits all seven photographs together to {together_px:.3f} px rms,
-and each alone to {alone_px:.3f} px: the board was not flat, or not equally bent, and that is why the
+is taken out of the errors. One camera fits all seven photographs together to {joint_rms_px:.3f} px rms,
+and each alone to {single_rms_px:.3f} px: the board was not flat, or not equally bent, and that is why the
 camera from the other photographs, which knows more, does worse here than anything fitted to the
 photograph itself.
 """,
-        figure=_figure(photos, missed, length),
+        figure=_figure(photos, errors_px, lengths_px),
         caption="Mean error by photograph and model; errors over the board for the first photograph",
     )
 
 
-def _predictions(photo: _Photo, corner: int, elsewhere: tuple[Any, Any]) -> dict[str, FloatArray]:
+def _predictions(photo: _Photo, corner: int, camera_of_others: tuple[Any, Any]) -> dict[str, FloatArray]:
     """Where each model puts a corner (2,) px that it was not shown."""
     kept_mm = np.delete(BOARD_MM, corner, axis=0)
     kept_px = np.delete(photo.corners_px, corner, axis=0)
@@ -137,8 +139,8 @@ def _predictions(photo: _Photo, corner: int, elsewhere: tuple[Any, Any]) -> dict
         apply_homography(fit_homography(kept_mm, kept_px), at_mm)[0],
         fit_tensor_map(kept_mm, kept_px, hull_mm, (3, 3)).map.to_px(at_mm)[0],
         fit_nodes(kept_mm, kept_px, photo.size, None, 0).fit.map.to_px(at_mm)[0],
-        _projected(alone, kept_mm, kept_px, at_mm),
-        _projected(elsewhere, kept_mm, kept_px, at_mm),
+        _projected_px(alone, kept_mm, kept_px, at_mm),
+        _projected_px(camera_of_others, kept_mm, kept_px, at_mm),
     )
     return dict(zip(MODELS, predictions, strict=True))
 
@@ -147,7 +149,7 @@ def _camera(
     views_px: Sequence[FloatArray], size: tuple[int, int], boards_mm: Sequence[FloatArray] | None = None
 ) -> tuple[Any, Any, float]:
     """OpenCV's camera matrix and distortion (k1, k2, p1, p2) from views of the board, and its rms in px."""
-    boards = [_solid(board) for board in boards_mm or [BOARD_MM] * len(views_px)]
+    boards = [_in_space(board) for board in boards_mm or [BOARD_MM] * len(views_px)]
     views = [view.astype(np.float32) for view in views_px]
     none: Any = None
     rms_px, matrix, distortion, _, _ = cv2.calibrateCamera(
@@ -156,17 +158,17 @@ def _camera(
     return matrix, distortion, rms_px
 
 
-def _projected(
+def _projected_px(
     camera: tuple[Any, Any], kept_mm: FloatArray, kept_px: FloatArray, at_mm: FloatArray
 ) -> FloatArray:
     """A board point (1, 2) through a known camera, the board's pose from its other corners: (2,) px."""
-    _, turn, shift = cv2.solvePnP(_solid(kept_mm), kept_px, *camera)
-    turn, shift = cv2.solvePnPRefineLM(_solid(kept_mm), kept_px, *camera, turn, shift)
-    seen, _ = cv2.projectPoints(_solid(at_mm), turn, shift, *camera)
+    _, turn, shift = cv2.solvePnP(_in_space(kept_mm), kept_px, *camera)
+    turn, shift = cv2.solvePnPRefineLM(_in_space(kept_mm), kept_px, *camera, turn, shift)
+    seen, _ = cv2.projectPoints(_in_space(at_mm), turn, shift, *camera)
     return np.asarray(seen.reshape(2), dtype=np.float64)
 
 
-def _solid(board_mm: FloatArray) -> Any:
+def _in_space(board_mm: FloatArray) -> Any:
     """Points of the board in space, y downwards."""
     return np.column_stack([board_mm[:, 0], -board_mm[:, 1], np.zeros(len(board_mm))]).astype(np.float32)
 
@@ -188,12 +190,14 @@ def _photographs() -> list[_Photo]:
     return photos
 
 
-def _figure(photos: Sequence[_Photo], missed: dict[str, FloatArray], length: dict[str, FloatArray]) -> Figure:
+def _figure(
+    photos: Sequence[_Photo], errors_px: dict[str, FloatArray], lengths_px: dict[str, FloatArray]
+) -> Figure:
     figure, (bars, board) = panels(1, 2, width=9.6, height=4.2)
     at = np.arange(len(photos))
     for place, (model, colour) in enumerate(MODELS.items()):
         shift = (place - (len(MODELS) - 1) / 2) * 0.16
-        bars.bar(at + shift, length[model].mean(axis=1), 0.15, color=colour, label=model)
+        bars.bar(at + shift, lengths_px[model].mean(axis=1), 0.15, color=colour, label=model)
     bars.set_xticks(at, [photo.name.removesuffix(".jpg") for photo in photos])
     bars.set(ylabel="mean error of a left-out corner, px", title="By photograph", ylim=(0.0, 0.36))
     bars.grid(visible=False, axis="x")
@@ -203,7 +207,7 @@ def _figure(photos: Sequence[_Photo], missed: dict[str, FloatArray], length: dic
     for model in ("homography", "altd's map"):
         arrows = board.quiver(
             *photo.corners_px.T,
-            *missed[model][SHOWN].T,
+            *errors_px[model][SHOWN].T,
             color=MODELS[model],
             angles="xy",
             scale_units="xy",

@@ -14,8 +14,8 @@ from studies.sweep import (
     POSES,
     Condition,
     plot,
+    refused_text,
     rows,
-    said_of_refused,
     sweep,
 )
 
@@ -47,7 +47,7 @@ def run(progress: Progress) -> Result:
         rows=rows(points, lambda _point: True),
         headline=(
             f"At 1 and 5 mW the error is {errors[0]} and {errors[1]} mm at the exposure for 3 mW, "
-            f"{errors[2]} and {errors[3]} mm exposed for the laser; {said_of_refused(points)}."
+            f"{errors[2]} and {errors[3]} mm exposed for the laser; {refused_text(points)}."
         ),
         text=f"""
 One unit, calibrated once at {usual_mw:g} mW, measures the same {POSES} beams with each laser, {EXPOSURES}

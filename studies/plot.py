@@ -10,13 +10,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-FloatArray = npt.NDArray[np.float64]
+from altd.records import FloatArray
 
 OURS, THESIS, THIRD, FOURTH, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#777777"
 """Of the palette by Okabe and Ito, which colour-blind eyes tell apart too."""

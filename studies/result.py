@@ -1,4 +1,4 @@
-"""What a study comes to: a table with the thesis' figures beside ours, a figure, and what to make of it."""
+"""The result of a study: a table with the thesis' figures beside ours, a figure, and the text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 Progress = Callable[[str], None]
-"""Is told in a few words what is being done."""
+"""Called with a few words on what is being done."""
 
 
 @dataclass(frozen=True, slots=True)

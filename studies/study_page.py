@@ -11,7 +11,7 @@ from studies.plot import as_svg
 from studies.result import Result
 from studies.result_table import table
 
-LINE = 120
+MAX_LINE = 120
 PEERS = "peers.md"
 CAMPAIGN = "campaign.md"
 
@@ -52,16 +52,16 @@ def page(name: str, title: str, question: str, result: Result) -> str:
         verdict(result),
         f"![{title}]({name}.svg)",
         f"*{result.caption}*",
-        _even(result.text),
+        _reflow(result.text),
         f"Made by `python -m studies {name}`; all studies: [index](README.md).",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _even(text: str) -> str:
+def _reflow(text: str) -> str:
     """Paragraphs with lines of even length, whatever numbers were put in."""
     paragraphs = text.strip().split("\n\n")
-    return "\n\n".join(textwrap.fill(paragraph, LINE, break_on_hyphens=False) for paragraph in paragraphs)
+    return "\n\n".join(textwrap.fill(paragraph, MAX_LINE, break_on_hyphens=False) for paragraph in paragraphs)
 
 
 def verdict(result: Result) -> str:
@@ -69,10 +69,10 @@ def verdict(result: Result) -> str:
     if not result.compared():
         return ""
     worse = result.worse()
-    than = "the thesis" if result.beside == "thesis" else result.beside
+    compared_with = "the thesis" if result.beside == "thesis" else result.beside
     if not worse:
-        return f"Worse than {than}: nothing."
-    return f"Worse than {than}: " + "; ".join(f"{column} ({row})" for row, column in worse) + "."
+        return f"Worse than {compared_with}: nothing."
+    return f"Worse than {compared_with}: " + "; ".join(f"{column} ({row})" for row, column in worse) + "."
 
 
 def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:

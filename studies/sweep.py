@@ -81,7 +81,7 @@ def rows(points: Sequence[Point], specified: Callable[[Point], bool]) -> tuple[R
     return tuple(Row(point.name, point.ours, SPECIFIED if specified(point) else None) for point in points)
 
 
-def said_of_refused(points: Sequence[Point]) -> str:
+def refused_text(points: Sequence[Point]) -> str:
     """How many beams were not measured, and where."""
     bad = [f"{point.refused} of {POSES} beams at {point.name}" for point in points if point.refused]
     return f"refused: {'; '.join(bad)}" if bad else "no beam is refused"

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose, footprint
 from hw_sim.measure import HALF_AREA_MM
 from hw_sim.sensor import FULL_WELL_E
 from hw_sim.targets import DotPattern
 from hw_sim.unit import FRONT, Unit, UnitConfig
-from studies.bench import FloatArray, bench, pooled_std, rms
+from studies.bench import bench, pooled_std, rms
 from studies.plot import GREY, OURS, THESIS, panels, plain_decades
 from studies.result import Column, Progress, Result, Row
 
@@ -35,7 +36,7 @@ THESIS_OPAQUE = (0.01899, None, None, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _TargetErrors:
     """Of one target: errors of the displacements (50,), repeats' σ in x and y, places (100, 2), mm."""
 
     displacements_mm: FloatArray
@@ -79,15 +80,16 @@ def run(progress: Progress) -> Result:
     """One unit a pattern, all else the same."""
     poses = displaced_poses(np.random.default_rng([SEED, 31]))
     at_mm = np.array([(pose.x_mm, pose.y_mm) for pose in poses])
-    front: list[_Seen] = []
+    front: list[_TargetErrors] = []
     for name, dots, _ in PATTERNS:
         unit = Unit(UnitConfig(seed=SEED, dots=dots))
         set_exposure(unit)
         with bench(progress, name) as on:
             on.calibrate(unit)
             readings = on.replay(on.record(unit, poses, EXPOSURES), 1, 1)
-        front.append(_seen(readings.front_mm, at_mm))
-        rear = _seen(readings.rear_mm, at_mm)  # the last is kept: as in the thesis, behind the dots of 0.5 mm
+        front.append(_target_errors(readings.front_mm, at_mm))
+        # the last is kept: as in the thesis, behind the dots of 0.5 mm
+        rear = _target_errors(readings.rear_mm, at_mm)
 
     names = [name for name, _, _ in PATTERNS] + ["opaque (rear)"]
     figure, axes = panels(1, 2)
@@ -156,9 +158,9 @@ of App. A.2.
     )
 
 
-def _seen(points_mm: FloatArray, at_mm: FloatArray) -> _Seen:
+def _target_errors(points_mm: FloatArray, at_mm: FloatArray) -> _TargetErrors:
     """From single exposures (100 × exposures, 2), in the order of the places (100, 2)."""
     exposures = points_mm.reshape(len(at_mm), EXPOSURES, 2)
     single = exposures[:, 0]
     moved = np.linalg.norm(single[1::2] - single[::2], axis=1)
-    return _Seen(moved - STEP_MM, pooled_std(exposures), single - at_mm)
+    return _TargetErrors(moved - STEP_MM, pooled_std(exposures), single - at_mm)

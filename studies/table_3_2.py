@@ -14,12 +14,12 @@ from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
+from altd.records import FloatArray
 from altd.vision.led_discs import find_discs
 from altd.vision.led_grid import match_grid
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.plate import COLUMNS, LED_DIAMETER_MM, ROWS, WIDE_PITCH_MM, Plate, with_plate
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
-from studies.bench import FloatArray
 from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -40,8 +40,8 @@ class _Lenses:
     name: str
     focal_mm: float
     fisheye: bool
-    flat: tuple[float, float]
-    bent: tuple[float, float]
+    homography_mm: tuple[float, float]
+    tensor_mm: tuple[float, float]
 
 
 LENSES = (
@@ -66,24 +66,24 @@ class _Errors:
 
 def run(progress: Progress) -> Result:
     """Six lenses for each focal length: front and rear camera of three units."""
-    seen: dict[str, list[_Errors]] = {}
+    errors_by_lens: dict[str, list[_Errors]] = {}
     for lenses in LENSES:
         progress(f"table-3.2: {lenses.name} mm")
-        seen[lenses.name] = [
+        errors_by_lens[lenses.name] = [
             _errors(leds_mm, leds_px, lens, np.random.default_rng([seed, 32]))
             for seed in SEEDS
-            for leds_mm, leds_px, lens in _photographed(seed, lenses)
+            for leds_mm, leds_px, lens in _simulated_plates(seed, lenses)
         ]
 
     rows = []
     for lenses in LENSES:
-        errors = seen[lenses.name]
+        errors = errors_by_lens[lenses.name]
         at = [np.concatenate([of.at_leds_mm[model] for of in errors]) for model in MODELS]
         between = [np.concatenate([of.between_mm[model] for of in errors]) for model in MODELS]
         ours = [float(value) for lengths in at for value in (lengths.mean(), lengths.std(ddof=1))]
         ours += [float(lengths.mean()) for lengths in between]
         ours.append(float(np.mean([of.noisy_mm.mean() for of in errors])))
-        thesis = (*lenses.flat, *lenses.bent, *lenses.bent, None, None, None, None)
+        thesis = (*lenses.homography_mm, *lenses.tensor_mm, *lenses.tensor_mm, None, None, None, None)
         rows.append(Row(lenses.name, tuple(ours), thesis))
     reached = [f"{row.ours[8]:.4f}" for row in rows]
     return Result(
@@ -124,12 +124,12 @@ but to the LEDs' true pixels with a noise of {NOISE_PX:g} px.
 cross-validation, with the discs' centres corrected for tilt and distortion. The thesis' lenses are not
 ours: its 12 mm lens was a good one, while here all distort alike for the same angle of view.
 """,
-        figure=_figure(seen),
+        figure=_figure(errors_by_lens),
         caption="Mean error by focal length: at the LEDs with the thesis' values, and between them",
     )
 
 
-def _photographed(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
+def _simulated_plates(seed: int, lenses: _Lenses) -> Iterator[tuple[FloatArray, FloatArray, Lens]]:
     """The LEDs' places (n, 2) mm, their discs' centres (n, 2) px, and the true lens, for both cameras."""
     plate = Plate(WIDE_PITCH_MM, tilt_deg=TILT_DEG, fisheye=lenses.fisheye)
     focal_mm = (lenses.focal_mm, lenses.focal_mm)
@@ -177,20 +177,20 @@ def _to_mm(fitted: TensorMap, points_px: FloatArray) -> FloatArray:
     return InverseMap.of(fitted).to_mm(points_px)[0]
 
 
-def _figure(seen: dict[str, list[_Errors]]) -> Figure:
+def _figure(errors_by_lens: dict[str, list[_Errors]]) -> Figure:
     figure, (left, right) = panels(1, 2)
     focal = np.arange(len(LENSES))
     thesis = {
-        MODELS[0]: [lenses.flat[0] for lenses in LENSES],
-        MODELS[1]: [lenses.bent[0] for lenses in LENSES],
+        MODELS[0]: [lenses.homography_mm[0] for lenses in LENSES],
+        MODELS[1]: [lenses.tensor_mm[0] for lenses in LENSES],
     }
     for model, colour in zip(MODELS, (GREY, THESIS, OURS), strict=True):
-        at = [np.mean([of.at_leds_mm[model].mean() for of in errors]) for errors in seen.values()]
+        at = [np.mean([of.at_leds_mm[model].mean() for of in errors]) for errors in errors_by_lens.values()]
         left.plot(focal, at, "o-", color=colour, ms=4, lw=1.3, label=model)
         if model in thesis:
             label = f"{model}, thesis"
             left.plot(focal, thesis[model], "x--", color=colour, ms=6, lw=1.0, label=label)
-        between = [[of.between_mm[model].mean() for of in errors] for errors in seen.values()]
+        between = [[of.between_mm[model].mean() for of in errors] for errors in errors_by_lens.values()]
         right.plot(focal, np.mean(between, axis=1), "o-", color=colour, ms=4, lw=1.3, label=model)
         right.plot(focal, between, ".", color=colour, ms=3, alpha=0.6)
     for axis, title in ((left, "At the LEDs"), (right, "Between the LEDs; dots: single lenses")):

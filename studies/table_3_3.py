@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.scan import USUAL
 from hw_sim.unit import Unit, UnitConfig
-from studies.bench import FloatArray, bench
+from studies.bench import bench
 from studies.plot import OURS, THESIS, draw_arrows, panels
 from studies.result import Column, Progress, Result, Row
 

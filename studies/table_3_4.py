@@ -1,4 +1,4 @@
-"""Table 3.4 and Fig. 3.26–3.29: seventy beams, and whether their errors hang together."""
+"""Table 3.4 and Fig. 3.26–3.29: seventy beams, and whether their errors are correlated."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from altd.records import FloatArray
 from hw_sim.beam import BeamPose
 from hw_sim.measure import random_poses
 from hw_sim.unit import Unit, UnitConfig
-from studies.bench import FloatArray, bench, pooled_std, rms, truth_of
+from studies.bench import bench, pooled_std, rms, truth_of
 from studies.plot import GREY, OURS, THESIS, draw_arrows, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -27,12 +28,12 @@ UNITS = ((71, 0.0, False), (72, 0.12, False), (73, 0.2, False), (72, 0.12, True)
 SHOWN = 1
 POSES, EXPOSURES = 70, 4
 THESIS_ROWS = {"yaw": (0.00113, 0.0226), "pitch": (0.00084, 0.0183)}
-BY_CHANCE = 1.96 / math.sqrt(POSES - 3)
-"""A correlation of independent errors stays below tanh of it 95 times in 100 (Fisher)."""
+CHANCE_CORRELATION_Z = 1.96 / math.sqrt(POSES - 3)
+"""In Fisher's z: independent errors correlate by less than its tanh 95 times in 100."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _UnitErrors:
     """One unit: truth, errors and stated sigmas (70, 4), repeats' σ (4,); x mm, y mm, yaw °, pitch °."""
 
     poses: list[BeamPose]
@@ -52,14 +53,14 @@ def principal_components(errors: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def run(progress: Progress) -> Result:
     """Three units with more and more speckle; the plots show the second."""
-    seen = [_measured(seed, contrast, flat, progress) for seed, contrast, flat in UNITS]
+    units = [_measure_unit(seed, contrast, flat, progress) for seed, contrast, flat in UNITS]
     rows = []
-    for (_, contrast, flat), unit in zip(UNITS, seen, strict=True):
+    for (_, contrast, flat), unit in zip(UNITS, units, strict=True):
         for angle, column in (("yaw", 2), ("pitch", 3)):
             error = unit.errors[:, column]
             rows.append(
                 Row(
-                    f"{angle}, {_named(contrast, flat)}",
+                    f"{angle}, {_label(contrast, flat)}",
                     (
                         float(unit.repeats[column]),
                         float(error.std(ddof=1)),
@@ -71,15 +72,15 @@ def run(progress: Progress) -> Result:
                     (*THESIS_ROWS[angle], None, None, None, None),
                 )
             )
-    shown = seen[SHOWN]
-    spread, axes = principal_components(shown.errors[:, 2:])
+    shown = units[SHOWN]
+    sigmas_deg, axes = principal_components(shown.errors[:, 2:])
     turn_deg = math.degrees(math.atan2(axes[0, 1], axes[0, 0])) % 180.0
     between = float(np.corrcoef(shown.errors[:, 2], shown.errors[:, 3])[0, 1])
     placed = "; ".join(
-        f"{rms(unit.errors[:, 0]):.4f} and {rms(unit.errors[:, 1]):.4f} mm at {_named(contrast, flat)}"
-        for (_, contrast, flat), unit in zip(UNITS, seen, strict=True)
+        f"{rms(unit.errors[:, 0]):.4f} and {rms(unit.errors[:, 1]):.4f} mm at {_label(contrast, flat)}"
+        for (_, contrast, flat), unit in zip(UNITS, units, strict=True)
     )
-    figure = _figure(shown, spread, turn_deg)
+    figure = _figure(shown, sigmas_deg, turn_deg)
     worst = max(row.ours[1] or 0.0 for row in rows[:-2])
     return Result(
         of="angle",
@@ -116,10 +117,10 @@ Displacement of the same beams, rms of x and y: {placed}.
 
 The thesis asks by principal components whether the errors are independent of each other and of the
 angles, and finds a minor correlation. Here, on the unit with speckle {UNITS[SHOWN][1]:g} (plots): the
-principal axes of the errors of yaw and pitch have σ {spread[0]:.5f}° and {spread[1]:.5f}°, the first at
-{turn_deg:.0f}° from yaw; yaw and pitch errors correlate with {between:+.2f}. The table has the
+principal axes of the errors of yaw and pitch have σ {sigmas_deg[0]:.5f}° and {sigmas_deg[1]:.5f}°, the
+first at {turn_deg:.0f}° from yaw; yaw and pitch errors correlate with {between:+.2f}. The table has the
 correlation of each error with the angles themselves. Of independent errors, 70 show less than
-{math.tanh(BY_CHANCE):.2f} by chance 95 times in 100.
+{math.tanh(CHANCE_CORRELATION_Z):.2f} by chance 95 times in 100.
 """,
         figure=figure,
         caption=(
@@ -129,19 +130,19 @@ correlation of each error with the angles themselves. Of independent errors, 70 
     )
 
 
-def _named(contrast: float, flat: bool) -> str:
+def _label(contrast: float, flat: bool) -> str:
     return f"speckle {contrast:g}{', flat' if flat else ''}"
 
 
-def _measured(seed: int, contrast: float, flat: bool, progress: Progress) -> _Seen:
+def _measure_unit(seed: int, contrast: float, flat: bool, progress: Progress) -> _UnitErrors:
     unit = Unit(UnitConfig(seed=seed, speckle_contrast=contrast))
     poses = random_poses(POSES, unit.config.target_distance_mm, np.random.default_rng([seed, 34]))
-    with bench(progress, f"table-3.4, {_named(contrast, flat)}") as on:
+    with bench(progress, f"table-3.4, {_label(contrast, flat)}") as on:
         on.calibrate(unit, flat=flat)
         recording = on.record(unit, poses, EXPOSURES)
         means = on.replay(recording, EXPOSURES, EXPOSURES)
         single = on.replay(recording, 1, 1).values.reshape(POSES, EXPOSURES, 4)
-    return _Seen(
+    return _UnitErrors(
         poses,
         truth_of(poses),
         means.values - truth_of(poses),
@@ -151,7 +152,7 @@ def _measured(seed: int, contrast: float, flat: bool, progress: Progress) -> _Se
     )
 
 
-def _figure(unit: _Seen, spread: FloatArray, turn_deg: float) -> Figure:
+def _figure(unit: _UnitErrors, sigmas_deg: FloatArray, turn_deg: float) -> Figure:
     """In thousandths of a degree, for short labels."""
     figure, axes = panels(2, 3, width=12.6, height=7.2)
     errors, single = 1000.0 * unit.errors, 1000.0 * unit.single.reshape(-1, 4)
@@ -177,7 +178,7 @@ def _figure(unit: _Seen, spread: FloatArray, turn_deg: float) -> Figure:
     ):
         _against_angles(axis, unit.truth, errors[:, column])
         axis.set(ylim=(-limit, limit), title=title)
-    _principal(axes[5], errors[:, 2:], 1000.0 * spread, turn_deg)
+    _principal(axes[5], errors[:, 2:], 1000.0 * sigmas_deg, turn_deg)
     axes[5].set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     return figure
 
@@ -194,11 +195,11 @@ def _against_angles(axis: Axes, truth: FloatArray, error: FloatArray) -> None:
     axis.legend(loc="upper left", ncols=2)
 
 
-def _principal(axis: Axes, errors: FloatArray, spread: FloatArray, turn_deg: float) -> None:
+def _principal(axis: Axes, errors: FloatArray, sigmas_deg: FloatArray, turn_deg: float) -> None:
     middle = errors.mean(axis=0)
     axis.plot(*errors.T, "o", ms=3.2, color=OURS)
     for times in (1.0, 2.0):
-        size = 2.0 * times * spread
+        size = 2.0 * times * sigmas_deg
         axis.add_patch(
             Ellipse(tuple(middle), *size, angle=turn_deg, fill=False, color=THESIS, lw=1.2),
         )

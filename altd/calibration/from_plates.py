@@ -27,7 +27,7 @@ from altd.mapping.light_centre import (
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Frame
-from altd.vision.background import Image
+from altd.vision.image import Image
 from altd.vision.led_discs import Disc, disc_centres_px, find_discs
 from altd.vision.led_grid import match_grid
 from altd.vision.settings import SpotSettings

@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from altd.records import FloatArray, PixelArray
 from altd.statistics.robust import MAD_TO_SIGMA, mad_sigma, median
-
-Image = npt.NDArray[np.float32]
+from altd.vision.image import Image
 
 CELL_PX = 8
 """Side of a coarse cell. It covers more than one printed dot, so it averages the print out."""

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.vision.centre import Noise
-from altd.vision.flat import BLOCK_PX, BlockSums, Flat, Image, block_sum, block_sums
+from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
+from altd.vision.image import Image
 from altd.vision.patch import Patch
 
 

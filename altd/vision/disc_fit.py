@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.records import FloatArray
-from altd.vision.background import Image
+from altd.vision.image import Image
 
 _MAX_ITERATIONS = 40
 _CONVERGED_PX = 1e-4

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 
 from altd.records import FloatArray
-from altd.vision.background import Image
 from altd.vision.centre import Centre, Noise
 from altd.vision.conic import fit_conic
 from altd.vision.flat import Flat
-from altd.vision.patch import Mask, Patch
+from altd.vision.image import Image, Mask, gaussian_blur
+from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 
 CONTOUR_LEVEL = 0.5
@@ -87,7 +87,7 @@ def ellipse(patch: Patch, noise: Noise, settings: SpotSettings, flat: Flat | Non
     variance = noise.read_counts**2 + np.maximum(irradiance, 0) * response / noise.electrons_per_count
     squares = 0.0
     for sensitivity in sensitivities:
-        by_pixel = response * _blurred(
+        by_pixel = response * gaussian_blur(
             contour.adjoint(sensitivity, irradiance.shape) / response2, settings.smoothing_px
         )
         squares += float((np.square(by_pixel, dtype=np.float64) * variance).sum())
@@ -105,10 +105,10 @@ def _irradiance(patch: Patch, settings: SpotSettings, flat: Flat | None) -> tupl
         return ones, ones, patch.smooth
     height, width = patch.smooth.shape
     response = flat.response[patch.top : patch.top + height, patch.left : patch.left + width]
-    response2 = _blurred(response * response, settings.smoothing_px)
+    response2 = gaussian_blur(response * response, settings.smoothing_px)
     dark = response2 < _MIN_RESPONSE2
     response2[dark] = _MIN_RESPONSE2
-    irradiance = _blurred(patch.excess * response, settings.smoothing_px) / response2
+    irradiance = gaussian_blur(patch.excess * response, settings.smoothing_px) / response2
     irradiance[dark] = 0
     return response, response2, irradiance
 
@@ -117,12 +117,6 @@ def _gradient(image: Image) -> tuple[Image, Image]:
     """Derivatives along v and u, per px."""
     by_v, by_u = np.gradient(image)
     return np.asarray(by_v, dtype=np.float32), np.asarray(by_u, dtype=np.float32)
-
-
-def _blurred(image: Image, sigma_px: float) -> Image:
-    if sigma_px <= 0:
-        return image
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
 
 
 def _contour(irradiance: Image, level: float, mask: Mask) -> _Contour | None:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray, Origin
+from altd.vision.image import Image
 
-Image = npt.NDArray[np.float32]
 Source = Literal["recording", "print"]
 
 BLOCK_PX = 4

@@ -7,8 +7,8 @@ import math
 import cv2
 import numpy as np
 
-from altd.vision.background import Image
 from altd.vision.centre import Centre, Noise
+from altd.vision.image import Image
 from altd.vision.patch import Patch
 from altd.vision.settings import SpotSettings
 

@@ -11,12 +11,10 @@ import numpy.typing as npt
 
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, PixelArray
-from altd.vision.background import Image
 from altd.vision.flat import BLOCK_PX
+from altd.vision.image import Image, Mask, gaussian_blur
 from altd.vision.search import Region, Search
 from altd.vision.settings import SpotSettings
-
-Mask = npt.NDArray[np.uint8]
 
 _MARGIN_SIGMAS = 3.0
 _MIN_HOT_RATIO = 3.0
@@ -71,7 +69,7 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
         excess = without_hot_pixels(pixels)
         background = found.background.at((left, top), excess.shape)
         excess -= background
-        smooth = _smoothed(excess, settings.smoothing_px)
+        smooth = gaussian_blur(excess, settings.smoothing_px)
         _, peak, _, (peak_u, peak_v) = cv2.minMaxLoc(smooth)
         if peak <= 0:
             return NoSpot(Reason.SPOT_MISSING, "only single pixels shine")
@@ -83,12 +81,6 @@ def patch_around(frame: Frame, region: Region, found: Search, settings: SpotSett
             outline = outline_of(mask)
             return Patch(left, top, pixels, excess, smooth, middle, peak, mask, outline, at_image_edge)
         margin *= 2
-
-
-def _smoothed(image: Image, sigma_px: float) -> Image:
-    if sigma_px <= 0:
-        return image
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px), dtype=np.float32)
 
 
 def without_hot_pixels(window: PixelArray) -> Image:

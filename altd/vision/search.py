@@ -12,12 +12,12 @@ from altd.records import PixelArray
 from altd.vision.background import (
     CELL_PX,
     Background,
-    Image,
     coarse_image,
     excess_over,
     fit_background,
     robust_sigma,
 )
+from altd.vision.image import Image
 
 _DETECTION_SIGMAS = 8.0
 _DETECTION_COUNTS = 1.5

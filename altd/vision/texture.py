@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import PixelArray
-from altd.vision.background import Image
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.image import Image, gaussian_blur
 from altd.vision.localise import SATURATED_FROM
 
 MAX_SHIFT_PX = 12
@@ -90,7 +90,11 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     if patch is None:
         return None
     noise = analysis.noise
-    once = patch.smooth if analysis.settings.smoothing_px == _SMOOTHING_PX else _blurred(patch.excess)
+    once = (
+        patch.smooth
+        if analysis.settings.smoothing_px == _SMOOTHING_PX
+        else gaussian_blur(patch.excess, _SMOOTHING_PX)
+    )
     smooth, correction = _curvature_preserving(once)
     clipped = _near_clipped(patch.pixels, analysis.frame.full_scale)
     is_used = (smooth > _MIN_SHARE_OF_PEAK * patch.peak) & ~clipped
@@ -108,16 +112,12 @@ def sample_of(analysis: FrameAnalysis) -> Sample | None:
     )
 
 
-def _blurred(image: Image) -> Image:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), _SMOOTHING_PX), dtype=np.float32)
-
-
 def _curvature_preserving(once: Image) -> tuple[Image, Image]:
     """An image smoothed ``once`` by G as by 2G − G², whose second moment is zero; and the correction to G.
 
     Where a correction of relative size b was needed, on a steep flank, an error of about b² is left.
     """
-    correction = once - _blurred(once)
+    correction = once - gaussian_blur(once, _SMOOTHING_PX)
     return np.asarray(once + correction, dtype=np.float32), np.asarray(correction, dtype=np.float32)
 
 
@@ -141,7 +141,7 @@ class Texture:
     @classmethod
     def of_flat(cls, flat: Flat) -> Self:
         """The texture of a target whose flat field is known."""
-        smooth, _ = _curvature_preserving(_blurred(flat.response))
+        smooth, _ = _curvature_preserving(gaussian_blur(flat.response, _SMOOTHING_PX))
         smooth = np.maximum(smooth, np.float32(_MIN_RESPONSE))
         relative = np.where(flat.levels > 0, np.clip(flat.response / smooth - 1, -1, _MAX_RELATIVE), 0)
         return cls(relative.astype(np.float32))

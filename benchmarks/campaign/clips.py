@@ -15,10 +15,11 @@ from altd.measuring.calibration import Calibration
 from altd.recording.reader import Recording, open_recording
 from altd.records import FloatArray, PixelArray
 from benchmarks.campaign.cache import RECORDINGS, calibrated
-from benchmarks.campaign.scene import Image, MeanImage, Noise, Scene, SpotShape, mean_image, noisy_image
+from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, mean_image, noisy_image
 from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose
+from hw_sim.image import Image
 from hw_sim.measure import random_poses
 from hw_sim.motion import Vibration, vibrating
 from hw_sim.sensor import BLACK_LEVEL, FULL_WELL_E, Sensor

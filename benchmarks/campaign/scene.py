@@ -10,13 +10,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from altd.records import PixelArray
 from hw_sim.beam import TAIL_CUTOFF
+from hw_sim.image import Image
 from hw_sim.sensor import Sensor
-
-Image = npt.NDArray[np.float32]
 
 _POOL = 1 << 22
 

@@ -11,8 +11,8 @@ from altd.calibration.printed.plane import Plane
 from altd.records import FloatArray, Frame
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.image import Mask
 from altd.vision.localise import SATURATED_FROM
-from altd.vision.patch import Mask
 from altd.vision.profile import fit_profile
 from altd.vision.settings import SpotSettings
 

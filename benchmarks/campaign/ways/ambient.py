@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from benchmarks.campaign.detectability import always_detectable
-from benchmarks.campaign.scene import Image, Scene
+from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 from benchmarks.campaign.ways.spots import edge
+from hw_sim.image import Image
 from hw_sim.sensor import FULL_WELL_E
 
 WAYS = Registry("ambient")

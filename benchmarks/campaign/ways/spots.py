@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from benchmarks.campaign.detectability import near_on_both, near_on_one
-from benchmarks.campaign.scene import Image, Scene, SpotShape, blurred
+from benchmarks.campaign.scene import Scene, SpotShape, blurred
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
+from hw_sim.image import Image
 
 WAYS = Registry("spots")
 BEAMS = Path(__file__).resolve().parents[4] / "shared/data/beams"

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from benchmarks.campaign.detectability import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
-from benchmarks.campaign.scene import Image, Scene, blurred
+from benchmarks.campaign.scene import Scene, blurred
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
 from benchmarks.campaign.ways.spots import edge
+from hw_sim.image import Image
 
 WAYS = Registry("surfaces")
 

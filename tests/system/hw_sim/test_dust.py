@@ -60,7 +60,7 @@ def test_a_speck_on_the_window_casts_its_shadow_along_the_beam() -> None:
         view = unit.imagers[REAR].view
         dirty_e, clean_e = (
             each.imagers[REAR].mean_e(
-                each._spots(REAR, pose, frozenset()),
+                each.spots(REAR, 0),
                 leds_on=False,
                 exposure_ms=1.6,
             )

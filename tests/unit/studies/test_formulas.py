@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.places import ROOT
 
 from altd.errors import BadInputError
 from hw_sim.beam import BeamPose
@@ -79,6 +80,10 @@ def test_a_sliding_mean_has_one_value_for_each_whole_window() -> None:
     values = np.arange(12.0).reshape(6, 2) ** 2
     means = sliding_mean(values, 4)
     assert means == pytest.approx(np.array([values[k : k + 4].mean(axis=0) for k in range(3)]))
+
+
+def test_the_photographs_are_looked_for_beside_the_checkout() -> None:
+    assert ROOT.parent / "shared" / "data" / "chessboard" == chessboard.PHOTOGRAPHS
 
 
 def test_without_photographs_the_chessboard_is_refused_in_one_line(
