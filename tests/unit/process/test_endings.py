@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -13,6 +13,15 @@ from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, run_to_end, until_signal
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.fixture(autouse=True)
+def heeded() -> Iterator[None]:
+    """No signal is ignored, as they may be where the tests run in the background or under nohup."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def ended(work: Callable[[], int]) -> int:
@@ -57,16 +66,13 @@ def test_a_signal_lets_the_work_clean_up_and_is_the_status(
 
 def test_a_signal_that_is_ignored_ends_nothing() -> None:
     """As nohup(1) starts a command."""
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
-        def work() -> int:
-            os.kill(os.getpid(), signal.SIGHUP)
-            return 0
+    def work() -> int:
+        os.kill(os.getpid(), signal.SIGHUP)
+        return 0
 
-        assert ended(work) == 0
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    assert ended(work) == 0
 
 
 def test_an_answer_that_standard_output_did_not_take_is_a_line_and_status_1(

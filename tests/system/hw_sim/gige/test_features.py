@@ -156,7 +156,9 @@ def test_registers_that_no_chip_can_follow_send_nothing_and_harm_nothing(
         assert rear.next(within_us=300_000) is None
         rear.stop()
         rear.poke(register, before)
-        time.sleep(0.3)  # a start within a frame of a stop now and then brings no frame: not known why
+        time.sleep(
+            0.3
+        )  # Aravis' loop asks where to send frames only once it found itself stopped between two
         assert rear.take(1)[0].pixels.shape == (480, 752)
 
 
