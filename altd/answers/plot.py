@@ -10,7 +10,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from altd.answers.history import History
-from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, look
+from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, report_style
 from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1
@@ -26,7 +26,7 @@ def svg(history: History, title: str, simulated: bool, joined: bool) -> bytes:
     codes = sorted(history.codes(), key=_is_warning)
     lanes = 1 + len(codes)
     heights = [*[_PANEL_IN] * len(history.quantities), _LANE_IN * lanes]
-    with look():
+    with report_style():
         figure = Figure(figsize=(_WIDTH_IN, sum(heights) + _MARGIN_IN), layout="constrained")
         FigureCanvasSVG(figure)
         axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)

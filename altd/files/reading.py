@@ -72,10 +72,10 @@ def kind_of(mode: int) -> str:
 def _opened(path: Path) -> Iterator[int]:
     """A descriptor of a regular file. Anything else is not even opened: a device may act on it."""
     try:
-        _demand_regular(path, path.stat().st_mode)
+        _check_regular(path, path.stat().st_mode)
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
         try:
-            _demand_regular(path, os.fstat(descriptor).st_mode)  # it may be another file by now
+            _check_regular(path, os.fstat(descriptor).st_mode)  # it may be another file by now
             yield descriptor
         finally:
             os.close(descriptor)
@@ -85,7 +85,7 @@ def _opened(path: Path) -> Iterator[int]:
         raise BadInputError(path, "is no path") from error
 
 
-def _demand_regular(path: Path, mode: int) -> None:
+def _check_regular(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         raise BadInputError(path, f"is {kind_of(mode)}, not a file")
 

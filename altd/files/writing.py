@@ -21,7 +21,7 @@ from altd.files.reading import kind_of
 def check_replaceable(path: Path) -> None:
     """Say before any work is done what would stop ``write_file``; raises BadInputError."""
     try:
-        _demand_replaceable(path)
+        _check_is_replaceable(path)
         if not path.parent.is_dir():
             raise BadInputError(path, "its folder does not exist")
         if not os.access(path.parent, os.W_OK | os.X_OK):
@@ -109,7 +109,7 @@ def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
     With the mode and the owner that ``path`` shall have: those of the file that it will replace, or what the
     umask leaves of 0666.
     """
-    old = _demand_replaceable(path)
+    old = _check_is_replaceable(path)
     temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(temporary, flags, 0o666 if old is None else 0o600)
@@ -127,7 +127,7 @@ def _opened_beside(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
         raise
 
 
-def _demand_replaceable(path: Path) -> os.stat_result | None:
+def _check_is_replaceable(path: Path) -> os.stat_result | None:
     """What is there now: a regular file, or nothing yet."""
     try:
         now = path.lstat()

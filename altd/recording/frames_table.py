@@ -54,14 +54,14 @@ class Rows:
     largest_sequence: int
 
     @classmethod
-    def checked(cls, path: Path, cameras: Collection[str], look: Callable[[Row], None]) -> Self:
-        """Read all rows of the cameras and ``look`` at each, which may raise BadInputError like this."""
+    def checked(cls, path: Path, cameras: Collection[str], check: Callable[[Row], None]) -> Self:
+        """Read all rows of the cameras and ``check`` each, which may raise BadInputError like this."""
         table = UnchangedFile(path, _MAX_BYTES)
         count = Counter(dict.fromkeys(cameras, 0))
         largest_sequence = 0
         first = last = None
         for row in _read_rows(table, cameras):
-            look(row)
+            check(row)
             first, last = first or row, row
             count[row.camera] += 1
             largest_sequence = max(largest_sequence, row.sequence)

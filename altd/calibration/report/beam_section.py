@@ -6,7 +6,7 @@ import numpy as np
 
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row
-from altd.calibration.report.prediction import CAUSES, NAME_AND_UNIT, OF_SPOT, Prediction
+from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of
 from altd.calibration.report.source import Source, targets_in_words
 from altd.calibration.report.target_plots import Plane
 
@@ -35,13 +35,12 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
             Row(_pair(prediction, plane, "x_mm", "y_mm"), ""),
             Row(_pair(prediction, plane, "yaw_deg", "pitch_deg"), caption),
         ]
-    names = tuple(NAME_AND_UNIT[quantity][0] for quantity in prediction.quantities)
+    names = tuple(map(name_of, prediction.quantities))
     budget = map_plots.budget("what makes sigma", names, prediction.shares, CAUSES)
     window = np.geomspace(1, 100, 60)
     last_two = prediction.quantities[-2:]
     sigmas = [
-        (NAME_AND_UNIT[quantity][0], _PER_UNIT * prediction.rms_after(quantity, window))
-        for quantity in last_two
+        (name_of(quantity), _PER_UNIT * prediction.rms_after(quantity, window)) for quantity in last_two
     ]
     averaging = map_plots.averaging(
         "what averaging brings", window, sigmas, exposures, f"sigma in {_unit(last_two[0])}, rms"
@@ -70,7 +69,7 @@ def _pair(prediction: Prediction, plane: Plane, *quantities: str) -> tuple[Pictu
     limits = float(np.nanmin(sigmas)), float(np.nanmax(sigmas))
     pictures = []
     for quantity, sigma in zip(quantities, sigmas, strict=True):
-        name, _ = NAME_AND_UNIT[quantity]
+        name = name_of(quantity)
         draw = target_plots.contours(
             plane, f"sigma of {name}", prediction.x_mm, prediction.y_mm, sigma, limits, _unit(quantity)
         )

@@ -52,7 +52,7 @@ _STYLE: dict[str, Any] = {
 
 
 @contextmanager
-def look() -> Iterator[None]:
+def report_style() -> Iterator[None]:
     """The report's own look, whatever matplotlib's settings on this computer are."""
     with matplotlib.style.context(["default", _STYLE]), catch_warnings():
         filterwarnings("ignore", "Glyph .* missing from", UserWarning)  # a note may be in any language

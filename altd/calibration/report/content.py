@@ -13,7 +13,7 @@ from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
-from altd.calibration.report.prediction import NAME_AND_UNIT, OF_SPOT, Prediction, predict
+from altd.calibration.report.prediction import OF_SPOT, Prediction, name_of, predict, unit_of
 from altd.calibration.report.source import Source
 from altd.calibration.report.verdict import Level, Verdict, judge
 from altd.measuring.calibration import Calibration, TargetCalibration
@@ -60,11 +60,8 @@ def _origin(calibration: Calibration) -> list[Block]:
 
 
 def _verdict(verdict: Verdict, prediction: Prediction) -> list[Block]:
-    angles_first = sorted(prediction.quantities, key=lambda quantity: quantity in OF_SPOT)
-    *others, last = (
-        f"{prediction.rms(quantity):.4f}{unit} in {name}"
-        for quantity, (name, unit) in ((quantity, NAME_AND_UNIT[quantity]) for quantity in angles_first)
-    )
+    angles_first = sorted(prediction.quantities, key=lambda key: key in OF_SPOT)
+    *others, last = (f"{prediction.rms(key):.4f}{unit_of(key)} in {name_of(key)}" for key in angles_first)
     promise = (
         f"A measurement of {prediction.exposures} exposures is predicted to be right within "
         f"{', '.join(others)} and {last} (1 sigma, rms over the calibrated area)."

@@ -8,7 +8,7 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from altd.calibration.report.canvas import Canvas, look
+from altd.calibration.report.canvas import Canvas, report_style
 from altd.calibration.report.document import (
     WIDTH_IN,
     Banner,
@@ -83,7 +83,7 @@ figcaption { color: #444b54; font-size: .9rem; margin-top: .4rem; max-width: 46r
 
 def html_page(document: Document) -> bytes:
     """Set the document as HTML, UTF-8."""
-    with look():
+    with report_style():
         body = "\n".join(_block(block) for block in document.blocks)
     title, subtitle = escape(document.title), escape(document.subtitle)
     mark = f'<div class="mark" aria-hidden="true">{escape(document.mark)}</div>\n' if document.mark else ""
@@ -106,7 +106,7 @@ def html_page(document: Document) -> bytes:
 
 
 def svg(picture: Picture) -> bytes:
-    """One drawing as SVG; to be called within ``look()``."""
+    """One drawing as SVG; to be called within ``report_style()``."""
     figure = Figure(figsize=(WIDTH_IN, picture.height_in))
     picture.draw(Canvas(figure, WIDTH_IN, picture.height_in))
     file = io.BytesIO()

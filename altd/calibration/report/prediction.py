@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.calibration.evidence import Candidate
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.mapping.hull import contains
 from altd.mapping.tensor_map import TensorMap, tensor_basis
@@ -18,13 +19,7 @@ OF_SPOT = ("x_mm", "y_mm")
 OF_BEAM = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 """What is measured with one target, and with two or more."""
 
-NAME_AND_UNIT = {
-    "x_mm": ("x", " mm"),
-    "y_mm": ("y", " mm"),
-    "yaw_deg": ("yaw", "°"),
-    "pitch_deg": ("pitch", "°"),
-}
-"""Of each quantity, for people; the unit as it stands behind a number."""
+_QUANTITIES = {quantity.key: quantity for quantity in QUANTITIES.of_unit}
 
 CAUSES = ("pattern", "map", "scatter")
 """What makes sigma: print and speckle of a place, what is uncertain of the map, single exposures."""
@@ -36,6 +31,17 @@ MAX_STACKED = 500
 """Nodes in the picture of their covariance, whose points grow with their square."""
 
 _COLUMNS, _ROWS = 41, 33
+
+
+def name_of(key: str) -> str:
+    """What people call a quantity."""
+    return _QUANTITIES[key].label
+
+
+def unit_of(key: str) -> str:
+    """A quantity's unit as it stands behind a number."""
+    unit = _QUANTITIES[key].unit
+    return unit if unit == "°" else f" {unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.textpath import TextToPath
 
-from altd.calibration.report.canvas import FAINT, INK, QUIET, Canvas, look
+from altd.calibration.report.canvas import FAINT, INK, QUIET, Canvas, report_style
 from altd.calibration.report.document import (
     WIDTH_IN,
     Banner,
@@ -45,7 +45,7 @@ _FILLS = {
 
 def pdf_sheets(document: Document, created: datetime) -> bytes:
     """Set the document as PDF; ``created`` is the time that the file says of itself."""
-    with look():
+    with report_style():
         setter = _Setter()
         setter.words(document.title, 17, bold=True)
         setter.words(document.subtitle, 8.5, colour=QUIET)

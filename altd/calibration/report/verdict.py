@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 from altd.calibration.evidence import TargetEvidence
-from altd.calibration.report.prediction import CAUSES, NAME_AND_UNIT, Prediction
+from altd.calibration.report.prediction import CAUSES, Prediction, name_of, unit_of
 from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200
@@ -111,7 +111,7 @@ def _predictions(prediction: Prediction, targets: Sequence[TargetCalibration]) -
     ):
         if quantity not in prediction.quantities:
             continue
-        name, unit = NAME_AND_UNIT[quantity]
+        name, unit = name_of(quantity), unit_of(quantity)
         rms, worst = prediction.rms(quantity), prediction.worst(quantity)
         checks.append(
             Check(

@@ -29,7 +29,7 @@ def check_report(folder: Path) -> None:
             "--report", "needs matplotlib, which comes with the extra altd[report]"
         ) from error
     try:
-        is_new = _made(folder)
+        is_new = _make_folder(folder)
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
         os.close(descriptor)
         Path(trial).unlink()
@@ -41,7 +41,7 @@ def check_report(folder: Path) -> None:
         raise BadInputError(folder, error.strerror or "cannot be written") from error
 
 
-def _made(folder: Path) -> bool:
+def _make_folder(folder: Path) -> bool:
     """Whether the folder had to be made."""
     try:
         folder.mkdir()
@@ -58,7 +58,7 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
     Raises BadInputError when one cannot be written; then all are as they were.
     """
     try:
-        is_new = _made(folder)
+        is_new = _make_folder(folder)
         try:
             write_files({folder / name: content for name, content in files.items()})
         except BaseException:
