@@ -1,4 +1,4 @@
-"""The material: exposure pairs of a simulated, moving and shaking unit, rendered before anything is timed."""
+"""The material: frame pairs of a simulated, moving and vibrating unit, rendered before anything is timed."""
 
 from __future__ import annotations
 

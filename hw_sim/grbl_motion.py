@@ -73,7 +73,7 @@ class Move:
 
 
 def braking(move: Move, t_s: float) -> Move:
-    """What becomes of a move that is told to hold: the second half of one with that top speed."""
+    """A move after a hold: the second half of one with that top speed."""
     speed, a = move.speed_at(t_s), move.acceleration_mm_s2
     here = move.at(t_s)
     way = min(speed**2 / (2 * a), move.length_mm - move.travelled_mm(t_s))

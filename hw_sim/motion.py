@@ -20,7 +20,7 @@ RANDOM_BAND_HZ = (0.5, 80.0)
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """The drive's shaking, rms in each of x, y (mm) and of yaw, pitch (mrad).
+    """The drive's vibration, rms in each of x, y (mm) and of yaw, pitch (mrad).
 
     ``random_share`` of its power is spread over a band, the rest sits in lines at ``lines_hz``.
     """
@@ -33,7 +33,7 @@ class Vibration:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """The machine's slow way: largest offsets in x, y (mm) and yaw, pitch (mrad), and their time scale."""
+    """The machine's slow path: largest offsets in x, y (mm) and yaw, pitch (mrad), and their time scale."""
 
     x_mm: float = 18.0
     y_mm: float = 12.0
@@ -66,7 +66,7 @@ class Oscillation:
         )
 
 
-def vibrating(vibration: Vibration, rng: np.random.Generator) -> Oscillation:
+def make_vibration(vibration: Vibration, rng: np.random.Generator) -> Oscillation:
     """The oscillation of a drive: its lines, and a random part of many small ones."""
     lines = len(vibration.lines_hz)
     rms = np.array([vibration.rms_mm, vibration.rms_mm, vibration.rms_mrad, vibration.rms_mrad])
@@ -84,8 +84,8 @@ def vibrating(vibration: Vibration, rng: np.random.Generator) -> Oscillation:
     )
 
 
-def driving(drive: Drive, rng: np.random.Generator) -> Oscillation:
-    """The oscillation of a machine on its way: one slow line an axis, none in step with another."""
+def make_path(drive: Drive, rng: np.random.Generator) -> Oscillation:
+    """The oscillation of a machine on its path: one slow line an axis, no two in a simple ratio."""
     return Oscillation(
         np.array([[drive.x_mm, drive.y_mm, drive.yaw_mrad, drive.pitch_mrad]]),
         np.array([[1.0, 1.31, 0.77, 1.13]]) / drive.period_s,

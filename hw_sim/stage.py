@@ -1,4 +1,4 @@
-"""The calibration table: puts a beam normal to the targets where it is told, nearly."""
+"""The calibration table: positions a beam normal to the targets, with an error."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from hw_sim.faults import (
 )
 from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
-from hw_sim.motion import Drive, Vibration, driving, vibrating
+from hw_sim.motion import Drive, Vibration, make_path, make_vibration
 from hw_sim.sensor import NoisePool, Sensor
 from hw_sim.targets import WINDOW_TRANSMISSION, DotPattern
 from hw_sim.view import make_view
@@ -121,8 +121,8 @@ class Unit:
         self._pool = NoisePool(next(rngs))
         motion_rng = next(rngs)
         drive, vibration = self.config.drive, self.config.vibration
-        self._drive = driving(drive, motion_rng) if drive else None
-        self._vibration = vibrating(vibration, motion_rng) if vibration else None
+        self._drive = make_path(drive, motion_rng) if drive else None
+        self._vibration = make_vibration(vibration, motion_rng) if vibration else None
         self._dust_seeds = next(streams).spawn(len(CAMERAS))
         self._window_dust: Dust | None = None
         if self.config.dust:

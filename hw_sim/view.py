@@ -27,7 +27,7 @@ SUBSAMPLES = 4
 """Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""
 
 PSF_SIGMA_PX = 0.74
-"""Blur of the lens. With a surface grain of 0.16 a bright spot then looks as in the frames of the recorded
+"""Blur of the lens. With a surface texture of 0.16 a bright spot then looks as in the frames of the recorded
 unit (../shared/data/unit-a, rear): contrast 0.06, neighbouring pixels share half of it, blocks of 4 × 4
 pixels scatter by 0.11 / 4."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from altd.calibration.target_frames import FrameRow
 from altd.records import FloatArray, Spot
-from altd.vision.fingerprint import Fingerprint
+from altd.vision.fingerprint import Fingerprint, ViewOutcome
 from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixelCount
@@ -53,7 +53,7 @@ def fingerprint_of(
         analysis = FrameAnalysis(frame_row.frame(), settings)
         if isinstance(locate_in(analysis, flat), Spot):
             verdicts.append(made.examine(analysis, has_spot=True))
-    good = sum(verdict.is_verified for verdict in verdicts)
+    good = sum(verdict.outcome is ViewOutcome.VERIFIED for verdict in verdicts)
     if good >= _MIN_VERIFIED_SHARE * len(verdicts):
         doubled_px = [verdict.doubled_px for verdict in verdicts if verdict.doubled_px is not None]
         usual_px = float(np.quantile(doubled_px, _DOUBLED_QUANTILE)) if doubled_px else None

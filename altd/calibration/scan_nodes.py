@@ -13,7 +13,7 @@ from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, NoSpot, Spot
 from altd.vision.flat import Flat
-from altd.vision.leds import locate_leds
+from altd.vision.frame_leds import locate_leds
 from altd.vision.localise import is_patterned_spot, locate
 from altd.vision.settings import SpotSettings
 

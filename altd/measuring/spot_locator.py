@@ -12,7 +12,7 @@ from altd.measuring.view_check import ViewCheck, ViewStatus
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
 from altd.vision.frame_analysis import FrameAnalysis
-from altd.vision.leds import lit_leds, told_from_leds
+from altd.vision.frame_leds import count_lit_leds, with_leds_as_cause
 from altd.vision.localise import locate_in
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
@@ -82,7 +82,8 @@ class SpotLocator:
         target = self._target
         spot = _CHANGING if analysis.frame.changing else locate_in(analysis, target.flat, target.spot)
         if isinstance(spot, NoSpot) and len(target.leds_px):
-            spot = told_from_leds(spot, lit_leds(analysis.found, target.leds_px), len(target.leds_px))
+            lit = count_lit_leds(analysis.found, target.leds_px)
+            spot = with_leds_as_cause(spot, lit, len(target.leds_px))
         return spot
 
     def _checked(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> Spot | NoSpot:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
-from altd.vision.fingerprint import ViewVerdict
+from altd.vision.fingerprint import ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 
 _INTERVAL_NS = 190_000_000
@@ -122,7 +122,7 @@ class ViewCheck:
         if self._target.fingerprint is not None and self._is_due(frame, spot):
             self._examine(analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
-        return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.wrong)
+        return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.reason)
 
     @property
     def status(self) -> ViewStatus:
@@ -131,7 +131,7 @@ class ViewCheck:
             self._target.name,
             self._target.fingerprint is not None,
             self._verified_ns,
-            "" if self._wrong is None else self._wrong.wrong,
+            "" if self._wrong is None else self._wrong.reason,
             self._doubt,
             self._sensor_is_same,
             self._shift_px,
@@ -167,24 +167,24 @@ class ViewCheck:
         self._examined += 1
         self._examined_ns, self._frames_since = analysis.frame.t_ns, 0
         self._place = spot if isinstance(spot, Spot) else None
-        self._doubt = verdict.doubt
+        self._doubt = verdict.reason if verdict.outcome is ViewOutcome.UNDECIDED else ""
         self._sensor_is_same = verdict.is_same_sensor
         if verdict.shift_px is not None:
             self._shift_px = verdict.shift_px
         if verdict.displaced_px is not None:
             self.displaced_px = verdict.displaced_px
-        if verdict.wrong:
+        if verdict.outcome is ViewOutcome.REFUTED:
             self._wrong = verdict
             self._wrong_verdicts += 1
             self._verified_ns = None
             return
-        if verdict.is_verified:
+        if verdict.outcome is ViewOutcome.VERIFIED:
             self._verified_ns = analysis.frame.t_ns
         if self._wrong is not None and self._is_cleared(verdict, self._wrong):
             self._wrong, self._wrong_verdicts = None, 0
 
     def _is_cleared(self, verdict: ViewVerdict, wrong: ViewVerdict) -> bool:
-        if verdict.is_verified or (wrong.is_other_sensor and verdict.is_same_sensor):
+        if verdict.outcome is ViewOutcome.VERIFIED or (wrong.is_other_sensor and verdict.is_same_sensor):
             return True
         if wrong.is_print_seen and verdict.is_print_seen is False:
             return True

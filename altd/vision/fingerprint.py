@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from enum import Enum, auto
+from typing import Literal, Self
 
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
@@ -46,27 +47,43 @@ _MISMATCH_SIGMAS = 5.0
 _NO_SPOT = "no spot to see it by"
 
 
+class ViewOutcome(Enum):
+    """Whether a frame shows the view that was calibrated."""
+
+    VERIFIED = auto()
+    REFUTED = auto()
+    UNDECIDED = auto()
+
+
 @dataclass(frozen=True, slots=True)
 class ViewVerdict:
-    """The verdict on one frame. ``wrong``: why this is not the calibrated view, else empty.
+    """The verdict on one frame; ``reason`` in words of what is refuted or undecided.
 
-    ``is_verified``: it is. ``doubt`` says why neither is certain. ``is_same_sensor``: the hot pixels are in
-    their places; ``is_other_sensor``: they are what is wrong. ``shift_px`` is by how much the image moved,
-    None where that could not be measured. ``displaced_px`` is the part of it that is certain enough to add to
-    the uncertainty of a spot, with what a doubled image does; None where that is not known. ``doubled_px`` is
-    what may be caused by that image, or by the error of the print's model. ``is_print_seen``: a spot shows
-    print on a target that has none; None without a spot.
+    ``is_same_sensor``: the hot pixels are in their places; ``is_other_sensor``: they are what refutes the
+    view. ``shift_px`` is by how much the image moved, None where that could not be measured. ``displaced_px``
+    is the part of it that is certain enough to add to the uncertainty of a spot, with what a doubled image
+    does; None where that is not known. ``doubled_px`` is what may be caused by that image, or by the error of
+    the print's model. ``is_print_seen``: a spot shows print on a target that has none; None without a spot.
     """
 
-    wrong: str = ""
-    is_verified: bool = False
-    doubt: str = ""
+    outcome: ViewOutcome
+    reason: str = ""
     is_same_sensor: bool = False
     is_other_sensor: bool = False
     shift_px: float | None = None
     displaced_px: float | None = None
     doubled_px: float | None = None
     is_print_seen: bool | None = None
+
+    @classmethod
+    def refuted(cls, reason: str) -> Self:
+        """Not the view that was calibrated."""
+        return cls(ViewOutcome.REFUTED, reason)
+
+    @classmethod
+    def undecided(cls, reason: str) -> Self:
+        """Neither is certain."""
+        return cls(ViewOutcome.UNDECIDED, reason)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,43 +106,44 @@ class Fingerprint:
         """The verdict of one frame; ``has_spot``: a good spot was found in it."""
         sensor = self.hot.compare(analysis.frame.pixels)
         if sensor.is_other:
-            wrong = (
+            reason = (
                 f"{sensor.present} of {sensor.expected} hot pixels are in their places, {sensor.foreign} in "
                 f"others{_offset_text(sensor.offset_px)}"
             )
-            return ViewVerdict(wrong, is_other_sensor=True)
-        view = self._examine_spot(analysis) if has_spot else ViewVerdict(doubt=_NO_SPOT)
+            return replace(ViewVerdict.refuted(reason), is_other_sensor=True)
+        view = self._examine_spot(analysis) if has_spot else ViewVerdict.undecided(_NO_SPOT)
         return replace(view, is_same_sensor=sensor.is_same)
 
     def _examine_spot(self, analysis: FrameAnalysis) -> ViewVerdict:
         if self.texture is None:
-            return ViewVerdict(doubt="the calibration knows nothing of the target's surface")
+            return ViewVerdict.undecided("the calibration knows nothing of the target's surface")
         sample = sample_of(analysis)
         if sample is None:
-            return ViewVerdict(doubt=_NO_SPOT)
+            return ViewVerdict.undecided(_NO_SPOT)
         is_patterned = self.texture.contrast > _MIN_PRINT_CONTRAST
         if not is_patterned and sample.contrast > _MIN_SEEN_PRINT_CONTRAST:
-            why = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
-            return ViewVerdict(wrong=why, is_print_seen=True)
+            reason = f"print is seen (contrast {sample.contrast:.2f}) on a target without"
+            return replace(ViewVerdict.refuted(reason), is_print_seen=True)
         return replace(self._compare(sample, self.texture, is_patterned), is_print_seen=False)
 
     def _compare(self, sample: Sample, texture: Texture, is_patterned: bool) -> ViewVerdict:
         found = match(sample, texture)
         if found is None:
-            return ViewVerdict(doubt="nothing is known of the target under the spot")
-        if self.source == "flat" and (why := _mismatch(found, is_patterned)):
-            return ViewVerdict(wrong=why)
+            return ViewVerdict.undecided("nothing is known of the target under the spot")
+        mismatch = _mismatch(found, is_patterned) if self.source == "flat" else None
+        if mismatch is not None:
+            return ViewVerdict.refuted(mismatch)
         if found.significance < _MIN_SIGNIFICANCE:
-            return ViewVerdict(doubt=f"too little is seen of the target ({found.significance:.1f} sigma)")
+            return ViewVerdict.undecided(f"too little is seen of the target ({found.significance:.1f} sigma)")
         if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGNIFICANCE * found.sigma_px):
             shift = (
                 f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from where it was calibrated"
             )
             if self.source == "flat":
-                return ViewVerdict(wrong=shift, shift_px=found.shift_px)
-            return ViewVerdict(doubt=f"{shift}, or the spot has another edge than in the scan")
+                return replace(ViewVerdict.refuted(shift), shift_px=found.shift_px)
+            return ViewVerdict.undecided(f"{shift}, or the spot has another edge than in the scan")
         return ViewVerdict(
-            is_verified=True,
+            ViewOutcome.VERIFIED,
             shift_px=found.shift_px,
             displaced_px=self._displaced_px(found, is_patterned) if self.source == "flat" else None,
             doubled_px=found.doubled_px,
@@ -145,14 +163,14 @@ class Fingerprint:
         return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + doubled_px2)
 
 
-def _mismatch(found: Match, is_patterned: bool) -> str:
-    """Why this cannot be the target as it was calibrated, in words; empty when it can be."""
+def _mismatch(found: Match, is_patterned: bool) -> str | None:
+    """Why this cannot be the target as it was calibrated, in words; None when it can be."""
     if found.expected * (_MIN_GAIN - found.gain) > _MISMATCH_SIGMAS:
         return f"the target's surface is not what is seen (gain {max(found.gain, 0):.2f} of 1)"
     is_clear = is_patterned and found.strength > _MIN_STRENGTH
     if is_clear and found.explained < _MIN_EXPLAINED and found.gain < _MIN_PRINT_GAIN:
         return f"another print is seen ({found.explained:.0%} of it is that of the calibration)"
-    return ""
+    return None
 
 
 def _offset_text(offset_px: tuple[int, int] | None) -> str:

@@ -21,7 +21,7 @@ from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose
 from hw_sim.image import Image
 from hw_sim.measure import random_poses
-from hw_sim.motion import Vibration, vibrating
+from hw_sim.motion import Vibration, make_vibration
 from hw_sim.sensor import BLACK_LEVEL, FULL_WELL_E, Sensor
 from hw_sim.unit import Unit
 
@@ -132,7 +132,7 @@ class SimulatedRig:
 
 
 class SimulatedClip:
-    """An episode of a simulated unit: at rest, or along a straight way, on which it shakes."""
+    """An episode of a simulated unit: at rest, or on a straight path with vibration."""
 
     def __init__(
         self,
@@ -149,7 +149,7 @@ class SimulatedClip:
         self._late_ns = late_ns
         self.length = length
         vibrates = bool(speed.any()) and rig.spec.vibration is None
-        self._vibration = vibrating(_VIBRATION, rng) if vibrates else None
+        self._vibration = make_vibration(_VIBRATION, rng) if vibrates else None
         self.still = not speed.any() and rig.spec.vibration is None and rig.spec.lux_of is None
         self._kept: dict[str, Scene] = {}
         self._means: dict[str, tuple[Scene, MeanImage]] = {}

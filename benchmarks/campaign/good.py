@@ -1,4 +1,4 @@
-"""The good side: hours of measuring with nothing wrong but dust, shaking, changing light and slow drift.
+"""The good side: hours of measuring with nothing wrong but dust, vibration, changing light and slow drift.
 
 Time is thinned out: every ``step_s`` of the unit's life the cameras expose ``BURST`` times at their rate,
 with fresh noise, through a chain that lives for an hour. What is refused or warned of is a false alarm.

@@ -1,4 +1,4 @@
-"""A run through pipeline and board on a driven clock: what a reader of the board is told, and when."""
+"""A run through pipeline and board on a stepped clock: what a reader of the board finds, and when."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ async def _read(
 
 
 def _without_vibration(places: FloatArray) -> FloatArray:
-    """The way itself, (exposures, 4): what shakes about it is no place where the machine was."""
+    """The path, (exposures, 4), without the vibration about it."""
     k = np.arange(len(places))
     return np.stack([np.polyval(np.polyfit(k, column, 2), k) for column in places.T], axis=1)
 

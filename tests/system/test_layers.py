@@ -16,7 +16,7 @@ CONTRACTS: list[dict[str, str]] = tomllib.loads((ROOT / "pyproject.toml").read_t
     "importlinter"
 ]["contracts"]
 BREAKS = {
-    "One direction": ("altd/vision/leds.py", "import altd.status.board"),
+    "One direction": ("altd/vision/frame_leds.py", "import altd.status.board"),
     "The settings": ("altd/config/stage.py", "import altd.config.rules"),
     "A face sees": ("altd/publish/http/page.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),

@@ -10,7 +10,7 @@ from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
 from altd.records import Exposure, NoSpot, Spot
 from hw_sim.beam import BeamPose
-from hw_sim.motion import SLOW_DRIVE, Vibration, driving, vibrating
+from hw_sim.motion import SLOW_DRIVE, Vibration, make_path, make_vibration
 
 PERIOD_NS = 50_000_000
 MS = 1_000_000
@@ -24,12 +24,12 @@ def at_rest(_t_ns: int) -> BeamPose:
 def shaking(seed: int, vibration: Vibration | None = None) -> Motion:
     """A machine on its way whose drive shakes it; yaw and pitch have motions of their own."""
     rng = np.random.default_rng(seed)
-    shakes, drives = vibrating(vibration or Vibration(), rng), driving(SLOW_DRIVE, rng)
+    shakes, drives = make_vibration(vibration or Vibration(), rng), make_path(SLOW_DRIVE, rng)
     return lambda t_ns: shakes.moved(drives.moved(BeamPose(0.0, 0.0), t_ns), t_ns)
 
 
 def on_its_way(seed: int) -> Motion:
-    drives = driving(SLOW_DRIVE, np.random.default_rng(seed))
+    drives = make_path(SLOW_DRIVE, np.random.default_rng(seed))
     return lambda t_ns: drives.moved(BeamPose(0.0, 0.0), t_ns)
 
 

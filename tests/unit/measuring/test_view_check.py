@@ -14,7 +14,7 @@ from altd.measuring.cross_check import CrossCheck
 from altd.measuring.view_check import ViewCheck
 from altd.reasons import Reason
 from altd.records import CameraIdentity, NoSpot, Spot
-from altd.vision.fingerprint import Fingerprint, ViewVerdict
+from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels, places_of
 from altd.vision.settings import SpotSettings
@@ -24,11 +24,11 @@ SPOT = Spot(300.0, 200.0, 0.01, 44.0, 150.0)
 NO_SPOT = NoSpot(Reason.SPOT_MISSING)
 PERIOD_NS = 50_000_000
 
-GOOD = ViewVerdict(is_verified=True, shift_px=0.04)
-DOUBT = ViewVerdict(doubt="nothing is known of the target under the spot")
-WRONG = ViewVerdict("another print is seen")
-OTHER_SENSOR = ViewVerdict("0 of 20 hot pixels are in their places", is_other_sensor=True)
-SAME_SENSOR = ViewVerdict(doubt="no spot to see it by", is_same_sensor=True)
+GOOD = ViewVerdict(ViewOutcome.VERIFIED, shift_px=0.04)
+DOUBT = ViewVerdict.undecided("nothing is known of the target under the spot")
+WRONG = ViewVerdict.refuted("another print is seen")
+OTHER_SENSOR = replace(ViewVerdict.refuted("0 of 20 hot pixels are in their places"), is_other_sensor=True)
+SAME_SENSOR = replace(ViewVerdict.undecided("no spot to see it by"), is_same_sensor=True)
 
 
 @dataclass
@@ -160,7 +160,7 @@ def test_another_sensor_is_over_when_the_hot_pixels_are_back(bench: Bench) -> No
 
 def test_print_on_a_plain_plate_is_over_when_a_spot_shows_none(bench: Bench) -> None:
     """Nothing else could end it where the plate's own grain is not known under the spot."""
-    assert bench.push(5, ViewVerdict("print is seen", is_print_seen=True)) == [False] * 5
+    assert bench.push(5, replace(ViewVerdict.refuted("print is seen"), is_print_seen=True)) == [False] * 5
     assert bench.push(4, SAME_SENSOR, spot=NO_SPOT) == [False] * 4
     assert bench.push(4, replace(DOUBT, is_print_seen=False))[-1]
 
@@ -181,7 +181,7 @@ def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> N
 def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:
     assert bench.figures() == {"view_front": "could not be verified: nothing was seen yet"}
     bench.push(1, DOUBT)
-    assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.doubt}"}
+    assert bench.figures() == {"view_front": f"could not be verified: {DOUBT.reason}"}
     bench.push(21, GOOD)
     assert bench.figures() == {"view_front": "verified 0 s ago", "view_shift_front_px": 0.04}
     bench.push(1, WRONG, after_ns=500_000_000)

@@ -18,7 +18,7 @@ from altd.publish.serial.advice import _SEEN, advice, component_steps
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import CameraIdentity, Fault, NoSpot
 from altd.status.health import MEASURING, Health, State
-from altd.vision.leds import lit_leds, told_from_leds
+from altd.vision.frame_leds import count_lit_leds, with_leds_as_cause
 from altd.vision.localise import locate
 from altd.vision.search import search
 
@@ -58,9 +58,9 @@ def test_leds_that_shine_at_their_places_are_told_from_other_lasers() -> None:
         picture = frame(light(*blobs), np.random.default_rng(1))
         spot = locate(picture)
         assert isinstance(spot, NoSpot)
-        lit = lit_leds(search(picture.pixels), LEDS)
+        lit = count_lit_leds(search(picture.pixels), LEDS)
         assert lit == sum(blob.diameter_px == 40.0 for blob in blobs)
-        told = told_from_leds(spot, lit, len(LEDS))
+        told = with_leds_as_cause(spot, lit, len(LEDS))
         assert (told.reason, told.detail) == (spot.reason, f"{LEDS_LIT}, {lit} of 6 shine at their places")
         assert "look for what lights them" in remedy_of(told)
 
@@ -74,7 +74,7 @@ def test_light_that_is_no_led_is_not_taken_for_them() -> None:
     ):
         picture = frame(light(*blobs), np.random.default_rng(1))
         refused = NoSpot(Reason.AMBIGUOUS, "as found")
-        assert told_from_leds(refused, lit_leds(search(picture.pixels), LEDS), len(LEDS)) is refused
+        assert with_leds_as_cause(refused, count_lit_leds(search(picture.pixels), LEDS), len(LEDS)) is refused
 
 
 def test_a_beam_that_is_too_oblique_is_not_brought_to_the_middle() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
-from altd.vision.leds import Leds, locate_leds
+from altd.vision.frame_leds import Leds, locate_leds
 
 PLACES = [(95.4, 60.2), (110.1, 410.7), (371.5, 430.3), (376.2, 28.6), (627.9, 412.2), (647.3, 59.8)]
 

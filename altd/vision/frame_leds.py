@@ -37,7 +37,7 @@ class Leds:
     rejected: tuple[str, ...]
 
 
-def lit_leds(found: Search, leds_px: FloatArray) -> int:
+def count_lit_leds(found: Search, leds_px: FloatArray) -> int:
     """How many of the LEDs at ``leds_px``, (n, 2), are lit in one frame, each as a bright region of its own.
 
     Light that floods them all is one region.
@@ -108,7 +108,7 @@ def _rejection_text(region: Region, spot: NoSpot) -> str:
     return f"LED at {place}: {spot.reason}" + (f" ({spot.detail})" if spot.detail else "")
 
 
-def told_from_leds(refused: NoSpot, lit: int, leds: int) -> NoSpot:
+def with_leds_as_cause(refused: NoSpot, lit: int, leds: int) -> NoSpot:
     """What was refused, with the lit frame LEDs as the cause where it is they that are seen."""
     if lit < 2 or 2 * lit < leds:
         return refused
