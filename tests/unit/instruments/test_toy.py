@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import pytest
 from support import evidence
 from support.clock import FakeClock
+from support.located import located
 
 from altd.config import Measuring
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.gate import Gate
 from altd.measuring.instrument import Solution
-from altd.measuring.spot_locator import Located
 from altd.publish.http.page import page_of
 from altd.publish.serial.words import measurement_text, watch_head, watch_line
 from altd.reasons import Reason
@@ -56,7 +56,7 @@ def measured(calibration: Calibration, u_px: float, toy: Toy | None = None) -> M
     measurements: list[Measurement] = []
     for sequence in range(4):
         spot = Spot(u_px, 120.0, 0.05, 40.0, 200.0)
-        measurements += chain.add(Located("camera", sequence, sequence * 50_000_000, spot, 0))
+        measurements += chain.add(replace(located("camera", sequence, sequence * 50_000_000), spot=spot))
     return measurements[-1]
 
 
