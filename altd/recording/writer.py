@@ -106,7 +106,7 @@ class RecordingWriter:
         Raises OSError when the disk refuses.
         """
         name = f"{frame.camera}/{sequence:06d}.png"
-        done, data = cv2.imencode(".png", np.asarray(frame.pixels), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        done, data = cv2.imencode(".png", np.asarray(frame.pixels))
         if not done:
             raise OSError(f"{name} cannot be encoded")
         at = ("", "") if position_mm is None else tuple(f"{value:.4f}" for value in position_mm)
