@@ -15,7 +15,9 @@ LIVE_S ?= 60
 CAMPAIGN_S ?= 180
 FUZZ_S ?= 600
 SPRAY_S ?= 600
-unit_tests := $(python) -m pytest --numprocesses auto --dist worksteal --timeout 60 tests/unit
+# Workers of the tests: more than cores, for some tests wait.
+cores := $(shell nproc)
+unit_tests := $(python) -m pytest --numprocesses $(shell expr $(cores) + 1) --dist worksteal --timeout 60 tests/unit
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -49,7 +51,7 @@ test: programs venv kernel ## all tests: the quick ones, the others, and alone t
 	    "$${@:2}" || failed+=" $$1"
 	}
 	part unit $(unit_tests)
-	part system $(python) -m pytest --numprocesses 4 --dist loadfile -m 'not real_time' tests/system
+	part system $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile -m 'not real_time' tests/system
 	part real-time $(python) -m pytest -m real_time tests/system
 	[[ -z $$failed ]] || { echo "altd: tests failed:$$failed" >&2; exit 1; }
 
