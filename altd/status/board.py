@@ -18,6 +18,8 @@ class Board:
         self._clock = clock
         self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None
+        self._stale: Measurement | None = None
+        """What is shown of it once it is stale: always the same record, so that readers know it again."""
         self._published_ns = 0
         self._count = 0
         self._changed = asyncio.Event()
@@ -29,7 +31,7 @@ class Board:
 
     def publish(self, measurement: Measurement) -> None:
         """Publish a measurement and wake every reader that waits."""
-        self._latest = measurement
+        self._latest, self._stale = measurement, None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
         self._changed.set()
@@ -60,7 +62,9 @@ class Board:
         since_ns = min(self._published_ns, latest.light_ns)
         if self._clock.monotonic_ns() - since_ns <= self._stale_after_ns:
             return latest
-        return latest.without_numbers((*latest.status, Fault(Reason.STALE)))
+        if self._stale is None:
+            self._stale = latest.without_numbers((*latest.status, Fault(Reason.STALE)))
+        return self._stale
 
     def cursor(self) -> Cursor:
         """A reader's own place: what is on the board now counts as not yet seen."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
@@ -95,6 +95,8 @@ class Register:
     unit: str
     meaning: str
     value: Callable[[Snapshot], float | None]
+    is_ageing: bool = False
+    """The value depends on when it is read, not on the measurement alone."""
 
 
 def _status(snapshot: Snapshot) -> int:
@@ -176,7 +178,7 @@ HEADER = (
         "counts up with every measurement; 65534 is followed by 0",
         lambda snapshot: snapshot.published % 0xFFFF,
     ),
-    Register(6, "age", Type.U16, "ms", "time since the middle of the measurement's exposures", _age_ms),
+    Register(6, "age", Type.U16, "ms", "time since the middle of the measurement's exposures", _age_ms, True),
     Register(7, "exposures", Type.U16, "", "exposures averaged", _of_measurement("frames")),
     Register(8, "sequence", Type.U32, "", "number of the last exposure averaged", _sequence),
     Register(10, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", _utc_s),
@@ -223,6 +225,31 @@ REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK
 def image(snapshot: Snapshot) -> list[int]:
     """All registers, ``SIZE`` words; gaps are 0."""
     words = [0] * SIZE
-    for row in REGISTERS:
-        words[row.address : row.address + row.type.words] = row.type.pack(row.value(snapshot))
+    _fill(words, REGISTERS, snapshot)
     return words
+
+
+class RegisterImage:
+    """The image as it is read: made once a measurement; only what ages is made anew for each reading."""
+
+    def __init__(self) -> None:
+        self._of: Snapshot | None = None
+        self._words: list[int] = []
+
+    def at(self, snapshot: Snapshot) -> list[int]:
+        """All registers of a snapshot; not to be changed, and true until the next call."""
+        made_of, self._of = self._of, snapshot
+        is_same = made_of is not None and made_of.measurement is snapshot.measurement
+        if made_of is None or not is_same or made_of.published != snapshot.published:
+            self._words = image(snapshot)
+        else:
+            _fill(self._words, _AGEING, snapshot)
+        return self._words
+
+
+_AGEING = tuple(row for row in REGISTERS if row.is_ageing)
+
+
+def _fill(words: list[int], rows: Sequence[Register], snapshot: Snapshot) -> None:
+    for row in rows:
+        words[row.address : row.address + row.type.words] = row.type.pack(row.value(snapshot))

@@ -15,7 +15,7 @@ from pymodbus.datastore import ModbusServerContext
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from altd.publish.modbus.identification import READ_DEVICE_IDENTIFICATION, identification
-from altd.publish.modbus.registers import SIZE, Snapshot, image
+from altd.publish.modbus.registers import SIZE, RegisterImage, Snapshot
 from altd.status.board import Board
 from altd.status.health import Component
 
@@ -36,6 +36,7 @@ class Responder:
         self._board = board
         self._component = component
         self._decoder = DecodePDU(True)
+        self._image = RegisterImage()
 
     async def answer(self, request: bytes) -> bytes:
         """The response to a request, both from the function code on and not empty."""
@@ -69,4 +70,5 @@ class Responder:
         if address + count > SIZE:
             return ExcCodes.ILLEGAL_ADDRESS
         board = self._board
-        return image(Snapshot(board.read(), board.age_s(), board.published))[address : address + count]
+        words = self._image.at(Snapshot(board.read(), board.age_s(), board.published))
+        return words[address : address + count]

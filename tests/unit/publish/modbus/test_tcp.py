@@ -12,6 +12,7 @@ from support.modbus_wire import EVERYTHING, ONE, ONE_ANSWER, UNIT, Client, Measu
 
 from altd import __version__
 from altd.instruments.beam.solver import Beam
+from altd.publish.modbus import registers
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
@@ -185,3 +186,29 @@ async def test_a_stale_measurement_loses_its_numbers_and_the_heartbeat_stands(
     assert (words(fresh)[6], words(stale)[6]) == (520, 2520)
     assert words(fresh)[5] == words(stale)[5] == 1
     assert all(math.isnan(value) for value in struct.unpack(">15f", stale[42:102]))
+
+
+async def test_the_registers_are_made_once_a_measurement_and_age_for_each_request(
+    client: Client, clock: Any, board: Board, measured: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Staleness, which comes with time alone, is seen at the first request after it and made once, too."""
+    made: list[int] = []
+    image = registers.image
+    monkeypatch.setattr(registers, "image", lambda snapshot: made.append(1) or image(snapshot))
+    seen = []
+    for published in range(3):
+        board.publish(measured(sequence=160 + published))
+        for _ in range(4):
+            seen.append(words(await client.ask(EVERYTHING)))
+            clock.now_ns += 10_000_000
+    assert len(made) == 3
+    assert [image[9] for image in seen] == [160] * 4 + [161] * 4 + [162] * 4
+    assert [image[6] for image in seen[:4]] == [520, 530, 540, 550]
+    clock.now_ns += 1_000_000_000
+    stale = [words(await client.ask(EVERYTHING)) for _ in range(5)]
+    assert len(made) == 4
+    assert {image[0] for image in seen} == {1}
+    assert {image[0] for image in stale} == {1 << 2}
+    board.publish(measured(sequence=163))
+    assert words(await client.ask(EVERYTHING))[0] == 1
+    assert len(made) == 5
