@@ -17,6 +17,7 @@ from altd.recording.header import (
     CameraHeader,
     Kind,
     RecordingHeader,
+    TargetHeader,
     UnitHeader,
     camera_header,
     note_of,
@@ -38,16 +39,18 @@ async def record(
     fps: float = 20.0,
     exposure: Mapping[str, ExposureControl] | None = None,
     progress: Callable[[int, int], None] = lambda done, planned: None,
+    targets: tuple[TargetHeader, ...] | None = None,
 ) -> int:
     """Write a recording of a kind; returns the number of exposures.
 
     Ends after ``seconds`` of exposures, when all sources are at their end, or on cancellation; what was
     written until then is whole. Exposure time and gain are set by ``exposure`` when a camera is opened, and
     hold still; what was exposed while they were being set is not kept. ``progress`` is told after each
-    exposure how many of how many are kept. Raises BadInputError when the folder cannot be used, and a
-    driver's own failure; a camera that is merely lost is waited for.
+    exposure how many of how many are kept. ``targets`` are what the cameras look at; None: the usual two.
+    Raises BadInputError when the folder cannot be used, and a driver's own failure; a camera that is merely
+    lost is waited for.
     """
-    sink = _Sink(path, unit, cameras, kind, fps, utc)
+    sink = _Sink(path, unit, targets, cameras, kind, fps, utc)
     try:
         async with FrameSets(cameras, measuring, health, exposure) as sets:
             while sink.length_s < seconds and not sets.is_at_end:
@@ -69,6 +72,7 @@ class _Sink:
         self,
         path: Path,
         unit: UnitHeader,
+        targets: tuple[TargetHeader, ...] | None,
         cameras: Sequence[Camera],
         kind: Kind,
         fps: float,
@@ -76,6 +80,7 @@ class _Sink:
     ) -> None:
         self._path = path
         self._unit = unit
+        self._targets = targets
         self._kind: Kind = kind
         self._fps = fps
         self._utc = utc
@@ -136,6 +141,7 @@ class _Sink:
             fps=self._fps,
             cameras=self._headers,
             unit=self._unit,
+            targets=self._targets,
             note=note_of("altd record", self._cameras.values()),
             made_by=MADE_BY,
             start=self._utc(self._first_ns),

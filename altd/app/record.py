@@ -8,7 +8,7 @@ from pathlib import Path
 from altd.acquisition.record import record
 from altd.app.parts import cameras_of, exposure_controls_of
 from altd.config import Config
-from altd.recording.header import Kind, UnitHeader
+from altd.recording.header import Kind, target_headers, unit_header
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
@@ -29,12 +29,10 @@ async def record_of(
     refuse_used_folder(folder)
     cameras = cameras_of(config, place)
     clock = SystemClock()
-    distance_mm = max(target.z_mm for target in config.targets) - min(t.z_mm for t in config.targets)
-    unit = UnitHeader(serial=config.unit.serial, target_distance_mm=distance_mm)
     return await record(
         list(cameras.values()),
         folder,
-        unit,
+        unit_header(config.unit.serial, config.targets),
         config.measuring,
         Health(clock),
         clock.utc,
@@ -42,4 +40,5 @@ async def record_of(
         kind,
         exposure=exposure_controls_of(config),
         progress=progress,
+        targets=target_headers(config.targets),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -116,6 +116,12 @@ class TargetHeader(_Header):
 def target_headers(targets: Iterable[Target]) -> tuple[TargetHeader, ...]:
     """The targets of a config as the header of a recording of its cameras names them."""
     return tuple(TargetHeader(name=of.name, z_mm=of.z_mm, camera=of.camera) for of in targets)
+
+
+def unit_header(serial: str, targets: Sequence[Target]) -> UnitHeader:
+    """The unit of a config; readers that know no ``targets`` want the distance from the first to the last."""
+    distance_mm = targets[-1].z_mm - targets[0].z_mm
+    return UnitHeader(serial=serial, target_distance_mm=distance_mm or None)
 
 
 class PlateHeader(_Header):

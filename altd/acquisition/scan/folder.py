@@ -23,7 +23,14 @@ from altd.files.reading import read_file, read_head
 from altd.files.writing import replace_file
 from altd.measuring.pairing import Pair
 from altd.ports import Camera
-from altd.recording.header import FRAMES_FILE, MADE_BY, RecordingHeader, UnitHeader, camera_header
+from altd.recording.header import (
+    FRAMES_FILE,
+    MADE_BY,
+    RecordingHeader,
+    TargetHeader,
+    UnitHeader,
+    camera_header,
+)
 from altd.recording.reader import open_recording
 from altd.recording.writer import RecordingWriter, refuse_used_folder
 from altd.records import Frame
@@ -70,11 +77,13 @@ class ScanFolder:
         facts: Facts,
         utc: Callable[[int], datetime | None],
         cameras: Sequence[Camera] = (),
+        targets: tuple[TargetHeader, ...] | None = None,
     ) -> None:
         self._output = output.resolve()
         self.path = self._output.with_name(f"{self._output.name}.unfinished")
         self._utc = utc
         self._cameras = {camera.name: camera for camera in cameras}
+        self._targets = targets
         self._writer: RecordingWriter | None = None
         self._first_ns: int | None = None
         self._first_s = 0.0
@@ -159,6 +168,7 @@ class ScanFolder:
                 name: camera_header(frame, self._cameras.get(name)) for name, frame in first.items.items()
             },
             unit=unit,
+            targets=self._targets,
             note=note,
             made_by=MADE_BY,
             start=start,

@@ -20,7 +20,7 @@ from altd.errors import BadInputError
 from altd.mapping.grid import Block
 from altd.measuring.pairing import Pair
 from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
-from altd.recording.header import UnitHeader, note_of
+from altd.recording.header import note_of, target_headers, unit_header
 from altd.records import Frame
 from altd.status.health import Health
 
@@ -77,14 +77,14 @@ class Scanner:
         self._clock = clock
         self._teller = teller
         self._nodes = nodes_of(config.scan)
-        places_mm = [target.z_mm for target in config.targets]
-        self._unit = UnitHeader(serial=config.unit.serial, target_distance_mm=max(places_mm) - min(places_mm))
+        self._unit = unit_header(config.unit.serial, config.targets)
         self._cameras = cameras
         self._folder = ScanFolder(
             output,
             fingerprint(config),
             clock.utc,
             cameras,
+            target_headers(config.targets),
         )
         self._frame_sets = FrameSets(cameras, config.measuring, Health(clock), exposure)
         self._doing = "getting ready"

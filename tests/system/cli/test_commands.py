@@ -18,7 +18,7 @@ from support.cli import altd, altd_here, refusal
 from support.frames import frame
 from support.ports import free_port
 from support.recordings import write, write_beams, write_scan
-from support.unit_toml import write_config
+from support.unit_toml import TARGETS, write_config
 
 from altd.calibration.file import load_calibration
 
@@ -113,6 +113,8 @@ def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> 
     assert kept.objects[0]["time"].endswith("Z")
     header = json.loads((tmp_path / "kept" / "recording.json").read_text())
     assert header["note"] == "altd record, playback"
+    assert header["targets"] == list(TARGETS)
+    assert header["unit"] == {"serial": "TEST-1", "target_distance_mm": 280.0}
     assert "not an empty folder" in refusal(
         altd_here("record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5")
     )

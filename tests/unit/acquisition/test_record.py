@@ -11,7 +11,7 @@ from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureContro
 from altd.acquisition.record import record
 from altd.config import ExposureSettings, Measuring
 from altd.ports import CameraEndedError, ExposureRange
-from altd.recording.header import Kind, UnitHeader
+from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
 from altd.runtime.clock import SystemClock
@@ -50,6 +50,23 @@ async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
     clock = SystemClock()
     unit = UnitHeader(serial="A", target_distance_mm=280.0)
     return await record(sources, path, unit, Measuring(), Health(clock), clock.utc, 60.0, kind)
+
+
+async def test_a_recording_says_which_targets_its_cameras_look_at(tmp_path: Path) -> None:
+    targets = (TargetHeader(name="exit", z_mm=10.0, camera="left"),)
+    clock = SystemClock()
+    sources = [Source(name, 2, CameraEndedError("the end")) for name in ("left", "spare")]
+    await record(
+        sources,
+        tmp_path / "rec",
+        UnitHeader(serial="A"),
+        Measuring(),
+        Health(clock),
+        clock.utc,
+        60.0,
+        targets=targets,
+    )
+    assert open_recording(tmp_path / "rec").header.targets == targets
 
 
 async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:

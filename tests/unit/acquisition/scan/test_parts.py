@@ -18,7 +18,7 @@ from altd.acquisition.scan.plan import fingerprint, nodes_of
 from altd.config import Config, Scan, load_config
 from altd.errors import BadInputError
 from altd.measuring.pairing import Pair
-from altd.recording.header import UnitHeader
+from altd.recording.header import TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import Frame
 
@@ -87,11 +87,16 @@ class TestFolder:
 
     FACTS = {"unit.serial": "TEST-1", "scan.pitch_mm": 25.0}  # noqa: RUF012
 
+    TARGETS = (
+        TargetHeader(name="front", z_mm=0.0, camera="front"),
+        TargetHeader(name="rear", z_mm=280.0, camera="rear"),
+    )
+
     def folder(self, tmp_path: Path, later_s: float = 0.0) -> ScanFolder:
         def utc(t_ns: int) -> datetime:
             return START + timedelta(seconds=later_s + t_ns * 1e-9)
 
-        return ScanFolder(tmp_path / "scan", self.FACTS, utc)
+        return ScanFolder(tmp_path / "scan", self.FACTS, utc, targets=self.TARGETS)
 
     def begin(self, tmp_path: Path) -> ScanFolder:
         folder = self.folder(tmp_path)
@@ -125,6 +130,7 @@ class TestFolder:
         assert [*recording.rows][8].t_s == pytest.approx(3600.2, abs=0.001)
         assert recording.header.start == START
         assert recording.header.kind == "scan"
+        assert recording.header.targets == self.TARGETS
         assert not (tmp_path / "scan.unfinished").exists()
 
     def test_what_was_begun_differently_is_not_mixed(self, tmp_path: Path) -> None:
