@@ -211,31 +211,37 @@ def _least_squares(
 ) -> Camera:
     """Levenberg and Marquardt's steps from a camera to the one of the least cost."""
 
-    def cost(candidate: Camera) -> float:
+    def residuals_and_cost(candidate: Camera) -> tuple[FloatArray, float]:
         residuals = nodes.residuals(candidate) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
         total = float(np.square(residuals).sum() + prior)
         if fiducials is not None:
             total += float(np.square(fiducials.misfit(candidate)[0]).sum())
-        return total if math.isfinite(total) else math.inf
+        return residuals, total if math.isfinite(total) else math.inf
 
-    now, damping = cost(camera), 1e-3
-    for _ in range(_MAX_ITERATIONS):
-        jacobian, residuals = nodes.jacobian(camera) / noise_px, nodes.residuals(camera) / noise_px
+    def normal_equations(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        jacobian = nodes.jacobian(camera) / noise_px
         normal = jacobian.T @ jacobian + precision
         gradient = jacobian.T @ residuals - precision @ camera.parameters
         if fiducials is not None:
             misfit, of_fiducials = fiducials.misfit(camera)
             normal += of_fiducials.T @ of_fiducials
             gradient -= of_fiducials.T @ misfit
+        return normal, gradient
+
+    residuals, now = residuals_and_cost(camera)
+    normal, gradient = normal_equations(residuals)
+    damping = 1e-3
+    for _ in range(_MAX_ITERATIONS):
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
         candidate = camera.with_parameters(camera.parameters + step)
-        then = cost(candidate)
+        residuals, then = residuals_and_cost(candidate)
         if then < now:
             converged = now - then < _CONVERGED * now
             camera, now, damping = candidate, then, damping / 10
             if converged:
                 break
+            normal, gradient = normal_equations(residuals)
         else:
             damping *= 10
             if damping > 1e12:

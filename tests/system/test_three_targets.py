@@ -42,7 +42,7 @@ def write(path: Path, kind: str, shots: Iterable[tuple[Places, tuple[float, floa
         x_mm, y_mm = stage or ("", "")
         for target, place in places.items():
             name = f"{target}{sequence:03d}.png"
-            cv2.imwrite(str(path / name), picture(target, *place, rng), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+            cv2.imwrite(str(path / name), picture(target, *place, rng), [cv2.IMWRITE_PNG_COMPRESSION, 0])
             rows.append(f"{sequence},{sequence / 20:.3f},{CAMERAS[target]},{name},off,{x_mm},{y_mm}")
     size = {"width": WIDTH, "height": HEIGHT, "bits": 8}
     shown = [name for name in Z_MM if name in targets]
