@@ -6,26 +6,31 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-live bench-memory bench-spray bench-peers campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
 python := .venv/bin/python
 LIVE_S ?= 60
+LOAD_S ?= 600
 CAMPAIGN_S ?= 180
 FUZZ_S ?= 600
+HOSTILE ?= 100000
 SPRAY_S ?= 600
-# Workers of the tests: more than cores, for some tests wait.
+# Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
 cores := $(shell nproc)
-unit_tests := $(python) -m pytest --numprocesses $(shell expr $(cores) + 1) --dist worksteal --timeout 60 tests/unit
+unit_tests := $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile --timeout 60 tests/unit
 
 # Pages of docs/ and the modules that write them.
 pages := \
     modbus:tools.pages.modbus \
     reasons:tools.pages.reasons \
+    states:tools.pages.states \
     telegram:tools.pages.telegram \
     console:tools.pages.console \
+    terminal:tools.pages.terminal \
     http:tools.pages.http \
+    proof:tools.pages.proof \
     tables:tools.pages.tables \
     config:tools.pages.config \
     decisions/README:tools.pages.decisions \
@@ -43,7 +48,7 @@ demo-gige: programs venv ## the same with its cameras on the network, by GigE Vi
 unit: venv ## the quick tests, on all cores: under a minute
 	@exec $(unit_tests)
 
-test: programs venv kernel ## all tests: the quick ones, the others, and alone those with limits of real time
+test: programs venv kernel ## all tests: the quick ones, the others, one a core those with limits of real time, some alone
 	@trap 'exit 130' INT
 	failed=
 	part() { # NAME COMMAND...
@@ -51,8 +56,9 @@ test: programs venv kernel ## all tests: the quick ones, the others, and alone t
 	    "$${@:2}" || failed+=" $$1"
 	}
 	part unit $(unit_tests)
-	part system $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile -m 'not real_time' tests/system
-	part real-time $(python) -m pytest -m real_time tests/system
+	part system $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile -m 'not real_time and not alone' tests/system
+	part real-time $(python) -m pytest --numprocesses $(cores) --dist loadfile -m 'real_time and not alone' tests/system
+	part alone $(python) -m pytest -m alone tests/system
 	[[ -z $$failed ]] || { echo "altd: tests failed:$$failed" >&2; exit 1; }
 
 fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
@@ -68,8 +74,9 @@ check: venv ## style, types, layers, licences, generated pages, width of pages
 		file=docs/$${page%:*}.md
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
 	done
+	$(python) -m tools.pages.states_picture | cmp -s - docs/states.svg || { echo "docs/states.svg is out of date: make docs" >&2; exit 1; }
 	echo "generated pages are up to date"
-	$(python) -m tools.markdown CONTRIBUTING.md docs/*.md docs/decisions/*.md
+	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
@@ -80,14 +87,34 @@ bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes m
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
+bench-hostile: venv ## hostile requests at HTTP beside a poller; HOSTILE=1000000 for a million
+	@exec $(python) -m benchmarks.hostile_http --requests $(HOSTILE)
+
+bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
+	@$(python) -m benchmarks.history
+	$(python) -m benchmarks.history_crash --times 200
+	ALTD_BENCH_POWER_CUTS=50 exec $(python) -m pytest -q -s tests/system/history/test_power_cut.py
+
+bench-load: venv ## ten minutes of 10 controllers and 5 browsers with pictures: what they cost, what is lost; LOAD_S=60
+	@exec $(python) -m benchmarks.load --seconds $(LOAD_S)
+
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
 
 bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour
 	@exec $(python) -m benchmarks.memory
 
+bench-selfcheck: venv ## what a self-check costs: exposures, light, gaps, and what a controller polls meanwhile
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.self_check_cost
+
+bench-sizes: venv ## the daemon on frames of 752 × 480, 2448 × 2048 and 4096 × 3000, polled over Modbus TCP
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.frame_sizes
+
 bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
 	@exec unshare -rn $(python) -m benchmarks.live.spray --seconds $(SPRAY_S)
+
+bench-wires: venv ## errors on every wire and what a reader finds of them: docs/studies/wire-errors.md
+	@exec $(python) -m benchmarks.wire_errors --page docs/studies/wire-errors.md
 
 bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
 	@.ci/venv peers
@@ -105,8 +132,10 @@ docs: venv ## write the generated pages and pictures of docs/
 		$(python) -m "$${page#*:}" >"$$file.new" || { rm -f "$$file.new"; exit 1; }
 		mv "$$file.new" "$$file"
 	done
+	$(python) -m tools.pages.states_picture >docs/states.svg
 	.ci/programs must tmux chromium pdftoppm=poppler-utils
 	$(python) -m tools.pictures
+	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish/test_page_in_a_browser.py -k "faults or night"
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock
@@ -119,7 +148,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may mbpoll socat node=nodejs picocom systemd-analyze=systemd pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \

@@ -13,15 +13,15 @@ class BadInputError(Exception):
     """
 
     def __init__(self, place: object, message: str, *more: str) -> None:
-        self.lines = tuple(_one_line(f"{place}: {text}") for text in (message, *more))
+        self.lines = tuple(one_line(f"{place}: {text}") for text in (message, *more))
         super().__init__(self.lines[0])
         self.place = str(place)
         self.message = message
 
 
-_LONGEST = 2000
-_LONGEST_WORD = 60
-_ALIKE = 0.6
+_MAX_LINE_CHARACTERS = 2000
+_MAX_WORD_CHARACTERS = 60
+_MIN_SIMILARITY = 0.6
 """How alike two words must be (difflib) before one is taken for a slip of the other."""
 
 
@@ -30,14 +30,16 @@ def did_you_mean(word: object, possible: Iterable[str]) -> str:
     import difflib  # most commands are called without a slip
 
     folded = {name.casefold(): name for name in possible}
-    near = difflib.get_close_matches(str(word)[:_LONGEST_WORD].casefold(), folded, n=1, cutoff=_ALIKE)
+    near = difflib.get_close_matches(
+        str(word)[:_MAX_WORD_CHARACTERS].casefold(), folded, n=1, cutoff=_MIN_SIMILARITY
+    )
     return f"; did you mean `{folded[near[0]]}`?" if near else ""
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """The text as a terminal and a log can show it, whatever a file put into it."""
-    if len(text) > _LONGEST:
-        text = f"{text[:_LONGEST]}…"
+    if len(text) > _MAX_LINE_CHARACTERS:
+        text = f"{text[:_MAX_LINE_CHARACTERS]}…"
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
     )

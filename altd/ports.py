@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Protocol, runtime_checkable
 
 from altd.records import CameraIdentity, Frame, Origin
+from altd.records.sensors import Quality
 
 
 class CameraError(Exception):
@@ -110,6 +111,17 @@ class SwitchingCamera(Camera, Protocol):
         """
 
 
+@runtime_checkable
+class TemperatureCamera(Camera, Protocol):
+    """A camera that may measure its own temperature."""
+
+    def celsius(self) -> float | None:
+        """The temperature inside now, °C; None: it measures none. Raises CameraError, also while it is shut.
+
+        Blocks, and unlike the other calls comes from any thread.
+        """
+
+
 class StageError(Exception):
     """A stage that did not do what it was asked to; the sentence says why."""
 
@@ -163,6 +175,93 @@ class Stage(Protocol):
         """Let go of the stage; harmless when it is not open."""
 
 
+class InclinometerError(Exception):
+    """An inclinometer that gives no reading; the sentence says why, and ``quality`` in one word."""
+
+    quality = Quality.DEFECT
+
+
+class InclinometerNotFoundError(InclinometerError):
+    """There is no such port, or it went away."""
+
+    quality = Quality.NO_PORT
+
+
+class InclinometerTimeoutError(InclinometerError):
+    """Nothing answers in time."""
+
+    quality = Quality.NO_ANSWER
+
+
+class InclinometerDisturbedError(InclinometerError):
+    """What came is no answer to what was asked: damaged, foreign, too long, or the question itself."""
+
+    quality = Quality.BAD_ANSWER
+
+
+class InclinometerWrongError(InclinometerError):
+    """What answers is not the sensor that it should be, or is set up otherwise."""
+
+    quality = Quality.WRONG_SENSOR
+
+
+class InclinometerRefusedError(InclinometerError):
+    """The sensor says that it cannot measure as it is set up."""
+
+    quality = Quality.INVALID_SETTING
+
+
+@dataclass(frozen=True, slots=True)
+class InclinometerAccuracy:
+    """What the maker states: limits of error, ±, in degrees, and the temperatures at which they hold.
+
+    ``cross_axis_deg`` is the error from a tilt about the other axis, ``step_deg`` the last digit.
+    """
+
+    limit_deg: float
+    from_c: float
+    to_c: float
+    limit_elsewhere_deg: float
+    cross_axis_deg: float
+    step_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class InclinometerReading:
+    """One reading: angles against gravity in the sensor's own sense, within ±180°; None: it has no such axis.
+
+    ``t_ns`` is when it was measured at the earliest, on the monotonic clock. ``words`` are all registers that
+    were read, as they came: what measures moves their last digits.
+    """
+
+    t_ns: int
+    roll_deg: float
+    pitch_deg: float | None
+    temperature_c: float
+    words: tuple[int, ...]
+
+
+class Inclinometer(Protocol):
+    """A sensor of inclination. The calls block and are made from one thread."""
+
+    @property
+    def name(self) -> str:
+        """What it is and where, for people."""
+
+    @property
+    def accuracy(self) -> InclinometerAccuracy:
+        """How true its angles are."""
+
+    def open(self) -> None:
+        """Get hold of the port and make sure that it is this sensor; raises InclinometerError."""
+
+    def read(self) -> InclinometerReading:
+        """A reading of now; raises InclinometerError."""
+
+    def close(self) -> None:
+        """Let go of the port; harmless when it is not open."""
+
+
 class LampsError(Exception):
     """Lamps that cannot be had or switched; the sentence says why."""
 
@@ -200,6 +299,24 @@ class Indicators(Protocol):
 
     def close(self) -> None:
         """Darken them and let go; harmless when they are not open."""
+
+
+class ThermometerError(Exception):
+    """A temperature that cannot be read; the sentence says why."""
+
+
+class Thermometer(Protocol):
+    """A temperature of the unit."""
+
+    @property
+    def name(self) -> str:
+        """The name under which the config knows it."""
+
+    def celsius(self) -> float | None:
+        """The temperature now, °C; blocks. None: there is none to be had, and that is no fault of its own.
+
+        Raises ThermometerError.
+        """
 
 
 class Clock(Protocol):

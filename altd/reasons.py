@@ -1,7 +1,8 @@
 """Why a measurement is invalid, or what a valid one warns of: the one table of reasons.
 
 Every face and every page takes from here what it says of a reason: its code, its meaning, what to do about
-it, its number and bit on Modbus. Codes, numbers and bits are contracts: new ones come, old ones never change.
+it, its number and bit on Modbus, what the unit's state becomes. Codes, numbers and bits are contracts: new
+ones come, old ones never change.
 """
 
 from __future__ import annotations
@@ -34,9 +35,45 @@ class StatusGroup(StrEnum):
     EXPOSURES_LOST = "exposures lost"
     PLAYBACK = "playback"
     SIMULATED = "simulated"
+    NO_BIT = "no bit"
+    """The sixteen bits are taken: what came later is said by its code alone."""
+
+
+class Signal(StrEnum):
+    """What the whole unit tells a plant, in the words of NAMUR NE 107: a code and its number.
+
+    The numbers are those of OPC 10000-100, table 22 (``DeviceHealthEnumeration``). Of several signals the
+    worst is shown. Their order is that in which NE 107 (edition 2006) and OPC list them: failure, check
+    function, out of specification, maintenance required.
+    """
+
+    GOOD = "good", 0
+    FAILURE = "failure", 1
+    """The unit or what belongs to it does not work."""
+    CHECK_FUNCTION = "check_function", 2
+    """For now it says nothing about the beam: it starts, is set, checked, played or simulated."""
+    OUT_OF_SPECIFICATION = "out_of_specification", 3
+    """It works, but its surroundings, the beam among them, are not those that it is made for."""
+    MAINTENANCE_REQUIRED = "maintenance_required", 4
+    """Its numbers are true; soon they may fail to come."""
+
+    number: int
+
+    def __new__(cls, code: str, number: int) -> Signal:
+        """A member that is equal to its code."""
+        signal = str.__new__(cls, code)
+        signal._value_ = code
+        signal.number = number
+        return signal
+
+    @property
+    def severity(self) -> int:
+        """0 for good, more for what is worse."""
+        return (len(Signal) - self.number) % len(Signal)
 
 
 _TARGET, _UNIT, _WARNING = Scope
+_, _FAILURE, _CHECK_FUNCTION, _OUT_OF_SPECIFICATION, _MAINTENANCE_REQUIRED = Signal
 _CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
 _NOT_LIVE = "do not steer by it"
 
@@ -45,94 +82,94 @@ LEDS_LIT = "the frame LEDs are lit"
 
 
 class Reason(StrEnum):
-    """A row of the table: code, scope, Modbus' number (0: none) and group, brief, remedy, meaning.
+    """A row of the table: code, scope, Modbus' number (0: none) and group, signal, brief, remedy, meaning.
 
     ``brief`` says what is wrong in a few words, ``remedy`` what the technician does where no more was seen
     than the reason says, ``meaning`` when exactly the reason is given, in Markdown.
     """
 
     SPOT_MISSING = (
-        "spot_missing", _TARGET, 1, StatusGroup.SPOT_BAD,
+        "spot_missing", _TARGET, 1, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "no laser spot",
         "switch the laser on and check that its beam enters the window",
         "nothing stands out of background and noise, or it is too dim to be located",
     )  # fmt: skip
     AMBIGUOUS = (
-        "ambiguous", _TARGET, 2, StatusGroup.SPOT_BAD,
+        "ambiguous", _TARGET, 2, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "more than one spot",
         "look for reflections and other lasers or lamps in the window",
         "a second spot has 30 % of the first one's light or more",
     )  # fmt: skip
     SATURATED = (
-        "saturated", _TARGET, 3, StatusGroup.SPOT_BAD,
+        "saturated", _TARGET, 3, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is overexposed",
         "shorten the exposure or take power off the laser",
         "more than half of the spot's bright pixels, or the background, is at full scale",
     )  # fmt: skip
     CUT_BY_EDGE = (
-        "cut_by_edge", _TARGET, 4, StatusGroup.SPOT_BAD,
+        "cut_by_edge", _TARGET, 4, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is cut by the edge of the image",
         "bring the beam nearer to the middle",
         "too much of the spot lies beyond the edge of the image",
     )  # fmt: skip
     WRONG_SIZE = (
-        "wrong_size", _TARGET, 5, StatusGroup.SPOT_BAD,
+        "wrong_size", _TARGET, 5, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong size",
         "clean the window and check the focus of the laser",
         "a diameter that no laser spot has",
     )  # fmt: skip
     WRONG_SHAPE = (
-        "wrong_shape", _TARGET, 6, StatusGroup.SPOT_BAD,
+        "wrong_shape", _TARGET, 6, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong shape",
         _CLEAN_AND_LOOK,
         "an elongation or an outline that no laser spot has",
     )  # fmt: skip
     DISTORTED = (
-        "distorted", _TARGET, 10, StatusGroup.SPOT_BAD,
+        "distorted", _TARGET, 10, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is distorted",
         "clean the window, look for reflections and other light",
         "the light is not that of one spot as the unit was calibrated with: a reflection, dirt, a torn "
         "picture",
     )  # fmt: skip
     CAMERA_SILENT = (
-        "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT,
+        "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,
         "the camera delivers nothing",
         "check the camera's cable and supply",
         "its camera delivers no frames",
     )  # fmt: skip
     EXPOSURE_CHANGING = (
-        "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD,
+        "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD, _CHECK_FUNCTION,
         "the exposure is being set anew",
         "wait a second; if it stays, look for light that flickers",
         "its camera's exposure is being set anew; over within a second",
     )  # fmt: skip
     FRAME_REPEATED = (
-        "frame_repeated", _TARGET, 11, StatusGroup.NOT_TRUSTED,
+        "frame_repeated", _TARGET, 11, StatusGroup.NOT_TRUSTED, _FAILURE,
         "the camera repeats one picture",
         "unplug the camera and plug it in again",
         "the camera delivers the same picture, or a part of it, again: it is frozen",
     )  # fmt: skip
     WRONG_CAMERA = (
-        "wrong_camera", _TARGET, 12, StatusGroup.NOT_TRUSTED,
+        "wrong_camera", _TARGET, 12, StatusGroup.NOT_TRUSTED, _FAILURE,
         "not the calibrated camera",
         "check the cameras' cables and the calibration file",
         "not the camera, or not the view, that was calibrated",
     )  # fmt: skip
     IMPLAUSIBLE = (
-        "implausible", _TARGET, 8, StatusGroup.IMPLAUSIBLE,
+        "implausible", _TARGET, 8, StatusGroup.IMPLAUSIBLE, _FAILURE,
         "two maps of the target contradict each other",
         "load or make the calibration anew",
         "the target's two maps lie further apart at the spot than the calibration's bound",
     )  # fmt: skip
 
     OUT_OF_STEP = (
-        "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP,
+        "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP, _FAILURE,
         "the cameras are out of step",
         "check the trigger of the cameras",
         "the cameras' frames do not belong to the same instants, by their times or by how the spots move",
     )  # fmt: skip
     OUT_OF_RANGE = (
-        "out_of_range", _UNIT, 21, StatusGroup.OUT_OF_RANGE,
+        "out_of_range", _UNIT, 21, StatusGroup.OUT_OF_RANGE, _OUT_OF_SPECIFICATION,
         "outside the calibrated area",
         "bring the beam nearer to the middle",
         "a spot lies farther outside the nodes of the calibration than its map is known: half a pitch, or "
@@ -140,53 +177,107 @@ class Reason(StrEnum):
         "pitch ±250 mm/m",
     )  # fmt: skip
     UNSTEADY = (
-        "unsteady", _UNIT, 22, StatusGroup.UNSTEADY,
+        "unsteady", _UNIT, 22, StatusGroup.UNSTEADY, _OUT_OF_SPECIFICATION,
         "the spot moves too much",
         "wait until the machine stands, look for vibration",
         "the beam jumped while it was averaged, or scatters more than `max_sigma_mm` allows",
     )  # fmt: skip
     WARMING_UP = (
-        "warming_up", _UNIT, 23, StatusGroup.WARMING_UP,
+        "warming_up", _UNIT, 23, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
         "too few exposures so far",
         "wait some seconds",
         "not yet half a window of exposures",
     )  # fmt: skip
     STALE = (
-        "stale", _UNIT, 24, StatusGroup.STALE,
+        "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,
         "nothing new is measured",
         "look in `status` for the component that has stopped",
         "the last exposure is older than `stale_after_s`, or nothing new was put on the board for so long",
     )  # fmt: skip
     CHECK_FAILED = (
-        "check_failed", _UNIT, 25, StatusGroup.NOT_TRUSTED,
+        "check_failed", _UNIT, 25, StatusGroup.NOT_TRUSTED, _FAILURE,
         "numbers that cannot be",
         "restart the unit, check its config and calibration",
         "the numbers did not pass the last check before publishing: finite, ordered, within what the unit "
         "can measure",
     )  # fmt: skip
+    GEOMETRY_DRIFT = (
+        "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "cameras or targets are not where they were calibrated",
+        "look for a blow or loose screws at cameras and targets; then calibrate the unit anew",
+        "the self-check found the frame LEDs so far from their references that a measurement would be off by "
+        "more than `[self_check]` allows",
+    )  # fmt: skip
+    GEOMETRY_UNVERIFIED = (
+        "geometry_unverified", _UNIT, 27, StatusGroup.NOT_TRUSTED, _FAILURE,
+        "the self-check could not tell whether cameras and targets are in place",
+        "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
+        "the last self-check ended without a verdict, and `[self_check]` asks for one",
+    )  # fmt: skip
+    SELF_CHECKING = (
+        "self_checking", _UNIT, 28, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
+        "the unit checks itself before its first measurement",
+        "wait some seconds",
+        "the first self-check since the start has not ended yet",
+    )  # fmt: skip
 
     EXPOSURES_LOST = (
-        "exposures_lost", _WARNING, 0, StatusGroup.EXPOSURES_LOST,
+        "exposures_lost", _WARNING, 0, StatusGroup.EXPOSURES_LOST, _MAINTENANCE_REQUIRED,
         "exposures were lost",
         "if it stays, check the cameras' cables",
         "some exposures of the window were not usable",
     )  # fmt: skip
     PLAYBACK = (
-        "playback", _WARNING, 0, StatusGroup.PLAYBACK,
+        "playback", _WARNING, 0, StatusGroup.PLAYBACK, _CHECK_FUNCTION,
         "a recording is played, this is NOT LIVE",
         _NOT_LIVE,
         "the frames are those of a recording",
     )  # fmt: skip
     SIMULATED = (
-        "simulated", _WARNING, 0, StatusGroup.SIMULATED,
+        "simulated", _WARNING, 0, StatusGroup.SIMULATED, _CHECK_FUNCTION,
         "frames or calibration are simulated, this is NOT LIVE",
         _NOT_LIVE,
         "a simulator made the frames, or those of the calibration",
+    )  # fmt: skip
+    ROLL_MISSING = (
+        "roll_missing", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "no roll from the inclinometer",
+        "check the inclinometer's cable, supply and table in the config",
+        "an inclinometer is fitted and gives nothing that can be used; the beam's numbers stand",
+    )  # fmt: skip
+    PITCH_DIVERGES = (
+        "pitch_diverges", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
+        "the beam's pitch drifts against gravity's",
+        "has the laser moved? look for warm air in the beam",
+        "the difference of optical pitch and the inclinometer's has changed slowly by more than "
+        "`max_divergence_deg`: refraction, a laser or an inclinometer that has moved",
+    )  # fmt: skip
+
+    GEOMETRY_SUSPECT = (
+        "geometry_suspect", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
+        "cameras or targets have moved a little since the calibration",
+        "look for loose screws at cameras and targets, and plan a calibration",
+        "the self-check found a drift that matters but is within what `[self_check]` allows, or that is no "
+        "reason to be invalid by its settings",
+    )  # fmt: skip
+    GEOMETRY_UNKNOWN = (
+        "geometry_unknown", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
+        "the self-check could not tell whether cameras and targets are in place",
+        "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
+        "the last self-check ended without a verdict",
+    )  # fmt: skip
+    COMPENSATED = (
+        "compensated", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
+        "a drift of cameras or targets is taken out of the measurement",
+        "plan a calibration",
+        "the places of the spots are corrected by what the last self-check found; sigma has grown by what is "
+        "uncertain of that",
     )  # fmt: skip
 
     scope: Scope
     modbus_code: int
     group: StatusGroup
+    signal: Signal
     brief: str
     remedy: str
     meaning: str
@@ -197,6 +288,7 @@ class Reason(StrEnum):
         scope: Scope,
         modbus_code: int,
         group: StatusGroup,
+        signal: Signal,
         brief: str,
         remedy: str,
         meaning: str,
@@ -205,7 +297,7 @@ class Reason(StrEnum):
         reason = str.__new__(cls, code)
         reason._value_ = code
         reason.scope, reason.modbus_code, reason.group = scope, modbus_code, group
-        reason.brief, reason.remedy, reason.meaning = brief, remedy, meaning
+        reason.signal, reason.brief, reason.remedy, reason.meaning = signal, brief, remedy, meaning
         return reason
 
     @property

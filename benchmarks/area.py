@@ -93,7 +93,6 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison
         calibration,
         measuring,
         BeamInstrument(calibration, measuring),
-        utc=lambda _t_ns: None,
     )
     poses = random_poses(beams, unit.config.target_distance_mm, np.random.default_rng([seed, POSES_STREAM]))
     held = []

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -19,19 +18,22 @@ import numpy as np
 
 from altd.app.daemon import Daemon
 from altd.config import Config
+from altd.ports import Lamps
+from altd.records import FloatArray
 from benchmarks.cameras import Source
 from benchmarks.material import CAMERAS, FPS, WINDOW, Material, make_config
 from benchmarks.stages import pure_rate
+from hw_sim.ports import free_port
 
-_SETTLE_S = 1.2
+SETTLE_S = 1.2
 """Until the window is full and every client is attached."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """From a pair's last frame handed over to its value in a reader's hands, ms."""
+    """How long something took, ms; of a value, from its pair's last frame handed over to a reader's hands."""
 
-    pairs: int
+    count: int
     p50_ms: float
     p99_ms: float
     max_ms: float
@@ -123,13 +125,6 @@ def measure_rate(material: Material, probe_s: float, probes: int, seconds: float
         _pin(allowed)
 
 
-def free_port() -> int:
-    """A TCP port that nobody has at the moment."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
-
-
 async def _load(
     material: Material,
     name: str,
@@ -139,26 +134,29 @@ async def _load(
     dismiss: Callable[[], dict[str, int]],
 ) -> LoadFigures:
     source = Source(material, pairs_per_s)
-    async with _running(source, config) as daemon:
+    async with running(source, config) as daemon:
         waits_ns: list[int] = []
-        watching = asyncio.create_task(_watch(daemon, source, waits_ns))
-        await asyncio.sleep(_SETTLE_S)
+        watching = asyncio.create_task(watch(daemon, source, waits_ns))
+        await asyncio.sleep(SETTLE_S)
         seen, cpu_s, wall_s = len(waits_ns), time.process_time(), time.monotonic()
         await asyncio.sleep(seconds)
         waits_ms = np.array(waits_ns[seen:]) * 1e-6
         cpu_s, wall_s = time.process_time() - cpu_s, time.monotonic() - wall_s
         watching.cancel()
         answers = await asyncio.to_thread(dismiss)
-        lost = _lost(daemon) if pairs_per_s else 0
-    latency = None
-    if len(waits_ms):
-        p50_ms, p99_ms = (float(value) for value in np.percentile(waits_ms, (50, 99)))
-        latency = Latency(len(waits_ms), p50_ms, p99_ms, float(waits_ms.max()))
+        pairs_lost = lost(daemon) if pairs_per_s else 0
+    latency = latency_of(waits_ms) if len(waits_ms) else None
     each_ms = 1e3 * cpu_s / len(waits_ms) if len(waits_ms) else None
-    return LoadFigures(name, wall_s, len(waits_ms), lost, cpu_s / wall_s, each_ms, latency, answers)
+    return LoadFigures(name, wall_s, len(waits_ms), pairs_lost, cpu_s / wall_s, each_ms, latency, answers)
 
 
-async def _watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
+def latency_of(waits_ms: FloatArray) -> Latency:
+    """Of at least one wait."""
+    p50_ms, p99_ms = (float(value) for value in np.percentile(waits_ms, (50, 99)))
+    return Latency(len(waits_ms), p50_ms, p99_ms, float(waits_ms.max()))
+
+
+async def watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
     """A reader like any other: notes how old the frames of a valid value are when it has it in hands."""
     cursor = daemon.board.cursor()
     while True:
@@ -171,17 +169,17 @@ async def _watch(daemon: Daemon, source: Source, waits_ns: list[int]) -> None:
 async def _holds(material: Material, pairs_per_s: float, seconds: float) -> int:
     """The number of pairs measured when none was lost, else 0."""
     source = Source(material, pairs_per_s)
-    async with _running(source, make_config()) as daemon:
+    async with running(source, make_config()) as daemon:
         end_ns = source.start_ns() + round(seconds * 1e9)
         source.stop_at_ns = end_ns
-        while time.monotonic_ns() < end_ns and not _lost(daemon):  # noqa: ASYNC110  there is no event
+        while time.monotonic_ns() < end_ns and not lost(daemon):  # noqa: ASYNC110  there is no event
             await asyncio.sleep(0.05)
         await asyncio.sleep(0.1)
         measured = daemon.health.component("measuring").counters.get("measurements", 0)
-        return measured if not _lost(daemon) and measured >= source.planned(seconds) else 0
+        return measured if not lost(daemon) and measured >= source.planned(seconds) else 0
 
 
-def _lost(daemon: Daemon) -> int:
+def lost(daemon: Daemon) -> int:
     """Frames that were dropped or came late, and exposures after the first half window without a value."""
     counters = daemon.health.component("measuring").counters
     dropped = sum(counters.get(f"dropped_{camera}", 0) for camera in CAMERAS)
@@ -190,8 +188,9 @@ def _lost(daemon: Daemon) -> int:
 
 
 @contextlib.asynccontextmanager
-async def _running(source: Source, config: Config) -> AsyncIterator[Daemon]:
-    daemon = Daemon(config, source.material.calibration, source.cameras)
+async def running(source: Source, config: Config, lamps: Lamps | None = None) -> AsyncIterator[Daemon]:
+    """A daemon on the cameras of a source, for as long as the block lasts."""
+    daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps)
     task = asyncio.create_task(daemon.run(), name="daemon")
     try:
         yield daemon

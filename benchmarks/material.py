@@ -31,7 +31,7 @@ CAMERAS = simulated.CAMERAS
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """Pairs (front, rear) one exposure apart, and the calibration of the unit that they come from.
+    """Pairs (front, rear) one period apart, and the calibration of the unit that they come from.
 
     ``calibration`` was made with flats, ``without_flats`` from the same scan alone.
     """
@@ -41,7 +41,7 @@ class Material:
     without_flats: Calibration
 
     def pair(self, sequence: int, t_ns: int) -> tuple[Frame, Frame]:
-        """Exposure number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps.
+        """Frame set number ``sequence`` of an endless run: the pairs forth and back, so that no beam jumps.
 
         Each way is a playthrough of its own: its pictures come again by intent.
         """
@@ -56,13 +56,7 @@ class Material:
 
 def make_material(pairs: int, exposures_a_node: int) -> Material:
     """Render the pairs and calibrate their unit by a scan of its own."""
-    unit = simulated.Unit(simulated.UnitConfig(seed=SEED, fps=FPS, vibration=Vibration(), drive=Drive()))
-    unit.place(BeamPose(4.0, -3.0, 0.02, -0.03))
-    rendered = []
-    for sequence in range(pairs):
-        t_ns = sequence * unit.config.period_ns
-        front, rear = (unit.expose(camera, sequence, t_ns) for camera in CAMERAS)
-        rendered.append((front, rear))
+    rendered = make_pairs(pairs)
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
         scan = Path(folder, "scan")
         still = simulated.Unit(simulated.UnitConfig(seed=SEED))
@@ -74,6 +68,20 @@ def make_material(pairs: int, exposures_a_node: int) -> Material:
         calibration = calibrate(scans, open_recording(flat)).calibration
         without_flats = calibrate(scans).calibration
     return Material(tuple(rendered), calibration, without_flats)
+
+
+def make_pairs(count: int, pairs_per_s: float = FPS) -> list[tuple[Frame, Frame]]:
+    """Pairs (front, rear) of the moving and shaking unit, from cameras of so many pairs a second."""
+    unit = simulated.Unit(
+        simulated.UnitConfig(seed=SEED, fps=pairs_per_s, vibration=Vibration(), drive=Drive())
+    )
+    unit.place(BeamPose(4.0, -3.0, 0.02, -0.03))
+    pairs = []
+    for sequence in range(count):
+        t_ns = sequence * unit.config.period_ns
+        front, rear = (unit.expose(camera, sequence, t_ns) for camera in CAMERAS)
+        pairs.append((front, rear))
+    return pairs
 
 
 def make_config(

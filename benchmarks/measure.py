@@ -16,10 +16,12 @@ import numpy as np
 
 from benchmarks.bench_table import Figures, lines
 from benchmarks.daemon import measure_load, measure_rate
-from benchmarks.material import FPS, make_material
+from benchmarks.material import FPS, make_material, make_pairs
 from benchmarks.stages import measure_stages
 from benchmarks.startup import measure_start
 
+FAST_PAIRS_PER_S = 300.0
+"""Of the cameras that the highest rate is measured with: the faster, the less moves from pair to pair."""
 IDLE, BARE, FACES = "cameras silent", "no publishers", "Modbus, HTTP, serial"
 
 
@@ -72,7 +74,8 @@ def measure(effort: Effort, quick: bool) -> Figures:
         _say(f"daemon, {name}")
         loads.append(measure_load(material, name, pairs_per_s, seconds, faces=name == FACES))
     _say("highest rate")
-    rate = measure_rate(material, effort.probe_s, effort.probes, effort.hold_s)
+    fast = dataclasses.replace(material, pairs=tuple(make_pairs(effort.pairs, FAST_PAIRS_PER_S)))
+    rate = measure_rate(fast, effort.probe_s, effort.probes, effort.hold_s)
     _say("start of altd run")
     start = measure_start(material, effort.starts)
     _say("")

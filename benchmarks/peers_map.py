@@ -14,6 +14,7 @@ from skimage.transform import PolynomialTransform
 
 from altd.calibration.fitting import fit_nodes
 from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Nodes
 from altd.records import FloatArray
 from hw_sim.assembly import make_lens
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX
@@ -80,7 +81,7 @@ def _grid(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
 
 def _altd(task: Task) -> ToMm:
     most_dropped = int(_MAX_DROPPED_SHARE * len(task.nodes_mm))
-    fitted = fit_nodes(task.nodes_mm, task.nodes_px, _SIZE, None, most_dropped)
+    fitted = fit_nodes(Nodes.ordinary(task.nodes_mm, task.nodes_px), _SIZE, None, most_dropped)
     inverse = InverseMap.of(fitted.fit.map)
     return lambda px: inverse.to_mm(px)[0]
 

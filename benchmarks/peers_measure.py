@@ -24,6 +24,7 @@ from benchmarks.peers_frames import KINDS, Sample, make_samples
 from benchmarks.peers_localise import LOCALISERS, Localiser
 from benchmarks.peers_map import FOCAL_MM, GRIDS, MAPPERS, Mapper, Task, distance_mm, make_tasks
 from benchmarks.peers_page import Cell, Figures, MapFigures, Scatter, SpotFigures, page
+from tools.markdown import wrapped
 
 UNITS, POSES, LENSES = 5, 30, 12
 QUICK = 2, 14, 2
@@ -49,7 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
     print(_absolute(spots, maps))
     if options.page:
         options.page.parent.mkdir(exist_ok=True)
-        options.page.write_text(text)
+        options.page.write_text(wrapped(text))
     return 0
 
 

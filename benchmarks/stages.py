@@ -18,14 +18,14 @@ import altd.vision.localise as localise_room
 import altd.vision.search as search_room
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
-from altd.measuring.averaging import ExposureWindow
+from altd.measuring.averaging import FrameSetWindow
 from altd.measuring.calibration import TargetCalibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.measuring.freshness import FreshnessCheck
 from altd.measuring.pairing import Pairer
 from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
-from altd.records import Exposure, Fault, Frame, MeanSpots, Spot, TargetPoint
+from altd.records import Fault, Frame, FrameSet, MeanSpots, Spot, TargetPoint
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.localise import locate, spot_in
 from altd.vision.search import Search
@@ -146,7 +146,11 @@ def _chain(material: Material) -> MeasuringChain:
     views = [View(target.name, target.camera) for target in config.targets]
     instrument = BeamInstrument(material.calibration, config.measuring, config.installation)
     return MeasuringChain(
-        views, material.calibration, config.measuring, instrument, lambda: [Fault(Reason.SIMULATED)]
+        views,
+        material.calibration,
+        config.measuring,
+        instrument,
+        Provenance(origins=lambda: [Fault(Reason.SIMULATED)]),
     )
 
 
@@ -204,11 +208,11 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
     run = [material.pair(k, k * PERIOD_NS) for k in range(rounds * calls)]
     spots = {id(frame.pixels): _spot(material, frame) for pair in material.pairs for frame in pair}
     exposures = [
-        Exposure(pair[0].sequence, pair[0].t_ns, {f.camera: spots[id(f.pixels)] for f in pair})
+        FrameSet(pair[0].sequence, pair[0].t_ns, {f.camera: spots[id(f.pixels)] for f in pair})
         for pair in run
     ]
     pairer: Pairer[Spot] = Pairer(CAMERAS, "time", 10_000_000, 30_000_000)
-    window = ExposureWindow(CAMERAS, WINDOW, 1)
+    window = FrameSetWindow(CAMERAS, WINDOW, 1)
     chain = _chain(material)
     fresh = {camera: FreshnessCheck() for camera in CAMERAS}
     synchrony = SynchronyCheck(CAMERAS)
@@ -241,7 +245,7 @@ def _stages_after_vision(material: Material, rounds: int) -> list[_Stage]:
     return [
         _Stage("new frames, both", 1, [check_two] * calls),
         _Stage("pairing", 1, [pair_two] * calls),
-        _Stage("motion in step", 1, [lambda: synchrony.look(next(to_compare))] * calls),
+        _Stage("motion in step", 1, [lambda: synchrony.inspect(next(to_compare))] * calls),
         _Stage(f"averaging over {WINDOW}", 1, [lambda: window.add(next(to_average))] * calls),
         _Stage("mapping, one point", 2, map_works),
         _Stage("cross-check, one point", 2, check_works),
@@ -259,9 +263,9 @@ def _spot(material: Material, frame: Frame) -> Spot:
 
 
 def _means_and_points(
-    material: Material, exposures: Sequence[Exposure]
+    material: Material, exposures: Sequence[FrameSet]
 ) -> tuple[list[MeanSpots], list[list[TargetPoint]]]:
-    window = ExposureWindow(CAMERAS, WINDOW, 1)
+    window = FrameSetWindow(CAMERAS, WINDOW, 1)
     means = [mean for exposure in exposures if isinstance(mean := window.add(exposure), MeanSpots)]
     points = []
     for mean in means:

@@ -12,8 +12,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.daemon import free_port
 from benchmarks.material import FPS, WINDOW, Material, write_run_folder
+from hw_sim.ports import free_port
 
 _TIMEOUT_S = 15.0
 _IMPORTS = "import altd.cli.main, altd.config, altd.app.daemon, altd.publish.http.publisher"

@@ -1,4 +1,4 @@
-"""The unit's cameras behind ``altd.ports.Camera``: one schedule of exposures, two readers."""
+"""The unit's cameras behind ``altd.ports.Camera``: one schedule of frame sets, two readers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EXPOSURE_RANGE = ExposureRange(0.02, 40.0, 0.0, 24.0)
 
 
 class Schedule:
-    """When the exposures are: number k at ``start + k`` periods, for every camera the same.
+    """When the frame sets are exposed: number k at ``start + k`` periods, for every camera the same.
 
     In real time it starts when it is first begun; otherwise at 0, on a clock of its own.
     """
@@ -33,11 +33,11 @@ class Schedule:
                 self._begun = True
 
     def time_ns(self, sequence: int) -> int:
-        """The middle of an exposure."""
+        """The middle of a frame set's exposure."""
         return self._start_ns + sequence * self._period_ns
 
     def due(self, after: int, lag_ns: int) -> tuple[int, int]:
-        """The exposure for a reader who has had ``after``, and the nanoseconds until it has been made.
+        """The frame set for a reader who has had ``after``, and the nanoseconds until it has been made.
 
         In real time the newest one that has been made, otherwise simply the next one.
         """
@@ -84,7 +84,7 @@ class SimulatedCamera:
 
     @property
     def waits(self) -> bool:
-        """Whether exposures wait to be taken; in real time they do not."""
+        """Whether frames wait to be taken; in real time they do not."""
         return self._waits
 
     @property
@@ -98,7 +98,7 @@ class SimulatedCamera:
         self._closed.clear()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The newest exposure that was not delivered yet, rendered on this call."""
+        """The newest frame that was not delivered yet, rendered on this call."""
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while not self._closed.is_set():
             lag_ns = self._unit.lag_ns(self._name)
@@ -116,7 +116,7 @@ class SimulatedCamera:
         raise CameraError(f"{self._name}: the camera is not open")
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
-        """Expose so from the next exposure on."""
+        """Expose so from the next frame on."""
         self._unit.set_camera(self._name, exposure_ms=exposure_ms, gain=10.0 ** (gain_db / 20.0))
 
     def close(self) -> None:
@@ -127,7 +127,7 @@ class SimulatedCamera:
 def make_cameras(unit: Unit, *, real_time: bool = True) -> tuple[SimulatedCamera, ...]:
     """The cameras of a unit, front and rear, on one schedule.
 
-    In real time exposures come at the unit's rate on ``time.monotonic_ns``, and who is late gets the
+    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and who is late gets the
     newest; otherwise they come as fast as they are taken, none is left out, and time starts at 0.
     """
     schedule = Schedule(unit.config.period_ns, real_time=real_time)

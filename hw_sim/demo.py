@@ -9,7 +9,6 @@ import io
 import logging
 import os
 import signal
-import socket
 import sys
 import tempfile
 from collections.abc import Callable, Coroutine
@@ -37,6 +36,7 @@ from hw_sim.demo_lines import Line
 from hw_sim.demo_screen import Screen, keys
 from hw_sim.demo_view import CLEAR_KEY, FAULT_KEYS, QUIT_KEY, Faces, View
 from hw_sim.gige.command import add_addresses, make_unit
+from hw_sim.ports import free_port
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit
 
 REDRAW_INTERVAL_S = 0.2
@@ -51,6 +51,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the demo takes on the command line."""
     parser.add_argument(
         "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="of that very unit, made by hw_sim scan and altd calibrate (default: made now)",
     )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
     parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
@@ -96,11 +102,13 @@ async def _until_stopped(arguments: argparse.Namespace) -> None:
 
 
 async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None:
-    """Make a unit, calibrate it, measure with it; ends by cancellation or with what failed."""
+    """Make a unit, calibrate it unless that is done, measure with it; ends by cancellation or a failure."""
     async with contextlib.AsyncExitStack() as parts:
-        folder = parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-demo-"))
-        calibration = Path(folder, "calibration.json")
-        await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
+        calibration = arguments.calibration
+        if calibration is None:
+            folder = parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-demo-"))
+            calibration = Path(folder, "calibration.json")
+            await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
         unit = make_unit(arguments.seed, drive=True)
         hardware = None
         if arguments.gige:
@@ -108,8 +116,8 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             hardware = await parts.enter_async_context(serving)
         telegram, console, modbus_rtu = (parts.enter_context(Line()) for _ in range(3))
         faces = Faces(
-            http_port=arguments.http_port or _free_port(),
-            modbus_port=arguments.modbus_port or _free_port(),
+            http_port=arguments.http_port or free_port(),
+            modbus_port=arguments.modbus_port or free_port(),
             telegram=telegram,
             console=console,
             modbus_rtu=modbus_rtu,
@@ -136,7 +144,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
                 *([hardware.follow(unit)] if hardware else []),
             )
         finally:
-            if figures.exposures:
+            if figures.frame_sets:
                 print("The demo has ended.", *figures.summary(), sep="\n", flush=True)
 
 
@@ -231,13 +239,6 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
             ),
         ),
     )
-
-
-def _free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.create_server((LOCALHOST, 0)) as listener:
-        port: int = listener.getsockname()[1]
-    return port
 
 
 def _port(text: str) -> int:

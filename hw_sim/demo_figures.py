@@ -1,4 +1,4 @@
-"""The statistics of a demo: measurements against the truth, exposures, and the process itself."""
+"""The statistics of a demo: measurements against the truth, frame sets, and the process itself."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ def truth_of(unit: Unit, measurement: Measurement) -> BeamPose:
     """The true value of a measurement: the machine's path at its time, without the drive's vibration.
 
     A controller steers by where the machine is, not by where it vibrates to. The measurement is the mean over
-    its window's exposures, and its time is their middle: on a path that is straight for a second that mean is
-    the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the path at that time is
+    its window's frame sets, and its time is their middle: on a path that is straight for a second that mean
+    is the position at the middle (a curve of 20 mm in 3 minutes is off by 1 µm), so the path at that time is
     the truth. The vibration left in the mean is an error of the measurement, and its sigma, taken from the
-    scatter of the exposures, must cover it.
+    scatter of the frame sets, must cover it.
     """
     return unit.truth(measurement.t_ns, vibration=False)
 
@@ -87,7 +87,7 @@ class Figures:
         self._differences = {quantity: _Squares() for quantity in QUANTITIES}
         self._in_sigmas = {quantity: _Squares() for quantity in QUANTITIES}
         self._last_sequence = -1
-        self.exposures = 0
+        self.frame_sets = 0
         """Frame sets that led to a measurement on the board, valid or not."""
         self.valid = 0
         self.settled_mib = math.nan
@@ -106,7 +106,7 @@ class Figures:
         if measurement.sequence <= self._last_sequence:
             return  # silent cameras expose no frame set
         self._last_sequence = measurement.sequence
-        self.exposures += 1 + skipped
+        self.frame_sets += 1 + skipped
         if not measurement.valid:
             return
         self.valid += 1 + skipped
@@ -143,7 +143,7 @@ class Figures:
         made = self._last_sequence + 1
         arrived = [self._counters(f"camera {name}").get("frames", 0) for name in CAMERAS]
         lost = sum(made - count for count in arrived) + self.frames_dropped
-        return max(lost - (made - self.exposures), 0)
+        return max(lost - (made - self.frame_sets), 0)
 
     def note_memory(self) -> None:
         """Note the memory once it has settled; to be called now and then."""
@@ -157,9 +157,9 @@ class Figures:
             if math.isnan(self.settled_mib)
             else f"{self.settled_mib:.1f} MiB after {MEMORY_SETTLED_S:g} s, "
         )
-        share = f"{self.valid / self.exposures:.1%}" if self.exposures else "none"
+        share = f"{self.valid / self.frame_sets:.1%}" if self.frame_sets else "none"
         yield (
-            f"{self.seconds:.1f} s, {self.exposures} exposures measured, {self.pairs_lost} pairs lost, "
+            f"{self.seconds:.1f} s, {self.frame_sets} exposures measured, {self.pairs_lost} pairs lost, "
             f"{self.frames_dropped} frames dropped"
         )
         yield f"valid: {self.valid} ({share}; the first half second only warms up)"

@@ -156,7 +156,7 @@ class View:
     def _status_lines(self) -> Iterator[str]:
         figures = self._figures
         yield (
-            f"{figures.exposures} exposures, {figures.pairs_lost} pairs lost, {figures.frames_dropped} "
+            f"{figures.frame_sets} exposures, {figures.pairs_lost} pairs lost, {figures.frames_dropped} "
             f"frames dropped, {memory_mib():.0f} MiB, {figures.cpu_share:.0%} of one core"
         )
         parts = []

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 from altd.errors import BadInputError
+from hw_sim.displacement import Displacement
+from hw_sim.frame_leds import Shines, Stray
 
 
 class Fault(StrEnum):
@@ -35,15 +37,26 @@ class Fault(StrEnum):
     FRONT_SILENT = "front_silent"
     REAR_SILENT = "rear_silent"
     DROPPED_FRAMES = "dropped_frames"
-    """Each camera loses one exposure in five, not the same ones."""
+    """Each camera loses one frame in five, not the same ones."""
     LEDS_ON = "leds_on"
     """The frame LEDs burn although nobody asked for them."""
+    LEDS_DARK = "leds_dark"
+    """The frame LEDs stay dark although they are switched on."""
+    FRONT_BLINKING_LIGHT = "front_blinking_light"
+    """A light as bright as a frame LED, between two of them, blinks by itself."""
+    PUSHED_ASIDE = "pushed_aside"
+    """A blow has moved the whole unit: the beam meets all targets PUSHED_ASIDE_MM farther along x."""
+    REAR_CAMERA_MOVED = "rear_camera_moved"
+    """The rear camera does not stand to its target as it did: its picture has moved by CAMERA_MOVED."""
 
 
 SECOND_SPOT_MM = 40.0
 OVERLOAD_RATIO = 100.0
 OUT_OF_AREA_MM = (90.0, 0.0)
 DROPPED_SHARE = 0.2
+BLINKING_LIGHT = Stray(-40.0, 30.0, shines=Shines.BY_ITSELF)
+PUSHED_ASIDE_MM = 5.0
+CAMERA_MOVED = Displacement((0.6, -0.2), turn_deg=0.1)
 ALL_PIXELS = frozenset({Fault.BLACK, Fault.WHITE, Fault.NOISE_ONLY})
 """Faults that leave nothing of the picture."""
 

@@ -15,13 +15,13 @@ EVEN_MW_PER_MM2 = 0.03
 """Brings the ink of the window and the plate to more than half of full scale."""
 
 
-def record_flat(folder: Path, unit: Unit, exposures: int, progress: Progress) -> None:
-    """Write ``exposures`` in the dark and as many in even light into ``folder``; the laser is off."""
+def record_flat(folder: Path, unit: Unit, frame_sets: int, progress: Progress) -> None:
+    """Write ``frame_sets`` in the dark and as many in even light into ``folder``; the laser is off."""
     unit.inject(Fault.NO_LASER)
     try:
-        with recording(folder, unit, "flat", 2 * exposures, progress) as recorder:
+        with recording(folder, unit, "flat", 2 * frame_sets, progress) as recorder:
             for even in (0.0, EVEN_MW_PER_MM2):
-                for _ in range(exposures):
+                for _ in range(frame_sets):
                     recorder.expose(BeamPose(0.0, 0.0), even_mw_per_mm2=even)
     finally:
         unit.clear(Fault.NO_LASER)

@@ -127,6 +127,12 @@ class GrblTable:
         with self._lock:
             self._displacement_mm = self._displacement_mm[0] + x_mm, self._displacement_mm[1] + y_mm
 
+    def zero_by_hand(self, x_mm: float, y_mm: float) -> None:
+        """Carry the table to a place of the unit frame, from which the controller then counts."""
+        with self._lock:
+            self.machine.planner.place_mm = (0.0, 0.0)
+            self._displacement_mm = MIDDLE_MM[0] + x_mm, MIDDLE_MM[1] + y_mm
+
     def _serve(self) -> None:
         while not self._ending.is_set():
             with self._lock:

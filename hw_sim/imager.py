@@ -10,6 +10,7 @@ import numpy as np
 from altd.records import PixelArray
 from hw_sim.beam import Footprint
 from hw_sim.dust import Dust
+from hw_sim.frame_leds import ALL_LIT, Stray
 from hw_sim.image import Image
 from hw_sim.sensor import Sensor
 from hw_sim.view import View
@@ -43,11 +44,35 @@ class Imager:
         self.sensor = sensor
         self.settings = settings
         self._lux = lux
+        self.blink_on = False
+        """Whether stray lights that blink by themselves shine in the next exposure."""
         self._clean_view = view
-        self._backgrounds: dict[bool, _Background] = {}
+        self._dust: Dust | None = None
+        self._levels: tuple[float, ...] = ALL_LIT
+        self._strays: tuple[Stray, ...] = ()
+        self._backgrounds: dict[tuple[bool, bool], _Background] = {}
+
+    @property
+    def blinks(self) -> bool:
+        """Whether a stray light blinks by itself."""
+        return self.view.blinking is not None
+
+    def set_view(self, view: View) -> None:
+        """See the target otherwise, with the dust and the lights that are there."""
+        self._clean_view = view
+        if self._levels != ALL_LIT or self._strays:
+            self._clean_view = view.with_lights(self._levels, self._strays)
+        self.set_dust(self._dust)
+
+    def set_lights(self, levels: tuple[float, ...], strays: tuple[Stray, ...]) -> None:
+        """Let the frame LEDs be so bright, and these stray lights shine and no others."""
+        self._levels, self._strays = levels, strays
+        self._clean_view = self._clean_view.with_lights(levels, strays)
+        self.set_dust(self._dust)
 
     def set_dust(self, dust: Dust | None) -> None:
         """Let this dust, and no other, lie on what the view shows."""
+        self._dust = dust
         self.view = self._clean_view if dust is None else self._clean_view.with_dust(dust)
 
     def mean_e(
@@ -58,7 +83,7 @@ class Imager:
         ``even_mw_per_mm2`` lights the whole target, as a flat field wants it.
         """
         view = self.view
-        electrons = view.background_e(exposure_ms, self._lux, leds_on)
+        electrons = view.background_e(exposure_ms, self._lux, leds_on, self.blink_on)
         if even_mw_per_mm2 > 0.0:
             electrons += view.response * np.float32(even_mw_per_mm2 * exposure_ms)
         region, beam_e = view.beam_e(spots, exposure_ms)
@@ -91,9 +116,10 @@ class Imager:
 
     def _background(self, leds_on: bool) -> _Background:
         view, settings, sensor = self.view, self.settings, self.sensor
-        cached = self._backgrounds.get(leds_on)
+        blink_on = self.blink_on
+        cached = self._backgrounds.get((leds_on, blink_on))
         if cached is None or (cached.view, cached.settings, cached.sensor) != (view, settings, sensor):
-            electrons = view.background_e(settings.exposure_ms, self._lux, leds_on)
+            electrons = view.background_e(settings.exposure_ms, self._lux, leds_on, blink_on)
             cached = _Background(
                 view,
                 settings,
@@ -102,5 +128,5 @@ class Imager:
                 sensor.mean_counts(electrons, settings.gain),
                 sensor.noise_counts(electrons, settings.gain),
             )
-            self._backgrounds[leds_on] = cached
+            self._backgrounds[leds_on, blink_on] = cached
         return cached

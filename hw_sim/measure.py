@@ -39,18 +39,18 @@ def random_poses(count: int, target_distance_mm: float, rng: np.random.Generator
 
 
 def record_measurement(
-    folder: Path, unit: Unit, poses: Sequence[BeamPose], exposures: int, progress: Progress
+    folder: Path, unit: Unit, poses: Sequence[BeamPose], frame_sets: int, progress: Progress
 ) -> dict[str, object]:
-    """Write ``exposures`` frame pairs of each pose into ``folder``; the truth, ready for JSON."""
+    """Write ``frame_sets`` frame pairs of each pose into ``folder``; the truth, ready for JSON."""
     truth = []
-    with recording(folder, unit, "measurement", len(poses) * exposures, progress) as recorder:
+    with recording(folder, unit, "measurement", len(poses) * frame_sets, progress) as recorder:
         for pose in poses:
             unit.place(pose)
             at = unit.truth(recorder.t_ns, vibration=False)
             truth.append({"x_mm": at.x_mm, "y_mm": at.y_mm, "slope_x": at.slope_x, "slope_y": at.slope_y})
-            for _ in range(exposures):
+            for _ in range(frame_sets):
                 recorder.expose(pose)
-    return {"window": exposures, "poses": truth}
+    return {"window": frame_sets, "poses": truth}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -96,8 +96,8 @@ def with_plate(unit: Unit, plate: Plate) -> Unit:
     return unit
 
 
-def record_plate(folder: Path, unit: Unit, plate: Plate, exposures: int, progress: Progress) -> None:
-    """Write ``exposures`` pairs of the plate, LEDs off and on, into ``folder``."""
+def record_plate(folder: Path, unit: Unit, plate: Plate, frame_sets: int, progress: Progress) -> None:
+    """Write ``frame_sets`` pairs of the plate, LEDs off and on, into ``folder``."""
     header = {
         "plate": {
             "columns": COLUMNS,
@@ -108,8 +108,8 @@ def record_plate(folder: Path, unit: Unit, plate: Plate, exposures: int, progres
         },
         "note": f"hw_sim, seed {unit.config.seed}, plate",
     }
-    with recording(folder, unit, "plate", 2 * exposures, progress, header) as recorder:
-        for _ in range(exposures):
+    with recording(folder, unit, "plate", 2 * frame_sets, progress, header) as recorder:
+        for _ in range(frame_sets):
             for leds_on in (False, True):
                 recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
 

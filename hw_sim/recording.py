@@ -21,7 +21,7 @@ from hw_sim.unit import CAMERAS, Unit
 COLUMNS = ("sequence", "t_s", "camera", "file", "leds", "x_mm", "y_mm")
 
 Progress = Callable[[int, int], None]
-"""Called after each exposure with the number made and the number planned."""
+"""Called after each frame set with the number made and the number planned."""
 
 
 class Recorder:
@@ -38,7 +38,7 @@ class Recorder:
 
     @property
     def t_ns(self) -> int:
-        """The middle of the next exposure."""
+        """The middle of the next frame set's exposure."""
         return self._sequence * self._unit.config.period_ns
 
     def expose(

@@ -45,7 +45,7 @@ STAGE_STREAM = 6
 """Keeps the stage's random numbers apart from those of the frames."""
 
 LED_REFERENCE = (False, True, False, True)
-"""The frame LEDs in the exposures before the grid, with the beam in the middle."""
+"""The frame LEDs in the frame sets before the grid, with the beam in the middle."""
 
 
 def dense_grid(columns: int, rows: int) -> Grid:
@@ -55,17 +55,17 @@ def dense_grid(columns: int, rows: int) -> Grid:
 
 
 def record_scan(
-    folder: Path, unit: Unit, stage: Stage, exposures: int, progress: Progress, grid: Grid = USUAL
+    folder: Path, unit: Unit, stage: Stage, frame_sets: int, progress: Progress, grid: Grid = USUAL
 ) -> None:
-    """Write the scan of a unit into ``folder``: LED reference pairs, then ``exposures`` a node."""
+    """Write the scan of a unit into ``folder``: LED reference pairs, then ``frame_sets`` a node."""
     nodes = grid.nodes_mm()
-    planned = len(LED_REFERENCE) + len(nodes) * exposures
+    planned = len(LED_REFERENCE) + len(nodes) * frame_sets
     with recording(folder, unit, "scan", planned, progress) as recorder:
         for leds_on in LED_REFERENCE:
             recorder.expose(BeamPose(0.0, 0.0), leds_on=leds_on)
         for node in nodes:
             pose = stage.place(*node)
-            for _ in range(exposures):
+            for _ in range(frame_sets):
                 recorder.expose(pose, stage_mm=node)
 
 

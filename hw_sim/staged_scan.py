@@ -32,7 +32,7 @@ class SimulatedLamps:
         self._unit.leds_on = False
 
     def switch(self, on: bool) -> None:
-        """Light or darken them, from the next exposure on."""
+        """Light or darken them, from the next frame set on."""
         self._unit.leds_on = on
 
     def close(self) -> None:
@@ -53,11 +53,11 @@ def scan_config(unit: Unit, device: Path, scan: Scan) -> Config:
     )
 
 
-def staged_scan(folder: Path, seed: int, exposures: int) -> int:
+def staged_scan(folder: Path, seed: int, frame_sets: int) -> int:
     """Scan the unit of ``seed`` with its table into ``folder``; the exit status. Raises BadInputError."""
     unit = Unit(UnitConfig(seed=seed))
     with GrblTable(unit, np.random.default_rng([seed, STAGE_STREAM])) as table:
-        config = scan_config(unit, table.device, Scan(exposures=exposures, settle_s=0.2))
+        config = scan_config(unit, table.device, Scan(exposures=frame_sets, settle_s=0.2))
         cameras = {camera.name: camera for camera in make_cameras(unit)}
         screen = ScanScreen("hw_sim")
         scanner = scanner_of(config, folder, folder, screen, cameras, SimulatedLamps(unit))

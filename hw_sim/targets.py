@@ -1,4 +1,4 @@
-"""What scatters the light: the printed window, the plain plate, their speckle, and the frame LEDs."""
+"""What scatters the light: the printed window, the plain plate, their speckle; where the frame LEDs sit."""
 
 from __future__ import annotations
 
@@ -63,15 +63,6 @@ class DotPrint:
         ]
         distance = np.sqrt(np.minimum.reduce(squared))
         return soft_disc(distance, pattern.diameter_mm / 2.0, softness_mm)
-
-
-def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
-    """Share of lit LED, 0 to 1, in a small cell at points of the frame around a target."""
-    cover = np.zeros_like(x_mm)
-    for led_x, led_y in LED_POSITIONS_MM:
-        distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
-        cover += soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
-    return cover
 
 
 def speckle(rng: np.random.Generator, shape: tuple[int, int], contrast: float) -> Image:

@@ -6,21 +6,27 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from altd.records import Frame, PixelArray
 from hw_sim.assembly import FIELD_HALF_MM, FRONT_FOCAL_MM, REAR_FOCAL_MM, make_dots, make_lens
 from hw_sim.beam import BeamPose, Footprint, Laser, footprint
+from hw_sim.displacement import Displacement
 from hw_sim.dust import SHADOW_SIGMA_MM, Dust, Shadow, make_dust
 from hw_sim.faults import (
     ALL_PIXELS,
+    BLINKING_LIGHT,
+    CAMERA_MOVED,
     DROPPED_SHARE,
     OUT_OF_AREA_MM,
     OVERLOAD_RATIO,
+    PUSHED_ASIDE_MM,
     SECOND_SPOT_MM,
     Fault,
 )
+from hw_sim.frame_leds import ALL_LIT, Stray
 from hw_sim.imager import Imager, Settings
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 from hw_sim.motion import Drive, Vibration, make_path, make_vibration
@@ -80,7 +86,7 @@ class UnitConfig:
 
     @property
     def period_ns(self) -> int:
-        """The time from one exposure to the next."""
+        """The time from one frame set to the next."""
         return round(1e9 / self.fps)
 
 
@@ -94,8 +100,8 @@ class Unit:
         self.even_mw_per_mm2 = 0.0
         """Even light on both targets, for a flat field; in recordings only."""
         self._pose_at: Callable[[int], BeamPose] = _constant_path(BeamPose(0.0, 0.0))
-        self._faults = self.config.faults
-        self._lock = threading.Lock()
+        self._faults: frozenset[Fault] = frozenset()
+        self._lock = threading.RLock()
         streams = iter(np.random.SeedSequence(self.config.seed).spawn(8))
         rngs = (np.random.default_rng(stream) for stream in streams)
         dots = make_dots(self._pattern, next(rngs))
@@ -103,20 +109,25 @@ class Unit:
             FRONT: make_lens(self.config.front_focal_mm, True, next(rngs), self.config.field_half_mm),
             REAR: make_lens(self.config.rear_focal_mm, False, next(rngs), self.config.field_half_mm),
         }
+        self._views = {
+            name: partial(
+                make_view,
+                lens,
+                dots if name == FRONT and self.config.dots else None,
+                self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
+                self.config.hot_pixels,
+            )
+            for name, lens in lenses.items()
+        }
+        self._view_streams = dict(zip(CAMERAS, streams, strict=False))
         self.imagers: Mapping[str, Imager] = {
             name: Imager(
-                make_view(
-                    lens,
-                    dots if name == FRONT and self.config.dots else None,
-                    self.config.speckle_contrast * (INK_SPECKLE_RATIO if name == FRONT else 1.0),
-                    self.config.hot_pixels,
-                    next(rngs),
-                ),
+                view(np.random.default_rng(self._view_streams[name])),
                 Sensor(self.config.bits),
                 Settings(EXPOSURES_MS[name]),
                 self.config.lux,
             )
-            for name, lens in lenses.items()
+            for name, view in self._views.items()
         }
         self._pool = NoisePool(next(rngs))
         motion_rng = next(rngs)
@@ -127,6 +138,7 @@ class Unit:
         self._window_dust: Dust | None = None
         if self.config.dust:
             self.set_dust(self.config.dust)
+        self.inject(*self.config.faults)
 
     @property
     def faults(self) -> frozenset[Fault]:
@@ -143,20 +155,29 @@ class Unit:
         self._lit = frozenset(CAMERAS if on else ())
 
     def switch_leds(self, camera: str, on: bool) -> None:
-        """Light or darken the LEDs around one camera's target, from its next exposure on."""
+        """Light or darken the LEDs around one camera's target, from its next frame on."""
         if on != (camera in self._lit):
             with self._lock:
                 self._lit = self._lit | {camera} if on else self._lit - {camera}
 
     def inject(self, *faults: Fault) -> None:
-        """Let these faults be present from the next exposure on."""
+        """Let these faults be present from the next frame set on."""
         with self._lock:
-            self._faults |= set(faults)
+            self._have(self._faults | set(faults))
 
     def clear(self, *faults: Fault) -> None:
         """Remove these faults; without an argument, all."""
         with self._lock:
-            self._faults = self._faults - set(faults) if faults else frozenset()
+            self._have(self._faults - set(faults) if faults else frozenset())
+
+    def _have(self, faults: frozenset[Fault]) -> None:
+        """Let these faults be present and no others; lights and view that one changed are then as made."""
+        changed = faults ^ self._faults
+        if (blinks := Fault.FRONT_BLINKING_LIGHT) in changed:
+            self.set_lights(FRONT, strays=(BLINKING_LIGHT,) if blinks in faults else ())
+        if (moved := Fault.REAR_CAMERA_MOVED) in changed:
+            self.displace(REAR, CAMERA_MOVED if moved in faults else Displacement())
+        self._faults = faults
 
     def place(self, pose: BeamPose) -> None:
         """Point the reference laser; drive and vibration come on top."""
@@ -174,7 +195,7 @@ class Unit:
         gain: float | None = None,
         bits: int | None = None,
     ) -> None:
-        """Set exposure, gain or the bits of a pixel of one camera, from its next exposure on."""
+        """Set exposure, gain or the bits of a pixel of one camera, from its next frame on."""
         imager = self.imagers[camera]
         if exposure_ms is not None:
             imager.settings = replace(imager.settings, exposure_ms=exposure_ms)
@@ -184,7 +205,7 @@ class Unit:
             imager.sensor = Sensor(bits)
 
     def set_dust(self, amount: float) -> None:
-        """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next exposure on.
+        """Let dust of 0 (none) to 1 (heavy) lie on window and plate, from the next frame set on.
 
         Where a speck lies is the unit's; a larger amount adds to a smaller one. Raises ValueError.
         """
@@ -196,6 +217,22 @@ class Unit:
             for camera, imager in self.imagers.items():
                 imager.set_dust(dust[camera] if amount else None)
             self._window_dust = dust[FRONT].blurred(SHADOW_SIGMA_MM) if amount else None
+
+    def displace(self, camera: str, displacement: Displacement) -> None:
+        """Let a camera stand to its target so from the next exposure on, counted from where it was made."""
+        view = self._views[camera](np.random.default_rng(self._view_streams[camera]), displacement)
+        with self._lock:
+            self.imagers[camera].set_view(view)
+
+    def set_lights(
+        self, camera: str, levels: tuple[float, ...] = ALL_LIT, strays: tuple[Stray, ...] = ()
+    ) -> None:
+        """Let the LEDs around a camera's target be so bright when lit, and these strays shine, no others.
+
+        ``levels`` has a number for each LED: 1 as usual, 0 dark. Raises ValueError for another length.
+        """
+        with self._lock:
+            self.imagers[camera].set_lights(levels, strays)
 
     def truth(self, t_ns: int, *, vibration: bool = True) -> BeamPose:
         """Where the beam is at ``t_ns``, or would be where it is switched off."""
@@ -215,7 +252,7 @@ class Unit:
         return _SILENT[camera] in self._faults
 
     def drops(self, camera: str, sequence: int) -> bool:
-        """Whether this exposure is lost on its way to the host."""
+        """Whether this frame is lost on its way to the host."""
         return (
             Fault.DROPPED_FRAMES in self._faults and self._rng(camera, sequence, 1).random() < DROPPED_SHARE
         )
@@ -237,7 +274,9 @@ class Unit:
             pixels = self._faulty_pixels(faults, camera, sequence)
         else:
             spots = self._spots(camera, self.truth(t_ns), faults)
-            lit = leds_on or Fault.LEDS_ON in faults
+            lit = (leds_on and Fault.LEDS_DARK not in faults) or Fault.LEDS_ON in faults
+            if imager.blinks:
+                imager.blink_on = bool(self._rng(camera, sequence, 3).random() < 0.5)
             if exact:
                 pixels = imager.expose(spots, lit, self._rng(camera, sequence, 0), self.even_mw_per_mm2)
             else:
@@ -262,7 +301,10 @@ class Unit:
             return BeamPose(float(x_mm), float(y_mm))
         if Fault.OUT_OF_AREA in self._faults:
             return BeamPose(*OUT_OF_AREA_MM)
-        return self._pose_at(t_ns)
+        pose = self._pose_at(t_ns)
+        if Fault.PUSHED_ASIDE in self._faults:
+            return replace(pose, x_mm=pose.x_mm + PUSHED_ASIDE_MM)
+        return pose
 
     def _spots(self, camera: str, pose: BeamPose, faults: frozenset[Fault]) -> list[Footprint]:
         """The spots on one target."""

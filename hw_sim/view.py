@@ -9,19 +9,22 @@ beam is taken as even over a pixel (0.25 mm of a spot of several mm).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 
 from altd.records import FloatArray
 from hw_sim.beam import Footprint
+from hw_sim.displacement import Displacement, carried
 from hw_sim.dust import Dust
+from hw_sim.frame_leds import ALL_LIT, Shines, Stray, led_coverage, stray_coverage
 from hw_sim.image import Image
 from hw_sim.lens import HEIGHT_PX, PIXEL_MM, WIDTH_PX, Lens
 from hw_sim.sensor import FULL_WELL_E
-from hw_sim.targets import DotPrint, led_coverage, speckle
+from hw_sim.targets import DotPrint, speckle
 
 SUBSAMPLES = 4
 """Cells per pixel and axis; with soft edges the share of ink is right to about 1 %."""
@@ -55,6 +58,10 @@ INK_REFLECTANCE = 0.5
 LED_LEVEL_E_PER_MS = 0.5 * FULL_WELL_E
 
 
+Coverage = Callable[[Image, Image, float], Image]
+"""How much of a small cell at points (x, y) something covers, or how bright it is there."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """The fixed maps of one camera, all (rows, columns) float32."""
@@ -70,17 +77,49 @@ class View:
     """Electrons per ms with the frame LEDs on."""
     hot_e: Image
     """Electrons that leak into a pixel's storage at every read-out, whatever the exposure."""
+    steady: Image | None = None
+    """Electrons per ms of stray lights that always shine."""
+    blinking: Image | None = None
+    """Electrons per ms of stray lights that blink by themselves, while they shine."""
 
     def with_dust(self, dust: Dust) -> View:
         """The same with dust on what it shows; lamps and chip are beside it."""
         transmission = _blurred(dust.at(self.x_mm, self.y_mm))
         return replace(self, response=self.response * transmission, ambient=self.ambient * transmission)
 
-    def background_e(self, exposure_ms: float, lux: float, leds_on: bool) -> Image:
+    def with_lights(self, levels: tuple[float, ...] = ALL_LIT, strays: tuple[Stray, ...] = ()) -> View:
+        """The same with frame LEDs of these levels, and with these stray lights and no others."""
+        by_time = {when: tuple(stray for stray in strays if stray.shines is when) for when in Shines}
+
+        def leds(x_mm: Image, y_mm: Image, softness_mm: float) -> Image:
+            reflections = stray_coverage(x_mm, y_mm, softness_mm, by_time[Shines.WITH_LEDS])
+            return led_coverage(x_mm, y_mm, softness_mm, levels) + reflections
+
+        def shining(when: Shines) -> Image | None:
+            of_these = partial(stray_coverage, strays=by_time[when])
+            return self._light_e(of_these) if by_time[when] else None
+
+        return replace(
+            self,
+            lamps=self._light_e(leds),
+            steady=shining(Shines.ALWAYS),
+            blinking=shining(Shines.BY_ITSELF),
+        )
+
+    def _light_e(self, coverage: Coverage) -> Image:
+        """Electrons per ms of lights that cover parts of the target."""
+        falloff = self.lens.relative_illumination(self.x_mm, self.y_mm).astype(np.float32)
+        lit = _blurred(_mean_over_pixels(self.x_mm, self.y_mm, coverage))
+        return lit * falloff * np.float32(LED_LEVEL_E_PER_MS)
+
+    def background_e(self, exposure_ms: float, lux: float, leds_on: bool, blink_on: bool = False) -> Image:
         """Mean electrons of an exposure without the beam."""
         electrons = self.ambient * np.float32(lux * exposure_ms) + self.hot_e
         if leds_on:
             electrons += self.lamps * np.float32(exposure_ms)
+        for light, shines in ((self.steady, True), (self.blinking, blink_on)):
+            if light is not None and shines:
+                electrons += light * np.float32(exposure_ms)
         return electrons
 
     def beam_e(
@@ -107,12 +146,25 @@ class View:
 
 
 def make_view(
-    lens: Lens, dots: DotPrint | None, contrast: float, hot_pixels: int, rng: np.random.Generator
+    lens: Lens,
+    dots: DotPrint | None,
+    contrast: float,
+    hot_pixels: int,
+    rng: np.random.Generator,
+    displaced: Displacement | None = None,
 ) -> View:
-    """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None."""
+    """The maps of a camera that sees a printed window, or a plain plate where ``dots`` is None.
+
+    ``displaced``: as it sees the very same target once it stands otherwise.
+    """
+    before = lens
+    if displaced is not None:
+        lens = displaced.of(before)
     columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
     x_mm, y_mm = lens.unproject(columns, rows)
     texture = speckle(rng, (HEIGHT_PX, WIDTH_PX), contrast)
+    if displaced is not None:
+        texture = carried(texture, before, lens)
     reflectance, lit = _reflectance_and_lamps(x_mm.astype(np.float32), y_mm.astype(np.float32), dots, texture)
     falloff = lens.relative_illumination(x_mm, y_mm).astype(np.float32)
     slope_u, slope_v = rng.uniform(-0.4, 0.4, size=2)
@@ -136,23 +188,31 @@ def _reflectance_and_lamps(
     x_mm: Image, y_mm: Image, dots: DotPrint | None, texture: Image
 ) -> tuple[Image, Image]:
     """Mean reflectance and share of lit LED over each pixel's area, seen through the lens's blur."""
+    lit = _blurred(_mean_over_pixels(x_mm, y_mm, led_coverage))
+    if dots is None:
+        return _blurred(texture) * np.float32(PLATE_REFLECTANCE), lit
+    ink = _summed_over_pixels(x_mm, y_mm, dots.cover)
+    return _blurred(ink * texture / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
+
+
+def _mean_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
+    """The mean of what covers small cells, over each pixel's area."""
+    return _summed_over_pixels(x_mm, y_mm, coverage) / np.float32(SUBSAMPLES**2)
+
+
+def _summed_over_pixels(x_mm: Image, y_mm: Image, coverage: Coverage) -> Image:
+    """The sum of what covers a pixel's cells; the cells are SUBSAMPLES along each axis."""
     by_u = (np.gradient(x_mm, axis=1), np.gradient(y_mm, axis=1))
     by_v = (np.gradient(x_mm, axis=0), np.gradient(y_mm, axis=0))
     cell_mm = float(np.median(np.hypot(*by_u))) / SUBSAMPLES
-    lit = np.zeros_like(x_mm)
-    ink = np.zeros_like(x_mm)
+    total = np.zeros_like(x_mm)
     offsets = (np.arange(SUBSAMPLES, dtype=np.float32) + np.float32(0.5)) / SUBSAMPLES - np.float32(0.5)
     for down in offsets:
         for right in offsets:
             x = x_mm + right * by_u[0] + down * by_v[0]
             y = y_mm + right * by_u[1] + down * by_v[1]
-            lit += led_coverage(x, y, cell_mm)
-            if dots is not None:
-                ink += dots.cover(x, y, cell_mm)
-    lit = _blurred(lit / np.float32(SUBSAMPLES**2))
-    if dots is None:
-        return _blurred(texture) * np.float32(PLATE_REFLECTANCE), lit
-    return _blurred(ink * texture / np.float32(SUBSAMPLES**2)) * np.float32(INK_REFLECTANCE), lit
+            total += coverage(x, y, cell_mm)
+    return total
 
 
 def _blurred(image: Image) -> Image:

@@ -15,6 +15,7 @@ from altd.calibration.fitting import fit_nodes
 from altd.errors import BadInputError
 from altd.mapping.homography import apply_homography, fit_homography
 from altd.mapping.hull import convex_hull_mm
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 from studies.bench import rms
@@ -138,7 +139,7 @@ def _predictions(photo: _Photo, corner: int, camera_of_others: tuple[Any, Any]) 
     predictions = (
         apply_homography(fit_homography(kept_mm, kept_px), at_mm)[0],
         fit_tensor_map(kept_mm, kept_px, hull_mm, (3, 3)).map.to_px(at_mm)[0],
-        fit_nodes(kept_mm, kept_px, photo.size, None, 0).fit.map.to_px(at_mm)[0],
+        fit_nodes(Nodes.ordinary(kept_mm, kept_px), photo.size, None, 0).fit.map.to_px(at_mm)[0],
         _projected_px(alone, kept_mm, kept_px, at_mm),
         _projected_px(camera_of_others, kept_mm, kept_px, at_mm),
     )

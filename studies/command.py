@@ -21,6 +21,7 @@ STUDIES = {
     "fig-3.5": "fig_3_5",
     "fig-3.17": "fig_3_17",
     "averaging": "averaging",
+    "sigma-now": "sigma_now",
     "ambient": "ambient",
     "laser": "laser",
     "chessboard": "chessboard",

@@ -10,10 +10,12 @@ from altd.errors import BadInputError
 from studies.plot import as_svg
 from studies.result import Result
 from studies.result_table import table
+from tools.markdown import wrapped
 
 MAX_LINE = 120
 PEERS = "peers.md"
 CAMPAIGN = "campaign.md"
+WIRE_ERRORS = "wire-errors.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -42,7 +44,7 @@ def write_page(folder: Path, name: str, title: str, question: str, result: Resul
 
 
 def page(name: str, title: str, question: str, result: Result) -> str:
-    """The page: its third line is the headline, which the index repeats."""
+    """The page: its second paragraph is the headline, which the index repeats."""
     parts = [
         f"# {title}",
         result.headline,
@@ -55,7 +57,7 @@ def page(name: str, title: str, question: str, result: Result) -> str:
         _reflow(result.text),
         f"Made by `python -m studies {name}`; all studies: [index](README.md).",
     ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return wrapped("\n\n".join(part for part in parts if part) + "\n")
 
 
 def _reflow(text: str) -> str:
@@ -81,11 +83,14 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
     for name, title in studies:
         path = folder / f"{name}.md"
         if path.is_file():
-            lines.append(f"| [{title}]({name}.md) | {path.read_text().splitlines()[2]} |")
+            headline = " ".join(path.read_text().split("\n\n")[1].split("\n"))
+            lines.append(f"| [{title}]({name}.md) | {headline} |")
     if (folder / PEERS).is_file():
         lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
     if (folder / CAMPAIGN).is_file():
         lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
+    if (folder / WIRE_ERRORS).is_file():
+        lines += ["", f"Errors on wires to a reader: [wire errors]({WIRE_ERRORS}), by `make bench-wires`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

@@ -37,11 +37,13 @@ log = logging.getLogger("altd")
 
 FRAME_TIMEOUT_S = 0.25
 _REPORT_INTERVAL_S = 0.25
-_MIN_RETRY_S = 0.2
-_MAX_RETRY_S = 0.5
+_HEARTBEAT_S = 3.0
+"""Somebody looks after a camera every ``_REPORT_INTERVAL_S``; a loop that is held a second is no death."""
+_MIN_BACKOFF_S = 0.2
+_MAX_BACKOFF_S = 0.5
 """A camera that is back must be measured again within 2 s; half a window of exposures is 0.5 s of them."""
-_LOG_AGAIN_AFTER_S = 10.0
-"""A failure goes to the journal once, and again when the camera has delivered for so long."""
+_LOG_REPEAT_S = 10.0
+"""A failure is logged once, and again when the camera has delivered for so long."""
 _JOIN_TIMEOUT_S = 3.0
 """The service manager kills after 10 s, and the faces shut down too."""
 
@@ -72,11 +74,13 @@ async def acquire(
     Raises a driver's own failure.
     """
     report = CameraReport(component, camera.waits)
+    component.expect(_HEARTBEAT_S)
     acquirer = _Acquirer(camera, sink, report, exposure, component.clock)
     done = call_in_thread(acquirer.run, f"camera-{camera.name}")
     done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
     try:
         while not (await asyncio.wait({done}, timeout=_REPORT_INTERVAL_S))[0]:
+            component.is_alive()
             report.update(acquirer.deliveries)
             if exposure is not None:
                 report.show(exposure.figures)
@@ -89,7 +93,7 @@ async def acquire(
     done.result()
 
 
-def _in_words(error: CameraError) -> str:
+def _sentence_of(error: CameraError) -> str:
     kind = next((word for known, word in _KINDS if isinstance(error, known)), "")
     return f"{kind}: {error}" if kind else str(error)
 
@@ -120,10 +124,10 @@ class _Acquirer:
         try:
             self._acquire_for_ever()
         except CameraEndedError as error:
-            self._tell(self._report.ended, self.deliveries, str(error))
+            self._call_in_loop(self._report.ended, self.deliveries, str(error))
 
     def _acquire_for_ever(self) -> None:
-        retry_s, failed_s, logged = _MIN_RETRY_S, time.monotonic(), set[str]()
+        backoff_s, failed_s, logged = _MIN_BACKOFF_S, time.monotonic(), set[str]()
         while not self.stop.is_set():
             self._has_delivered = False
             try:
@@ -132,21 +136,21 @@ class _Acquirer:
             except CameraEndedError:
                 raise
             except CameraError as error:
-                sentence = _in_words(error)
+                sentence = _sentence_of(error)
                 now_s = time.monotonic()
-                if now_s - failed_s > _LOG_AGAIN_AFTER_S and self._has_delivered:
+                if now_s - failed_s > _LOG_REPEAT_S and self._has_delivered:
                     logged.clear()
                 if sentence not in logged:
                     logged.add(sentence)
                     log.warning("camera %s: %s; trying again", self._camera.name, sentence)
-                self._tell(self._report.failed, self.deliveries, sentence)
+                self._call_in_loop(self._report.failed, self.deliveries, sentence)
             finally:
                 self._camera.close()
             if self._has_delivered:
-                retry_s = _MIN_RETRY_S
+                backoff_s = _MIN_BACKOFF_S
             failed_s = time.monotonic()
-            self.stop.wait(retry_s)
-            retry_s = min(2 * retry_s, _MAX_RETRY_S)
+            self.stop.wait(backoff_s)
+            backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
 
     def _deliver(self) -> None:
         """Hand over the frames of a camera that has just been opened, until it fails or is at its end."""
@@ -154,21 +158,21 @@ class _Acquirer:
         self.deliveries = replace(
             self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=False
         )
-        self._tell(self._report.opened)
+        self._call_in_loop(self._report.opened)
         last: int | None = None
         stamps = StampCheck()
         if exposure is not None:
             exposure.opened(self._camera)
         while not self.stop.is_set():
             if exposure is not None and exposure.is_due:
-                self._tell(self._report.exposure_set, exposure.apply(self._camera))
+                self._call_in_loop(self._report.exposure_set, exposure.apply(self._camera))
             try:
                 frame = self._camera.next_frame(FRAME_TIMEOUT_S)
             except CameraTimeoutError:
                 self.deliveries = replace(
                     self.deliveries, returned_ns=self._clock.monotonic_ns(), is_fresh=False, is_late=True
                 )
-                self._tell(self._report.update, self.deliveries)
+                self._call_in_loop(self._report.update, self.deliveries)
                 continue
             except CameraMistimedError as error:
                 last = error.sequence
@@ -211,7 +215,7 @@ class _Acquirer:
             is_late=False,
         )
 
-    def _tell(self, function: Callable[..., object], *arguments: object) -> None:
+    def _call_in_loop(self, function: Callable[..., object], *arguments: object) -> None:
         try:
             self._loop.call_soon_threadsafe(function, *arguments)
         except RuntimeError:

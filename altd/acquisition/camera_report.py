@@ -1,4 +1,4 @@
-"""What one camera's thread has to tell, as the camera's health; in the event loop only."""
+"""What one camera's thread reports, as the camera's health; in the event loop only."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger("altd")
 STALL_TIMEOUT_S = 0.6
 """A driver that has neither delivered nor timed out for so long does not return from a call."""
 _LOSS_DISPLAY_S = 1.0
-"""A lost or mistimed frame is spoken of for so long."""
+"""A lost or mistimed frame is reported for so long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Deliveries:
 
 
 class CameraReport:
-    """Says in a component how the camera does. ``waits``: the source waits until its frame is taken."""
+    """Reports in a component how the camera does. ``waits``: the source waits until its frame is taken."""
 
     def __init__(self, component: Component, waits: bool) -> None:
         self._component = component
@@ -71,14 +71,14 @@ class CameraReport:
         self._count(deliveries)
         self._is_open = False
         self._losses.clear()
-        self._component.say(State.FAILED, f"{sentence}; trying again")
+        self._component.set_state(State.FAILED, f"{sentence}; trying again")
         self._component.count("failures")
 
     def ended(self, deliveries: Deliveries, sentence: str) -> None:
         """The source is at its end."""
         self._count(deliveries)
         self._is_open = False
-        self._component.say(State.ENDED, sentence)
+        self._component.set_state(State.ENDED, sentence)
 
     def update(self, deliveries: Deliveries) -> None:
         """What came meanwhile, and what did not: a driver that does not return is seen here."""
@@ -87,11 +87,11 @@ class CameraReport:
             return
         now_ns = self._component.clock.monotonic_ns()
         if now_ns - deliveries.returned_ns > STALL_TIMEOUT_S * 1e9 and not self._waits:
-            self._say_silent(deliveries.frame_ns, "the driver does not return; ")
+            self._report_silence(deliveries.frame_ns, "the driver does not return; ")
         elif deliveries.is_late:
-            self._say_silent(deliveries.frame_ns)
+            self._report_silence(deliveries.frame_ns)
         elif deliveries.is_fresh:
-            self._say(deliveries, now_ns)
+            self._report_delivery(deliveries, now_ns)
 
     def show(self, figures: ExposureFigures | None) -> None:
         """New figures of the exposure; those that were shown before go on ageing."""
@@ -121,12 +121,12 @@ class CameraReport:
         if deliveries.mistimed > known.mistimed:
             self._mistimed_ns = now_ns
 
-    def _say_silent(self, frame_ns: int, why: str = "") -> None:
-        self._component.say(
+    def _report_silence(self, frame_ns: int, why: str = "") -> None:
+        self._component.set_state(
             State.DEGRADED, lambda now_ns: f"{why}no frame for {duration((now_ns - frame_ns) * 1e-9)}"
         )
 
-    def _say(self, deliveries: Deliveries, now_ns: int) -> None:
+    def _report_delivery(self, deliveries: Deliveries, now_ns: int) -> None:
         oldest_ns = now_ns - _LOSS_DISPLAY_S * 1e9
         while self._losses and self._losses[0][0] < oldest_ns:
             self._losses.popleft()
@@ -137,4 +137,4 @@ class CameraReport:
             complaints.append(f"not measured: {deliveries.remark}")
         if self._refusal:
             complaints.append(f"exposure refused: {self._refusal}")
-        self._component.say(State.DEGRADED if complaints else State.OK, "; ".join(complaints))
+        self._component.set_state(State.DEGRADED if complaints else State.OK, "; ".join(complaints))

@@ -12,12 +12,12 @@ from altd.acquisition.latest_frames import keep_mark
 from altd.acquisition.latest_of_each import LatestOfEach
 from altd.config import Measuring
 from altd.measuring.pairing import Pair, Pairer
-from altd.ports import Camera, CameraError
+from altd.ports import Camera, CameraError, Clock
 from altd.records import Frame
 from altd.status.health import Health, State
 
 FRAME_SET_TIMEOUT_S = 5.0
-"""Without an exposure of all cameras for so long, something is wrong with one."""
+"""Without a frame set of all cameras for so long, something is wrong with one."""
 
 
 class FrameSets:
@@ -34,14 +34,14 @@ class FrameSets:
         exposure: Mapping[str, ExposureControl] | None = None,
     ) -> None:
         self._components = {camera.name: health.component(f"camera {camera.name}") for camera in cameras}
-        self._cameras = cameras
+        self.cameras = cameras
         self._exposure = exposure or {}
         self._measuring = measuring
         self._acquiring: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        names, components = tuple(self._components), tuple(self._components.values())
-        self._latest = LatestOfEach[Frame](names, components[0].clock, keep_mark)
+        names = tuple(self._components)
+        self._latest = LatestOfEach[Frame](names, self.clock, keep_mark)
         settings = self._measuring
         self._pairer: Pairer[Frame] = Pairer(
             names, settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
@@ -50,7 +50,7 @@ class FrameSets:
             asyncio.create_task(
                 acquire(camera, self._latest, self._components[camera.name], self._exposure.get(camera.name))
             )
-            for camera in self._cameras
+            for camera in self.cameras
         ]
         for task in self._acquiring:
             task.add_done_callback(lambda _: self._latest.wake())
@@ -60,6 +60,11 @@ class FrameSets:
         for task in self._acquiring:
             task.cancel()
         await asyncio.gather(*self._acquiring, return_exceptions=True)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock by which the cameras' frames are timed."""
+        return next(iter(self._components.values())).clock
 
     @property
     def is_at_end(self) -> bool:
@@ -87,12 +92,12 @@ class FrameSets:
         ]
 
     async def after(self, t_ns: int, count: int) -> list[Pair[Frame]]:
-        """The next ``count`` exposures that were begun after ``t_ns``, each with the frames of all cameras.
+        """The next ``count`` frame sets that were begun after ``t_ns``, each with the frames of all cameras.
 
         A frame carries the middle of its exposure, so the first one behind ``t_ns`` may have begun before
         it. It is passed over: a camera begins no exposure before the one before has ended. Raises
         CameraError when a camera is at its end or when none come for FRAME_SET_TIMEOUT_S, and a driver's own
-        failure. Exposures during which a camera was being set are passed over too.
+        failure. Frame sets during which a camera was being set are passed over too.
         """
         found: list[Pair[Frame]] = []
         under_way = True
@@ -108,12 +113,12 @@ class FrameSets:
         return found[:count]
 
     async def _complete(self) -> list[Pair[Frame]]:
-        """The next complete exposures, at least one."""
+        """The next complete frame sets, at least one."""
         complete: list[Pair[Frame]] = []
         try:
             async with asyncio.timeout(FRAME_SET_TIMEOUT_S):
                 while not complete:
-                    complete = [p for p in await self.settled() if len(p.items) == len(self._cameras)]
+                    complete = [p for p in await self.settled() if len(p.items) == len(self.cameras)]
                     if not complete and any(task.done() for task in self._acquiring):
                         self.check()
                         raise CameraError(self._complaint())

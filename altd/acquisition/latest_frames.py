@@ -51,8 +51,8 @@ class LatestFrames:
 
     Frames are given in rounds, one of each camera in a round. Where locating keeps up, each is given when it
     comes. Where that of a camera is behind, no round begins before that camera can begin one: then all that
-    wait are given the newest exposure of which each has a frame. So they drop the same exposures, and what is
-    left makes pairs.
+    wait are given the newest frame set of which each has a frame. So they drop the same frame sets, and what
+    is left makes pairs.
     """
 
     def __init__(self, cameras: Iterable[str]) -> None:
@@ -60,7 +60,7 @@ class LatestFrames:
         self._slots = {camera: _Slot(threading.Condition(self._lock)) for camera in cameras}
         self._round = 0
         self._round_ns = 0
-        """The time of the exposure that is given in it."""
+        """The time of the frame set that is given in it."""
 
     @property
     def dropped(self) -> Mapping[str, int]:

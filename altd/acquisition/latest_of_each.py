@@ -29,9 +29,9 @@ class LatestOfEach(Generic[Item]):
     """A slot for each camera, between their threads and the event loop, which is woken once a frame set.
 
     An item alone, of several cameras, completes no set: it waits in its slot until each camera has given one,
-    or until one has given its next, which says that a partner is late. Then the loop is woken. An item that
-    comes before the loop has taken those that it was woken for replaces its camera's; ``merge`` makes one of
-    the dropped and the newer one.
+    or until one has given its next, which says that a partner is late. Then the loop is woken. A slot has
+    ``room`` for so many that a loop which was woken has not taken yet; then the newest replaces the oldest.
+    ``merge`` makes one of the dropped item and the one after it.
     """
 
     def __init__(
@@ -39,14 +39,16 @@ class LatestOfEach(Generic[Item]):
         cameras: Iterable[str],
         clock: Clock,
         merge: Callable[[Item, Item], Item] = lambda dropped, newer: newer,
+        room: int = 1,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._clock = clock
         self._merge = merge
+        self._room = room
         self._ready = asyncio.Event()
         self._taken = threading.Condition()
         self._slots: dict[str, list[Item]] = {camera: [] for camera in cameras}
-        """Of one camera two only while the loop is woken, since the second said that a partner is late."""
+        """Oldest first."""
         self._is_woken = False
         """The loop was told of all that is in the slots, and has not taken it yet."""
         self._wake_for_each = False
@@ -66,18 +68,13 @@ class LatestOfEach(Generic[Item]):
             if self._is_closed:
                 return
             self.delivered_ns = self._clock.monotonic_ns()
-            if slot and self._is_woken:
-                self.dropped[item.camera] += len(slot)
-                for dropped in slot:
-                    item = self._merge(dropped, item)
-                slot.clear()
             slot.append(item)
+            while len(slot) > self._room and self._is_woken:
+                dropped = slot.pop(0)
+                slot[0] = self._merge(dropped, slot[0])
+                self.dropped[item.camera] += 1
             if self._wake_for_each or len(slot) > 1 or all(self._slots.values()):
                 self._wake()
-
-    def hear(self) -> None:
-        """A camera delivered what is not to be taken, from its thread."""
-        self.delivered_ns = self._clock.monotonic_ns()
 
     @property
     def is_empty(self) -> bool:

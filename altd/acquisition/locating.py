@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Callable
 
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.buffers import Buffers
 from altd.measuring.spot_locator import Located, SpotLocator
-from altd.records import Frame
+from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
+MAX_WAITING_FRAMES = 8
+"""What was located waits for a loop that comes late, so many of a camera: it is small, and was the work."""
 _CHECK_INTERVAL_S = 0.25
 _MAX_CHECKS = 20
 """One frame that is still being located after so many checks, 5 s, never will be. Checks are counted and not
@@ -24,18 +26,19 @@ class LocatingStalledError(Exception):
 
 
 async def locate_frames(
-    frames: LatestFrames,
+    buffers: Buffers,
     locator: SpotLocator,
-    located: LatestOfEach[Located],
     exposure: ExposureControl | None = None,
     waits: bool = False,
+    show: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
 ) -> None:
     """Locate the spot in each of a camera's frames, until cancelled or until they are at their end.
 
-    ``exposure`` is shown each of them. ``waits``: none is to be dropped. Raises what the locator raises, and
+    ``exposure`` is shown each of them, and ``show`` is called with each and its spot, in the thread.
+    ``waits``: none is to be dropped. Raises what the locator raises, and
     LocatingStalledError when it does not return.
     """
-    worker = _Worker(frames, locator, located, exposure, waits)
+    worker = _Worker(buffers, locator, exposure, waits, show)
     done = call_in_thread(worker.run, f"locate-{locator.camera}")
     done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
     same, checks = None, 0
@@ -52,19 +55,14 @@ async def locate_frames(
     finally:
         worker.stop.set()
         if not done.done():
-            frames.close()
-            located.close()
+            buffers.close()
         await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
     done.result()
-    located.wake()  # nothing follows that would
+    buffers.located.wake()  # nothing follows that would
 
 
-def locate_frame(
-    frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None
-) -> Located | None:
-    """What one frame holds; None when it was taken with the frame LEDs on, which is not measured."""
-    if frame.leds_on:
-        return None
+def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None) -> Located:
+    """What one frame holds; ``exposure`` is shown it."""
     located = locator.locate(frame)
     if exposure is not None and located.found is not None:
         exposure.sample(frame, located.found)
@@ -76,26 +74,24 @@ class _Worker:
 
     def __init__(
         self,
-        frames: LatestFrames,
+        buffers: Buffers,
         locator: SpotLocator,
-        located: LatestOfEach[Located],
         exposure: ExposureControl | None,
         waits: bool,
+        show: Callable[[Frame, Spot | NoSpot], None],
     ) -> None:
         self.stop = threading.Event()
         self.in_hand: Frame | None = None
-        self._frames = frames
+        self._frames, self._located = buffers.frames, buffers.located
         self._locator = locator
-        self._located = located
         self._exposure = exposure
         self._waits = waits
+        self._show = show
 
     def run(self) -> None:
         while (frame := self._frames.take(self._locator.camera)) is not None and not self.stop.is_set():
             self.in_hand = frame
             located = locate_frame(frame, self._locator, self._exposure)
             self.in_hand = None
-            if located is None:
-                self._located.hear()
-            else:
-                self._located.put(located, self._waits)
+            self._located.put(located, self._waits)
+            self._show(frame, located.spot)

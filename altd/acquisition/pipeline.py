@@ -5,49 +5,54 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.buffers import Buffers
+from altd.acquisition.self_check.service import SelfChecks
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.spot_locator import Located
-from altd.ports import Clock
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, State
+
+_HEARTBEAT_S = 4.0
+"""The pipeline is woken at least every ``silent_after_s``, which is 2 s at most."""
 
 
 class Pipeline:
     """One daemon's pipeline.
 
-    When no camera delivers, the board says so every ``silent_after_s``. ``progress`` is called each time an
-    exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames that are
-    taken and come to nothing do not. ``frames`` are the slots in which frames wait to be located.
+    When no camera delivers, the board says so every ``chain.silent_after_s``. ``progress`` is called each
+    time an exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames
+    that are taken and come to nothing do not. ``checks`` are shown what was located, and have a say in what
+    is put on the board.
     """
 
     def __init__(
         self,
-        located: LatestOfEach[Located],
-        frames: LatestFrames,
+        buffers: Buffers,
         chain: MeasuringChain,
         board: Board,
         component: Component,
-        clock: Clock,
-        silent_after_s: float,
         progress: Callable[[], None] = lambda: None,
+        checks: SelfChecks | None = None,
     ) -> None:
-        self._located = located
-        self._frames = frames
+        self._buffers = buffers
+        self._located = buffers.located
         self._chain = chain
         self._board = board
         self._component = component
-        self._clock = clock
-        self._silent_after_s = silent_after_s
+        self._clock = component.clock
+        self._checks = checks
+        self._silent_after_s = chain.silent_after_s
         self._progress = progress
-        self._heard_ns = clock.monotonic_ns()
+        self.observe: Callable[[Located], None] = lambda located: None
+        """Is shown all that was located."""
+        self._heard_ns = self._clock.monotonic_ns()
         """When something came or, if that was later, when it was last said that nothing does."""
         self._is_silent = True
 
     async def run(self) -> None:
         """Measure until cancelled; a failure here ends the daemon."""
+        self._component.expect(_HEARTBEAT_S)
         ticking = asyncio.create_task(self._tick(), name="silence-tick")
         try:
             while True:
@@ -72,12 +77,16 @@ class Pipeline:
         return (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
 
     def _measure(self, located: list[Located]) -> None:
+        self._component.is_alive()
         is_silent = self._silent_for_s() >= self._silent_after_s
         if not located and not is_silent:
             return
         self._is_silent = is_silent
-        before = self._chain.exposures, self._board.published
+        before = self._chain.frame_sets, self._board.published
         for one in located:
+            if self._checks is not None:
+                self._checks.look(one)
+            self.observe(one)
             for measurement in self._chain.add(one):
                 self._put_up(measurement)
         if is_silent:
@@ -86,16 +95,20 @@ class Pipeline:
         not_told = dict.fromkeys(self._component.figures)
         self._component.observe(not_told | self._chain.step() | self._chain.views())
         self._component.counters["late_frames"] = self._chain.late_frames
-        of_frames = self._frames.dropped
-        for camera, dropped in self._located.dropped.items():
-            self._component.counters[f"dropped_{camera}"] = dropped + of_frames[camera]
-        if (self._chain.exposures, self._board.published) != before:
+        for camera, dropped in self._buffers.dropped.items():
+            self._component.counters[f"dropped_{camera}"] = dropped
+        if (self._chain.frame_sets, self._board.published) != before:
             self._progress()
 
     def _put_up(self, measurement: Measurement) -> None:
+        if self._checks is not None:
+            checked = self._checks.pass_on(measurement)
+            if checked is None:
+                return
+            measurement = checked
         self._board.publish(measurement)
         self._component.count("measurements")
         if measurement.valid:
             self._component.count("valid")
         state = State.OK if measurement.valid else State.DEGRADED
-        self._component.say(state, lambda now_ns: self._chain.seen())
+        self._component.set_state(state, lambda now_ns: self._chain.seen())

@@ -9,7 +9,7 @@ from typing import Any
 
 MAX_BINS = 2000
 """More than a drawing has places for."""
-_GAP_PERIODS = 3.0
+_MAX_GAP_PERIODS = 3.0
 """Bins further apart than this many usual distances have nothing between them."""
 
 
@@ -115,7 +115,7 @@ class History:
         return list(dict.fromkeys(code for of in self.bins for code in of.codes))
 
     def _without_gaps(self, wanted: Callable[[Bin], bool]) -> Iterator[list[Bin]]:
-        farthest_s = _GAP_PERIODS * self.period_s
+        farthest_s = _MAX_GAP_PERIODS * self.period_s
         run: list[Bin] = []
         for of in self.bins:
             if run and (not wanted(of) or of.first_s - run[-1].last_s > farthest_s):

@@ -134,7 +134,7 @@ def _about(question: Question, replay: Replay) -> dict[str, Any]:
             "recording_sha256": calibration.recording_sha256,
             "origin": "simulated" if calibration.simulated else "camera",
         },
-        "window": replay.window_in_words,
+        "window": replay.window_text,
     }
 
 
@@ -154,7 +154,7 @@ def _draw(place: Path, history: History, replay: Replay) -> None:
 
     header = replay.recording.header
     start = "" if header.start is None else f" · {utc_text(header.start)}"
-    title = f"Unit {header.unit.serial} · {header.note or header.kind}{start} · {replay.window_in_words}"
+    title = f"Unit {header.unit.serial} · {header.note or header.kind}{start} · {replay.window_text}"
     joined = replay.positions is None or not replay.positions.is_by_node
     content = svg(history, title, replay.is_simulated, joined)
     with replacing(place) as file:

@@ -23,7 +23,7 @@ def lines() -> Iterator[str]:
     yield "GPIO chips: [lamps], [indicators]"
     yield from _or_none(_gpio_chips())
     yield ""
-    yield "Serial ports: [[serial]], [stage]"
+    yield "Serial ports: [[serial]], [inclinometer], [stage]"
     yield from _or_none(_serial_ports())
 
 

@@ -9,16 +9,29 @@ from pathlib import Path
 import cv2
 
 from altd import __version__
-from altd.acquisition.acquiring import acquire
+from altd.acquisition.acquiring import FrameSink, acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.buffers import Buffers
+from altd.acquisition.inclination.monitor import InclinationMonitor
 from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.latest_frames import LatestFrames
 from altd.acquisition.latest_of_each import LatestOfEach
-from altd.acquisition.locating import locate_frames
+from altd.acquisition.locating import MAX_WAITING_FRAMES, locate_frames
+from altd.acquisition.pictures import Pictures
 from altd.acquisition.pipeline import Pipeline
-from altd.app.parts import calibration_of, cameras_of, indicators_of, lamps_of
+from altd.acquisition.self_check.exposing import CheckExposer
+from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.service import SelfChecks
+from altd.app.history import DaemonHistory, history_about, history_place
+from altd.app.kept_frames import folder_of_recordings, frame_keeper, frame_ring
+from altd.app.local import local_socket_of
+from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
+from altd.app.self_check import check_parts_of, fps_of, why_unchecked
+from altd.app.target_areas import target_areas_of
+from altd.app.upkeep import Upkeep
 from altd.config import (
+    AnyCameraSettings,
     AnySerialPortSettings,
     Config,
     LiveCameraSettings,
@@ -28,15 +41,17 @@ from altd.config import (
 from altd.errors import BadInputError, bare
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
-from altd.measuring.spot_locator import Located
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.ports import Camera, Clock, Indicators, Lamps
 from altd.records import CameraIdentity, Fault, origin_faults
 from altd.runtime.clock import SystemClock
-from altd.runtime.service_manager import ServiceManager
+from altd.runtime.real_time import real_time_interpreter
+from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.runtime.supervision import Publisher, keep_running
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
+from altd.status.proof import Identity, unit_number
+from altd.status.state import UnitState
 
 _FACES_START_TIMEOUT_S = 1.0
 
@@ -59,13 +74,28 @@ class Daemon:
         self.config = config
         self.clock = clock or SystemClock()
         instrument = BeamInstrument(calibration, config.measuring, config.installation)
-        self.board = Board(self.clock, config.measuring.stale_after_s, instrument.quantities)
+        identity = Identity.drawn(config.unit.serial)
         self.health = Health(self.clock)
         self.health.facts |= {
             "version": __version__,
             "serial": config.unit.serial,
+            "unit_number": f"{identity.unit:08X}",
             "calibration": _about(calibration),
         }
+        self.health.targets = target_areas_of(config, calibration)
+        self._inclination: InclinationMonitor | None = None
+        self._state_folder: Path | None = None
+        self.board = Board(self.clock, config.measuring.stale_after_s, instrument.quantities, identity)
+        if (inclinometer := inclinometer_of(config)) is not None:
+            component = self.health.component("inclinometer")
+            self._inclination = InclinationMonitor(
+                *inclinometer, instrument.quantities, config.installation, component, self.clock
+            )
+            self.board.add_sensors(self._inclination.quantities, self._inclination.complete)
+        self._upkeep = Upkeep(config, calibration, cameras, self.health, self.clock)
+        self.state = UnitState(self.board, self.health, self.clock, self._upkeep.watches)
+        self.health.state = self.state.read
+        self.past = DaemonHistory(self.board, self.health, self.state, self.clock)
         self.lamps: FrameLamps | None = None
         if lamps is not None:
             self.lamps = FrameLamps(lamps, self.health.component("lamps"), self.clock)
@@ -73,27 +103,43 @@ class Daemon:
         if indicators is not None:
             component = self.health.component("indicators")
             self._indicators = IndicatorPanel(indicators, self.board, self.health, component, self.clock)
-        views = [View(target.name, target.camera) for target in config.targets]
+        for known in calibration.targets:
+            _ = known.inverse  # made now, for the first measurement would hold the loop with it
+        views = [View(of.name, of.camera, _expected(config.cameras.get(of.camera))) for of in config.targets]
         self._cameras = {view.camera: cameras[view.camera] for view in views}
+        by_name = {target.name: target for target in calibration.targets}
+        self._calibrations = {view.camera: by_name[view.target] for view in views}
         self.chain = MeasuringChain(
             views,
             calibration,
             config.measuring,
             instrument,
-            self._origin_faults,
-            self.clock.utc,
-            lambda camera: self._cameras[camera].identity,
-            {
-                name: CameraIdentity(serial=settings.serial)
-                for name, settings in config.cameras.items()
-                if isinstance(settings, LiveCameraSettings)
-            },
+            Provenance(
+                origins=self._origin_faults,
+                identity=lambda camera: self._cameras[camera].identity,
+                utc=self.clock.utc,
+            ),
         )
+        self.checks: SelfChecks | None = None
+        if why := why_unchecked(calibration, self._cameras, lamps is not None):
+            self.health.self_check.unavailable = why
+        else:
+            parts = check_parts_of(config, calibration, views, self.chain, self.clock)
+            targets = {view.camera: view.target for view in views}
+            component = self.health.component("self-check")
+            self.checks = SelfChecks(parts, targets, self.health.self_check, component, self.clock)
         self._exposure = {
             name: ExposureControl(settings.exposure, settings.fps, config.measuring.window)
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
+
+    def keep_state_in(self, folder: Path) -> None:
+        """Keep in this folder what outlives a restart: what checks and recordings left. Before ``run``."""
+        self._state_folder = folder
+        if self.checks is not None:
+            path = folder / f"self-checks-{unit_number(self.config.unit.serial):08X}.json"
+            self.checks.keep_history_in(path, self.health.component("self-check history"))
 
     async def run(self) -> None:
         """Measure and publish until cancelled.
@@ -101,53 +147,84 @@ class Daemon:
         Raises BadInputError for an address that is taken; any other failure of the pipeline ends the
         daemon with that failure. A publisher's failure never does.
         """
+        async with self.past.recorded():
+            await self._run()
+
+    async def _run(self) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        frames = LatestFrames(self._cameras)
-        located = LatestOfEach[Located](self._cameras, self.clock)
         faces = dict(self._publishers())
         manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(faces))
         try:
             async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self.state.run(), name="state")
+                self._upkeep.start(tasks)
                 tried = [asyncio.Event() for _ in faces]
                 for (place, publisher), first_try in zip(faces.items(), tried, strict=True):
                     component = self.health.component(place)
                     face = keep_running(place, publisher, component, self.clock, first_try.set)
                     tasks.create_task(face, name=place)
                 await _all_of(tried)
-                for camera in self._cameras.values():
-                    self._measure_camera(tasks, camera, frames, located)
-                pipeline = Pipeline(
-                    located,
-                    frames,
-                    self.chain,
-                    self.board,
-                    self.health.component(MEASURING),
-                    self.clock,
-                    self.config.measuring.silent_after_s,
-                    manager.progress,
-                )
-                tasks.create_task(pipeline.run(), name="pipeline")
-                await self._lights()  # inside: told to end, they are dark before a camera is closed
+                with real_time_interpreter():
+                    self._measure(tasks, manager)
+                    if self._inclination is not None:
+                        tasks.create_task(self._inclination.run(), name="inclinometer")
+                    await self._lights()  # inside: told to end, they are dark before a camera is closed
         except BaseExceptionGroup as group:
             refused = bare(group, BadInputError)
             if refused is None:
                 raise
             raise refused from None
 
-    def _measure_camera(
-        self,
-        tasks: asyncio.TaskGroup,
-        camera: Camera,
-        frames: LatestFrames,
-        located: LatestOfEach[Located],
-    ) -> None:
-        """One thread acquires a camera's frames, another one locates the spot in the newest of them."""
-        exposure = self._exposure.get(camera.name)
-        health = self.health.component(f"camera {camera.name}")
-        acquiring = tasks.create_task(acquire(camera, frames, health, exposure), name=health.name)
-        acquiring.add_done_callback(lambda _: frames.end(camera.name))
-        locating = locate_frames(frames, self.chain.locators[camera.name], located, exposure, camera.waits)
-        tasks.create_task(locating, name=f"locate {camera.name}")
+    def _measure(self, tasks: asyncio.TaskGroup, manager: ServiceManager) -> None:
+        """A thread acquires the frames of a camera, another one locates the spot in the newest of them."""
+        frames = LatestFrames(self._cameras)
+        buffers = Buffers(frames, LatestOfEach(self._cameras, self.clock, room=MAX_WAITING_FRAMES))
+        pictures = Pictures(self._calibrations, self.clock)
+        self.health.pictures.open(pictures)
+        tasks.create_task(pictures.run(), name="pictures")
+        kept = self._kept(tasks, frames)
+        sink = kept if self.checks is None else self._marked(tasks, kept)
+        for name, camera in self._cameras.items():
+            exposure, health = self._exposure.get(name), self.health.component(f"camera {name}")
+            acquiring = tasks.create_task(acquire(camera, sink, health, exposure), name=health.name)
+            acquiring.add_done_callback(lambda _, name=name: frames.end(name))  # type: ignore[misc]
+            locating = locate_frames(buffers, self.chain.locators[name], exposure, camera.waits, pictures.put)
+            tasks.create_task(locating, name=f"locate {name}")
+        pipeline = Pipeline(
+            buffers,
+            self.chain,
+            self.board,
+            self.health.component(MEASURING),
+            manager.progress,
+            self.checks,
+        )
+        pipeline.observe = self._upkeep.observe
+        tasks.create_task(pipeline.run(), name="pipeline")
+
+    def _kept(self, tasks: asyncio.TaskGroup, frames: FrameSink) -> FrameSink:
+        """What keeps the last seconds of frames on their way into the slots, where it may."""
+        desk, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
+        if not self.config.kept_frames.memory_mb:
+            desk.unavailable = "kept_frames.memory_mb is 0"
+            return frames
+        if folder is None:
+            desk.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
+            return frames
+        ring = frame_ring(self.config, self._cameras, frames)
+        keeper = frame_keeper(self.config, self._cameras, ring, folder, self.state, self.health)
+        keeper.note = self.past.note_recording
+        tasks.create_task(keeper.run(), name="kept frames")
+        return ring
+
+    def _marked(self, tasks: asyncio.TaskGroup, frames: FrameSink) -> MarkedFrames:
+        """What marks the frames under LEDs on their way into the slots; the checks begin."""
+        assert self.checks is not None and self.lamps is not None  # noqa: PT018, S101  asked before
+        leds = self.checks.leds
+        marked = MarkedFrames(frames, leds, self._cameras)
+        exposures, fps = self.config.self_check.exposures, fps_of(self.config)
+        exposer = CheckExposer(self.lamps, leds, marked, self.clock, exposures, fps)
+        tasks.create_task(self.checks.run(exposer, self.lamps, marked), name="self-check")
+        return marked
 
     async def _lights(self) -> None:
         """Keep lamps and indicators, until cancelled."""
@@ -168,12 +245,22 @@ class Daemon:
             from altd.publish.modbus.tcp import ModbusTcpPublisher
 
             place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
-            yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place))
+            yield (
+                place,
+                ModbusTcpPublisher(
+                    config.modbus_tcp, board, health.component(place), health.self_check, self.state.read
+                ),
+            )
         if config.http is not None:
             from altd.publish.http.publisher import HttpPublisher
 
             place = f"http {config.http.host}:{config.http.port}"
-            yield place, HttpPublisher(config.http, board, health, health.component(place))
+            yield place, HttpPublisher(config.http, board, health, health.component(place), self.past.history)
+        if (path := local_socket_of(config)) is not None:
+            from altd.publish.http.local import LocalPublisher
+
+            place = f"local {path}"
+            yield place, LocalPublisher(path, board, health, health.component(place), self.past.history)
         for port in config.serial:
             place = f"serial {port.device}"
             yield place, self._serial_publisher(port, place)
@@ -183,12 +270,12 @@ class Daemon:
         if isinstance(port, ModbusRtuPortSettings):
             from altd.publish.modbus.rtu import ModbusRtuPublisher
 
-            return ModbusRtuPublisher(port, self.board, component)
+            return ModbusRtuPublisher(port, self.board, component, self.state.read)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 
         if isinstance(port, TelegramPortSettings):
             return TelegramPublisher(port, self.board, component, self.clock)
-        return ConsolePublisher(port, self.board, self.health, component, self.clock)
+        return ConsolePublisher(port, self.board, self.health, component, self.clock, self.past.for_console())
 
 
 def daemon_of(config: Config, place: Path) -> Daemon:
@@ -198,8 +285,21 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
     daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators)
     for component in (MEASURING, *(f"camera {name}" for name in cameras)):
-        daemon.health.component(component).say(State.STARTING)
+        daemon.health.component(component).set_state(State.STARTING)
+    if (folder := state_folder()) is not None:
+        daemon.keep_state_in(folder)
+    path, why = history_place(config)
+    if path is None:
+        daemon.past.leave_out(why)
+    else:
+        about = history_about(config, calibration, daemon.board.quantities)
+        daemon.past.keep_in(path, config.history.max_mb * 10**6, about)
     return daemon
+
+
+def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
+    """What the config says of the camera itself; None: nothing."""
+    return CameraIdentity(serial=camera.serial) if isinstance(camera, LiveCameraSettings) else None
 
 
 def _about(calibration: Calibration) -> str:

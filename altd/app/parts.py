@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from altd.acquisition.auto_exposure.control import ExposureControl
@@ -13,6 +14,8 @@ from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
     Config,
+    HttpSettings,
+    InclinometerSettings,
     LiveCameraSettings,
     RecordingCameraSettings,
     V4l2CameraSettings,
@@ -20,7 +23,7 @@ from altd.config import (
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
-from altd.ports import Camera, Indicators, Lamps, Stage, SwitchingCamera
+from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, SwitchingCamera
 from altd.recording.reader import open_recording
 
 
@@ -62,7 +65,25 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
             calibration = calibration_of(config, cameras)
         except BadInputError as error:
             errors.setdefault(str(error), error)
+    if config.http is not None:
+        for check in _checks_of_http(config.http):
+            try:
+                check()
+            except BadInputError as error:
+                errors.setdefault(str(error), error)
     return calibration, list(errors.values())
+
+
+def _checks_of_http(settings: HttpSettings) -> Iterator[Callable[[], object]]:
+    """What reads the files of ``[http]``, as the face itself will."""
+    if settings.credentials is not None:
+        from altd.credentials.file import load_credentials
+
+        yield partial(load_credentials, settings.credentials)
+    if settings.certificate is not None and settings.key is not None:
+        from altd.publish.http.tls import context_of
+
+        yield partial(context_of, settings.certificate, settings.key)
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
@@ -165,6 +186,15 @@ def indicators_of(config: Config) -> Indicators | None:
     from altd.devices.gpio.lamps import GpioIndicators
 
     return GpioIndicators(config.indicators)
+
+
+def inclinometer_of(config: Config) -> tuple[Inclinometer, InclinometerSettings] | None:
+    """The inclinometer that a config asks for, with its settings; None when it has none."""
+    if config.inclinometer is None:
+        return None
+    from altd.devices.inclinometer.driver import ModbusInclinometer
+
+    return ModbusInclinometer(config.inclinometer), config.inclinometer
 
 
 def stage_of(config: Config, place: Path) -> Stage:

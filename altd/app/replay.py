@@ -9,17 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from altd.app.scan_positions import ScanPositions
+from altd.app.target_names import why_unusable
 from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
 from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.recording.reader import Recording, open_recording
 from altd.records import Measurement, Origin, Quantities, origin_faults
 from altd.status.measurement_json import as_object, as_scan_object
 
-_SILENT_AFTER_EXPOSURES = 8
+_SILENT_AFTER_FRAME_SETS = 8
 
 Progress = Callable[[int, int], None]
 """Told after each row how many of how many are done."""
@@ -53,7 +54,7 @@ class Replay:
         return self.calibration.simulated or Origin.SIMULATED in of_frames
 
     @property
-    def window_in_words(self) -> str:
+    def window_text(self) -> str:
         """What is averaged."""
         if self.positions is not None and self.positions.is_by_node:
             return "all exposures of a node"
@@ -87,9 +88,11 @@ class Replay:
             self.calibration,
             self.measuring,
             self._instrument,
-            lambda: origin_faults(origins),
-            utc=lambda t_ns: _utc(header.start, t_ns),
-            place=positions.place if positions is not None else lambda sequence: None,
+            Provenance(
+                origins=lambda: origin_faults(origins),
+                utc=lambda t_ns: _utc(header.start, t_ns),
+                place=positions.place if positions is not None else lambda sequence: None,
+            ),
         )
         total = len(self.recording.rows)
         for done, row in enumerate(self.recording.rows, start=1):
@@ -115,6 +118,9 @@ def open_replay(
             calibration_path,
             f"is of target {only!r} alone; a beam needs at least {BeamInstrument.min_targets} targets",
         )
+    for name in calibration.target_names:
+        if why := why_unusable(name):
+            raise BadInputError(calibration_path, f"target {name!r} {why}: calibrate with another name")
     for target in header.shown_targets:
         size = header.cameras[target.camera]
         check_image_size(calibration, calibration_path, target.name, size.width, size.height)
@@ -126,7 +132,7 @@ def open_replay(
     if missing:
         raise BadInputError(recording_path, f"has no camera that looks at target {missing[0]!r}")
     views = tuple(View(name, cameras[name]) for name in calibration.target_names)
-    settings: dict[str, float] = {"silent_after_s": max(0.4, _SILENT_AFTER_EXPOSURES / header.fps)}
+    settings: dict[str, float] = {"silent_after_s": max(0.4, _SILENT_AFTER_FRAME_SETS / header.fps)}
     positions = None
     if header.kind == "scan":
         averaged = window if every is None else window or Measuring().window

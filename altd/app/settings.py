@@ -6,16 +6,25 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from altd.app.target_names import why_unusable
 from altd.config import Config, TelegramPortSettings, load_config
+from altd.config.complaints import shown
 from altd.config.draft import Draft
 from altd.config.wording import Fault
-from altd.publish.serial.telegram import MAX_TELEGRAM_BYTES
+from altd.publish.serial.telegram import MAX_CHECKED_BYTES, MAX_TELEGRAM_BYTES
 from altd.serial_port.port import seconds_on_line
 
 
 def load_settings(path: Path) -> Config:
     """Read and check a config file; raises BadInputError that names the file and each fault's place."""
-    return load_config(path, (telegrams_fit_their_lines,))
+    return load_config(path, (telegrams_fit_their_lines, targets_can_be_told))
+
+
+def targets_can_be_told(draft: Draft) -> Iterator[Fault]:
+    """No target has the name of something that stands beside it in an output."""
+    for number, target in enumerate(draft.targets):
+        if target is not None and (why := why_unusable(target.name)):
+            yield Fault(("targets", number, "name"), f"{shown(target.name)} {why}; possible: another name")
 
 
 def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
@@ -23,12 +32,12 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
     for number, port in enumerate(draft.serial):
         if not isinstance(port, TelegramPortSettings):
             continue
-        takes_s = seconds_on_line(port, MAX_TELEGRAM_BYTES)
+        takes_s = seconds_on_line(port, MAX_CHECKED_BYTES if port.checked else MAX_TELEGRAM_BYTES)
         if port.rs485 is not None:
             takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
         if takes_s > port.interval_s:
             least_s = math.ceil(takes_s * 100) / 100
             text = f"{port.interval_s:g} is too short at {port.baud} baud; possible: from {least_s:g}"
-            keys = ("baud", "parity", "stop_bits", "rs485")
+            keys = ("baud", "parity", "stop_bits", "rs485", "checked")
             about = tuple(("serial", number, key) for key in keys)
             yield Fault(("serial", number, "interval_s"), text, about=about)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -13,7 +11,7 @@ from altd.calibration.file_content import calibration_of, document_of
 from altd.calibration.file_tables import FORMAT, CalibrationTable
 from altd.calibration.soundness import check_calibration
 from altd.errors import BadInputError
-from altd.files.documents import parse_json
+from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration
@@ -22,13 +20,13 @@ from altd.records import CameraIdentity
 _MAX_BYTES = 1 << 26
 """Two flats of 20 megapixels that no compression makes smaller."""
 
-_SAME_Z_MM = 1e-3
+_Z_TOLERANCE_MM = 1e-3
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
     document = document_of(calibration)
-    document["checksum"] = _checksum(document)
+    document["checksum"] = checksum_of(document)
     write_file(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
@@ -44,7 +42,7 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     if document.get("format") != FORMAT:
         raise BadInputError(path, f"format is {document.get('format')!r}, this altd reads {FORMAT!r}")
     checksum = document.pop("checksum", None)
-    if checksum != _checksum(document):
+    if checksum != checksum_of(document):
         raise BadInputError(path, "checksum does not fit: the file is damaged or was edited")
     try:
         calibration = calibration_of(CalibrationTable.model_validate(document))
@@ -76,7 +74,7 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
 def check_place(calibration: Calibration, path: Path, target: str, z_mm: float) -> None:
     """Refuse a target that stands elsewhere on the beam than where it was calibrated."""
     known = calibration.target(target)
-    if known is not None and abs(known.z_mm - z_mm) > _SAME_Z_MM:
+    if known is not None and abs(known.z_mm - z_mm) > _Z_TOLERANCE_MM:
         raise BadInputError(path, f"target {target!r} was calibrated at z {known.z_mm:g} mm, not {z_mm:g}")
 
 
@@ -85,9 +83,3 @@ def check_camera(calibration: Calibration, path: Path, target: str, camera: Came
     known = calibration.target(target)
     if known is not None and (difference := camera.difference_from(known.camera)):
         raise BadInputError(path, f"target {target!r} was calibrated with another camera: {difference}")
-
-
-def _checksum(document: dict[str, Any]) -> str:
-    """SHA-256 over the document without its checksum, keys sorted, no spaces."""
-    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
-    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from altd.calibration.evidence import Candidate
-from altd.calibration.margin import OuterRow, outer_rows, with_margin
+from altd.calibration.margin import outer_rows, with_margin
 from altd.mapping.camera_model import Optics
 from altd.mapping.fiducials import Fiducials
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 from altd.measuring.cross_check import CrossCheck
-from altd.records import FloatArray
 
 _OUTLIER_SIGMAS = 6.0
 _RAYLEIGH_MEDIAN = 1.1774
@@ -37,18 +36,6 @@ class TargetFit:
     cross_check: CrossCheck
     candidates: tuple[Candidate, ...]
     dropped: list[int]
-
-
-class _Nodes(NamedTuple):
-    """Places (n, 2) mm, where they are seen (n, 2) px, and each one's relative sigma (n,)."""
-
-    mm: FloatArray
-    px: FloatArray
-    relative_sigma: FloatArray
-
-    def without(self, outer: OuterRow) -> _Nodes:
-        """All but an outer row."""
-        return _Nodes(*(np.delete(values, outer.rows, axis=0) for values in self))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,29 +65,25 @@ class _Families:
 
 
 def fit_nodes(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
+    nodes: Nodes,
     image_size: tuple[int, int],
     degree: tuple[int, int] | None,
     max_dropped: int,
     fiducials: Fiducials | None = None,
-    relative_sigma: FloatArray | None = None,
 ) -> TargetFit:
-    """Fit nodes (n, 2) mm at (n, 2) px by every model; the best is the map, the other family's checks it.
+    """Fit nodes by every model; the best is the map, the other family's checks it.
 
     A node without which the map of the others is clearly better, such as one at which the stage was bumped,
     is dropped; one after the other, at most ``max_dropped``. ``fiducials`` of a print guide the lens models.
-    ``relative_sigma`` (n,) says by how much one node scatters more than another. Raises ValueError when the
-    nodes are no grid or too few.
+    Raises ValueError when the nodes are no grid or too few.
     """
-    each = np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma
 
     def fit(rows: npt.NDArray[np.intp]) -> _Families:
-        return _fit_families(nodes_mm[rows], nodes_px[rows], each[rows], image_size, degree, fiducials)
+        return _fit_families(nodes.select(rows), image_size, degree, fiducials)
 
-    kept = np.arange(len(nodes_mm))
+    kept = np.arange(len(nodes))
     families = fit(kept)
-    while len(nodes_mm) - len(kept) < max_dropped:
+    while len(nodes) - len(kept) < max_dropped:
         trials = []
         for row, gain in _suspects(families).items():
             others = np.delete(kept, row)
@@ -113,15 +96,15 @@ def fit_nodes(
         if not trials:
             break
         kept, families = min(trials, key=lambda trial: trial[1].best.leave_one_out_px)
-    nodes = _Nodes(nodes_mm[kept], nodes_px[kept], each[kept])
+    used = nodes.select(kept)
     tensor, lens = families.tensor, families.lens
     try:
-        outer = outer_rows(nodes.mm)
-        inner = [nodes.without(row) for row in outer]
+        outer = outer_rows(used.mm)
+        inner = [used.without(row.rows) for row in outer]
         tensors = [_tensor_again(others, degree) for others in inner]
         lenses = [_lens_again(lens, others, image_size, fiducials) for others in inner]
-        tensor = with_margin(tensor, nodes.mm, nodes.px, outer, tensors)
-        lens = with_margin(lens, nodes.mm, nodes.px, outer, lenses)
+        tensor = with_margin(tensor, used.mm, used.px, outer, tensors)
+        lens = with_margin(lens, used.mm, used.px, outer, lenses)
     except ValueError:  # too few nodes to leave any out: known between them, and no further
         pass
     best, other = (tensor, lens) if families.best is families.tensor else (lens, tensor)
@@ -129,7 +112,7 @@ def fit_nodes(
         best,
         CrossCheck.between(best, other),
         tuple(_candidate(fit) for fit in families.tensors + families.lenses),
-        sorted(set(range(len(nodes_mm))) - set(kept.tolist())),
+        sorted(set(range(len(nodes))) - set(kept.tolist())),
     )
 
 
@@ -148,39 +131,32 @@ def _suspects(families: _Families) -> dict[int, float]:
 
 
 def _fit_families(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
-    relative_sigma: FloatArray,
-    image_size: tuple[int, int],
-    degree: tuple[int, int] | None,
-    fiducials: Fiducials | None,
+    nodes: Nodes, image_size: tuple[int, int], degree: tuple[int, int] | None, fiducials: Fiducials | None
 ) -> _Families:
-    hull_mm = convex_hull_mm(nodes_mm)
+    hull_mm = convex_hull_mm(nodes.mm)
     if degree is None:
-        tensors = fit_tensor_maps(nodes_mm, nodes_px, hull_mm, relative_sigma)
+        tensors = fit_tensor_maps(nodes.mm, nodes.px, hull_mm, nodes.relative_sigma)
     else:
-        tensors = [fit_tensor_map(nodes_mm, nodes_px, hull_mm, degree, relative_sigma)]
-    lenses = fit_lens_maps(nodes_mm, nodes_px, hull_mm, image_size, fiducials, relative_sigma)
+        tensors = [fit_tensor_map(nodes.mm, nodes.px, hull_mm, degree, nodes.relative_sigma)]
+    lenses = fit_lens_maps(nodes, hull_mm, image_size, fiducials)
     return _Families(_unfolded(tensors), _unfolded(lenses))
 
 
-def _tensor_again(nodes: _Nodes, degree: tuple[int, int] | None) -> Fit:
+def _tensor_again(nodes: Nodes, degree: tuple[int, int] | None) -> Fit:
     """The tensor polynomial through other nodes; its degree is chosen anew."""
     return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), degree, nodes.relative_sigma)
 
 
-def _lens_again(fit: Fit, nodes: _Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:
+def _lens_again(fit: Fit, nodes: Nodes, image_size: tuple[int, int], fiducials: Fiducials | None) -> Fit:
     """The same lens model through other nodes."""
     optics: Optics = "fisheye" if fit.map.model.startswith("fisheye") else "brown"
     return fit_lens_map(
-        nodes.mm,
-        nodes.px,
+        nodes,
         convex_hull_mm(nodes.mm),
         image_size,
         optics,
         0 if fit.degree is None else fit.degree[0],
         fiducials,
-        nodes.relative_sigma,
     )
 
 

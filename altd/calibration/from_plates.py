@@ -24,6 +24,7 @@ from altd.mapping.light_centre import (
     px2_per_mm2,
     spot_moment_mm2,
 )
+from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.recording.header import PlateHeader
 from altd.records import FloatArray, Frame
@@ -204,7 +205,9 @@ def _fit(
     shift_px = np.zeros_like(centres_px)
     for _ in range(_ITERATIONS):
         nodes_px = centres_px + shift_px
-        fitted = fit_nodes(nodes_mm[kept], nodes_px[kept], image_size, None, max_dropped - len(complaints))
+        fitted = fit_nodes(
+            Nodes.ordinary(nodes_mm[kept], nodes_px[kept]), image_size, None, max_dropped - len(complaints)
+        )
         fit = fitted.fit
         for row in (kept[at] for at in fitted.dropped):
             off_px = float(np.linalg.norm(nodes_px[row] - fit.map.to_px(nodes_mm[row : row + 1])[0]))
@@ -223,7 +226,7 @@ def _fit(
         disc_mm = _disc_mm(plate, usual_mm2)
         moment = spot_moment - disc_moment_mm2(disc_mm)
         shift_px = light_centre_shift_px(fit.map.to_px, nodes_mm, moment)
-    fitted = fit_nodes(nodes_mm[kept], (centres_px + shift_px)[kept], image_size, None, 0)
+    fitted = fit_nodes(Nodes.ordinary(nodes_mm[kept], (centres_px + shift_px)[kept]), image_size, None, 0)
     return fitted, kept, complaints
 
 

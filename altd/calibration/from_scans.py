@@ -31,6 +31,7 @@ from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.fiducials import Fiducials
 from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
@@ -191,13 +192,11 @@ def _fit_target(job: Job, scanned: ScannedTarget, fiducials: Fiducials | None) -
                 place, f"{job.name}: {len(refused)} of {len(scanned.nodes)} nodes have no spot: {why}"
             )
         fitted = fit_nodes(
-            _positions_mm(nodes),
-            _spots_px(nodes),
+            Nodes(_positions_mm(nodes), _spots_px(nodes), relative_sigmas(nodes, job.frames.image_size)),
             job.frames.image_size,
             None,
             grid.block.most_missing - grid.block.missing,
             fiducials,
-            relative_sigmas(nodes, job.frames.image_size),
         )
     except ValueError as error:
         raise BadInputError(place, f"{job.name}: {error}") from error

@@ -11,10 +11,11 @@ from altd.calibration.scan_nodes import Node, ScannedTarget
 from altd.mapping.grid import Axis, Block
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 
-_MAX_ALIKE_RATIO = 1.5
+_MAX_SIGMA_RATIO = 1.5
 """Up to so many times the median sigma spots are alike: print and speckle move a dim one no more."""
 _ITERATIONS = 3
 
@@ -65,7 +66,7 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
     """
     sigmas_px = np.array([node.sigma_px for node in nodes])
     relative = np.ones(len(nodes))
-    uneven = sigmas_px > _MAX_ALIKE_RATIO * np.median(sigmas_px)
+    uneven = sigmas_px > _MAX_SIGMA_RATIO * np.median(sigmas_px)
     if not uneven.any():
         return relative
     places_mm = np.array([node.position_mm for node in nodes])
@@ -74,7 +75,7 @@ def relative_sigmas(nodes: Sequence[Node], image_size: tuple[int, int]) -> Float
     for _ in range(_ITERATIONS):
         first = (
             fit_tensor_map(places_mm, places_px, hull_mm, None, relative),
-            fit_lens_map(places_mm, places_px, hull_mm, image_size, relative_sigma=relative),
+            fit_lens_map(Nodes(places_mm, places_px, relative), hull_mm, image_size),
         )
         ordinary_px = min(fit.map.noise_px for fit in first)
         relative = np.where(uneven, np.maximum(sigmas_px / ordinary_px, 1.0), 1.0)

@@ -17,7 +17,7 @@ from altd.vision.frame_leds import locate_leds
 from altd.vision.localise import is_patterned_spot, locate
 from altd.vision.settings import SpotSettings
 
-_SAME_NODE_MM = 0.5
+_NODE_TOLERANCE_MM = 0.5
 """Exposures whose stage positions round to the same half millimetre belong to one node."""
 
 
@@ -197,7 +197,7 @@ def printed_nodes(job: Job) -> tuple[int, int]:
 def node_key(position_mm: tuple[float, float]) -> tuple[int, int]:
     """Which node a stage's position belongs to."""
     x_mm, y_mm = position_mm
-    return round(x_mm / _SAME_NODE_MM), round(y_mm / _SAME_NODE_MM)
+    return round(x_mm / _NODE_TOLERANCE_MM), round(y_mm / _NODE_TOLERANCE_MM)
 
 
 def node_spot(frame: Frame, localiser: SpotSettings, flat: Flat | None) -> Spot | NoSpot:

@@ -16,7 +16,7 @@ from altd.records import CameraIdentity, Frame, Origin
 
 CalibrationKind = Literal["scan", "plate"]
 
-_SAME_Z_MM = 1e-3
+_Z_TOLERANCE_MM = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ def target_frames(recordings: Sequence[Recording]) -> tuple[TargetFrames, ...]:
                 targets[target.name] = replace(known, parts=(*known.parts, part))
     in_order = tuple(sorted(targets.values(), key=lambda frames: frames.z_mm))
     for nearer, farther in itertools.pairwise(in_order):
-        if farther.z_mm - nearer.z_mm <= _SAME_Z_MM:
+        if farther.z_mm - nearer.z_mm <= _Z_TOLERANCE_MM:
             raise BadInputError(
                 farther.parts[0].header_file,
                 f"target {farther.name!r} stands at z {farther.z_mm:g} mm, where target {nearer.name!r} of "
@@ -199,7 +199,7 @@ def _check_same_target(known: TargetFrames, part: RecordedTarget) -> None:
         raise refusal(f"is shown by a {part.kind} here and by a {first.kind} in {first.recording.path}")
     if part.kind == "plate":
         raise refusal(f"is shown by the plate in {first.recording.path} already")
-    if abs(target.z_mm - known.z_mm) > _SAME_Z_MM:
+    if abs(target.z_mm - known.z_mm) > _Z_TOLERANCE_MM:
         raise refusal(f"stands at z {target.z_mm:g} mm, in {first.recording.path} at {known.z_mm:g} mm")
     if part.image_size != known.image_size:
         sizes = [f"{width} × {height}" for width, height in (part.image_size, known.image_size)]

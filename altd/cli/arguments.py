@@ -23,6 +23,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**settings)
         self.formatter_class = argparse.RawDescriptionHelpFormatter
         self._given: list[str] = []
+        self._negative_number_matcher = re.compile(r"-\d")  # argparse's own: -2h is a value and no option
 
     def parse_command(self, arguments: Sequence[str] | None) -> argparse.Namespace | None:
         """The arguments of a command, its name in ``command``; None: none was named, and all were shown.

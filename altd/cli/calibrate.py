@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, write file and report together, and print what was reached."""
+    from altd.app.target_names import why_unusable
     from altd.calibration.calibrating import calibrate
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, write_together
@@ -40,7 +41,10 @@ def run(options: argparse.Namespace) -> int:
     if options.report is not None:
         check_report(options.report)
     recordings = [open_recording(path) for path in options.recordings]
-    for recording in recordings:
+    for path, recording in zip(options.recordings, recordings, strict=True):
+        for target in recording.header.shown_targets:
+            if why := why_unusable(target.name):
+                raise BadInputError(path, f"target {target.name!r} {why}: record it with another name")
         for line in gap_lines(recording):
             complain(f"altd calibrate: {line}")
     flat = None if options.flat is None else open_recording(options.flat)

@@ -17,13 +17,20 @@ from altd.cli import (
     check_config,
     devices,
     doctor,
+    events,
+    export,
     lamps,
     locate,
     map,  # noqa: A004  the command's name
+    password,
     record,
     replay,
     run,
     scan,
+    selfcheck,
+    status,
+    token,
+    watch,
 )
 from altd.cli.arguments import Parser
 from altd.cli.options import DEFAULT_CONFIG
@@ -51,10 +58,19 @@ COMMANDS: dict[str, Command] = {
     "lamps": lamps,
     "locate": locate,
     "map": map,
+    "selfcheck": selfcheck,
+    "status": status,
+    "watch": watch,
+    "password": password,
+    "token": token,
+    "export": export,
+    "events": events,
     "check-config": check_config,
     "devices": devices,
     "doctor": doctor,
 }
+
+_WITHOUT_CONFIG = ("doctor", "status", "watch")
 
 _FIRST_STEPS = """first steps:
   altd doctor             what this computer lacks, and what mends it
@@ -96,12 +112,12 @@ def _set_up_libraries() -> None:
 
 
 def _choose_config(parser: Parser, options: argparse.Namespace) -> None:
-    """Where no config is named, the one of the service, if there is one; only the doctor does without."""
+    """Where no config is named, the one of the service, if there is one; some commands do without."""
     if "config" not in options or options.config is not None:
         return
     if DEFAULT_CONFIG.is_file():
         options.config = DEFAULT_CONFIG
-    elif options.command != "doctor":
+    elif options.command not in _WITHOUT_CONFIG:
         argument = "FILE" if options.command == "check-config" else "--config FILE"
         parser.refuse(options.command, f"missing: {argument}, for there is no {DEFAULT_CONFIG}")
 

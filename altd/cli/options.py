@@ -11,9 +11,38 @@ DEFAULT_CONFIG = Path("/etc/altd/altd.toml")
 """Where the service has its settings (docs/install.md)."""
 
 
+def add_credentials(parser: argparse.ArgumentParser) -> None:
+    """The arguments of a command that changes a file of credentials."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="the file that `[http] credentials` names")
+    parser.add_argument("name", metavar="NAME", help="whose: small letters, digits and _, a letter first")
+    parser.add_argument("--remove", action="store_true", help="take it away")
+
+
 def add_config(parser: argparse.ArgumentParser) -> None:
     """The settings; without, those of the service."""
     parser.add_argument("--config", type=Path, metavar="FILE", help=f"the settings ({DEFAULT_CONFIG})")
+
+
+def add_socket(parser: argparse.ArgumentParser) -> None:
+    """Where the running daemon is asked."""
+    add_config(parser)
+    parser.add_argument(
+        "--socket",
+        type=Path,
+        metavar="PATH",
+        help="the daemon's local socket, if not that of its settings",
+    )
+
+
+def socket_of(options: argparse.Namespace) -> Path:
+    """The socket to ask; that of the service where neither it nor settings are named and it has none."""
+    from altd.app.local import SERVICE_SOCKET, socket_to_ask
+    from altd.app.settings import load_settings
+
+    if options.socket is not None:
+        path: Path = options.socket
+        return path
+    return SERVICE_SOCKET if options.config is None else socket_to_ask(load_settings(options.config))
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str) -> None:

@@ -31,6 +31,7 @@ def run(options: argparse.Namespace) -> int:
     """Record; interrupted, say what is kept."""
     from altd.app.record import record_of
     from altd.app.settings import load_settings
+    from altd.ports import CameraError, LampsError
 
     config = load_settings(options.config)
     show, kept = progress_on("exposures"), 0
@@ -51,6 +52,9 @@ def run(options: argparse.Namespace) -> int:
                 else "altd record: interrupted before the first exposure"
             )
             raise
+        except (LampsError, CameraError) as error:
+            complain(f"altd record: {error}")
+            return 1
     complain(f"{exposures} exposures in {options.output}")
     return 0
 

@@ -21,9 +21,15 @@ from altd.config.faces import (
     SerialPortSettings,
     TelegramPortSettings,
 )
+from altd.config.history import HistorySettings
+from altd.config.inclinometer import InclinometerSettings
+from altd.config.kept_frames import KeptFrames
 from altd.config.lamps import AnyLampsSettings, CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
 from altd.config.loading import load_config
+from altd.config.local import LocalSettings
+from altd.config.maintenance import HwmonThermometerSettings, Maintenance
 from altd.config.measuring import Measuring
+from altd.config.self_check import SelfCheckSettings
 from altd.config.stage import GrblStageSettings, Scan
 from altd.config.table import Table
 from altd.config.unit import Installation, Target, Unit
@@ -40,16 +46,23 @@ __all__ = [
     "ExposureSettings",
     "GpiodLampsSettings",
     "GrblStageSettings",
+    "HistorySettings",
     "HttpSettings",
+    "HwmonThermometerSettings",
+    "InclinometerSettings",
     "IndicatorsSettings",
     "Installation",
+    "KeptFrames",
     "LiveCameraSettings",
+    "LocalSettings",
+    "Maintenance",
     "Measuring",
     "ModbusRtuPortSettings",
     "ModbusTcpSettings",
     "RecordingCameraSettings",
     "Rs485Settings",
     "Scan",
+    "SelfCheckSettings",
     "SerialPortSettings",
     "Table",
     "Target",

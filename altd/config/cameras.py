@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from altd.config.addresses import is_unassignable
 from altd.config.complaints import complaint, shown
-from altd.config.table import ControlValue, Device, Table
+from altd.config.table import Celsius, ControlValue, Device, Table
 
 
 def _camera_name(name: str) -> str:
@@ -128,6 +128,10 @@ class AravisCameraSettings(LiveCameraSettings):
     """Ask the camera again for packets that were lost."""
     features: dict[str, bool | ControlValue | float | str] = Field(default={})
     """GenICam features of this camera to set when it is opened, in this order."""
+    min_celsius: Celsius = -10.0
+    """Below this temperature inside the camera, where it tells one, the unit is out of its specification."""
+    max_celsius: Celsius = 60.0
+    """Above this, likewise. Its maker may allow more."""
 
 
 AnyCameraSettings = Annotated[

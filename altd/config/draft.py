@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
@@ -11,12 +12,16 @@ from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
 from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
+from altd.config.inclinometer import InclinometerSettings
 from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
+from altd.config.maintenance import HwmonThermometerSettings
 from altd.config.measuring import Measuring
 from altd.config.places import Keys
 from altd.config.stage import GrblStageSettings
 from altd.config.unit import Target
 from altd.config.whole import Config
+
+_TABLES = ("measuring", "modbus_tcp", "http", "lamps", "indicators", "inclinometer", "stage")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +36,8 @@ class Draft:
     serial: tuple[AnySerialPortSettings | None, ...]
     lamps: AnyLampsSettings | None
     indicators: IndicatorsSettings | None
+    inclinometer: InclinometerSettings | None
+    thermometers: tuple[HwmonThermometerSettings | None, ...]
     stage: GrblStageSettings | None
 
     def live(self) -> dict[str, LiveCameraSettings]:
@@ -70,13 +77,18 @@ def draft_without(document: dict[str, Any], faulty: Iterable[Keys]) -> Draft:
         targets=rows("targets"),
         cameras={name: _validated(AnyCameraSettings, camera) for name, camera in named},
         serial=rows("serial"),
-        **{name: table(name) for name in ("measuring", "modbus_tcp", "http", "lamps", "indicators", "stage")},
+        thermometers=rows("thermometers"),
+        **{name: table(name) for name in _TABLES},
     )
+
+
+_adapter = functools.cache(TypeAdapter[Any])
+"""To make one takes ten times as long as to use it."""
 
 
 def _validated(kind: Any, value: Any, otherwise: Any = None) -> Any:
     try:
-        return TypeAdapter(kind).validate_python(value)
+        return _adapter(kind).validate_python(value)
     except ValidationError:
         return otherwise
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
@@ -54,15 +55,50 @@ class ModbusTcpSettings(Table):
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
+    allow_self_check: bool = False
+    """Let a controller ask for a self-check by a write (`modbus.md`); anybody on the network then can."""
+
+
+def _network(text: str) -> str:
+    """A network, as its address and the length of its prefix."""
+    possible = "possible: 10.0.0.0/8, 192.168.1.0/24, fd00::/8, a single address"
+    try:
+        network = ipaddress.ip_network(text)
+    except ValueError as error:
+        try:
+            meant = ipaddress.ip_network(text, strict=False)
+        except ValueError:
+            raise complaint(((), f"{shown(text)} is no network; {possible}")) from error
+        raise complaint(((), f"{shown(text)} is an address in a network; possible: {meant}")) from error
+    if isinstance(network, ipaddress.IPv6Network) and network.network_address.ipv4_mapped is not None:
+        raise complaint(((), f"{shown(text)} is IPv4 written as IPv6: write it as IPv4"))
+    return str(network)
+
+
+Network = Annotated[str, AfterValidator(_network)]
 
 
 class HttpSettings(Table):
-    """HTTP server: measurement, status and a stream."""
+    """HTTP server: the unit's page, its API and a stream."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
     """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
     port: TcpPort = 8080
     """TCP port."""
+    allow: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
+    """Networks that may connect, as in `["10.0.0.0/8"]`; none: everybody whom the service lets in.
+
+    The unit's own computer always may.
+    """
+    credentials: Path | None = None
+    """A file of names with hashes of passwords and tokens, made by `altd password` and `altd token`.
+
+    Without it a self-check can be asked for on the unit's own computer only.
+    """
+    certificate: Path | None = None
+    """The certificate chain, PEM: from then on TLS alone is spoken. With `key`."""
+    key: Path | None = None
+    """The certificate's private key, PEM, without a passphrase."""
 
 
 class Rs485Settings(Table):
@@ -98,6 +134,8 @@ class TelegramPortSettings(SerialPortSettings):
     speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
     """Time from one telegram to the next."""
+    checked: bool = False
+    """Whether a third sentence lets the reader check the telegram: see `proof.md`."""
 
 
 class ConsolePortSettings(SerialPortSettings):

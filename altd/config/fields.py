@@ -33,7 +33,7 @@ def expected(annotation: Any, metadata: list[Any], quoted: Callable[[object], st
     if longest:
         word += f", {shortest or 0} to {longest} characters"
     low = _limit(limits, "Ge", "from {}") or _limit(limits, "Gt", "above {}")
-    high = _limit(limits, "Le", "to {}")
+    high = _limit(limits, "Le", "to {}") or _limit(limits, "Lt", "to below {}")
     return " ".join(part for part in (word, low, high) if part)
 
 

@@ -44,7 +44,7 @@ class IndicatorsSettings(Table):
     data: GpioLineName | None = None
     """The line of the lamp that flashes when data was given to whoever asked for it."""
     error: GpioLineName | None = None
-    """Lit while nothing valid is measured; blinks while a part has failed although it is."""
+    """Lit while nothing valid is measured; blinks while it is and a part has failed or wants maintenance."""
     power: GpioLineName | None = None
     """Lit while the daemon runs."""
     ok: GpioLineName | None = None

@@ -74,10 +74,15 @@ def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputErr
 def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The document with the paths of its files relative to ``folder``; wrong types are left to the models."""
     document = copy.deepcopy(document)
-    tables: list[tuple[Any, str]] = [(document.get("unit"), "calibration")]
+    tables: list[tuple[Any, str]] = [
+        (document.get("unit"), "calibration"),
+        (document.get("kept_frames"), "folder"),
+        (document.get("history"), "file"),
+    ]
     cameras = document.get("cameras")
     if isinstance(cameras, dict):
         tables += [(camera, "path") for camera in cameras.values()]
+    tables += [(document.get("http"), key) for key in ("credentials", "certificate", "key")]
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = str(folder / table[key])

@@ -16,9 +16,14 @@ from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
 from altd.config.complaints import shown
 from altd.config.draft import Draft
 from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings
+from altd.config.maintenance import HwmonThermometerSettings
 from altd.config.places import Keys
 from altd.config.wording import Fault
 from altd.errors import did_you_mean
+
+_MIN_READINGS = 3
+"""Readings of the inclinometer in the time for which a value is shown, and before it is called frozen."""
+_ROUNDING_S = 1e-9
 
 Rule = Callable[[Draft], Iterator[Fault]]
 
@@ -146,6 +151,16 @@ def _listeners(draft: Draft) -> Iterator[Fault]:
         )
 
 
+def _certificate(draft: Draft) -> Iterator[Fault]:
+    """A certificate has its key, and a key its certificate."""
+    if draft.http is None:
+        return
+    for one, other in (("certificate", "key"), ("key", "certificate")):
+        if getattr(draft.http, one) is None and getattr(draft.http, other) is not None:
+            text = f"stands alone; possible: with {one} beside it"
+            yield Fault(("http", other), text, about=(("http", one),))
+
+
 def _serial_ports(draft: Draft) -> Iterator[Fault]:
     """A serial port is given out once."""
     first: dict[str, Keys] = {}
@@ -154,14 +169,28 @@ def _serial_ports(draft: Draft) -> Iterator[Fault]:
         for number, port in enumerate(draft.serial)
         if port is not None
     ]
-    if draft.stage is not None:
-        places.append((("stage", "device"), os.path.normpath(draft.stage.device)))
+    for name, table in (("inclinometer", draft.inclinometer), ("stage", draft.stage)):
+        if table is not None:
+            places.append(((name, "device"), os.path.normpath(table.device)))
     for keys, device in places:
         if (other := first.setdefault(device, keys)) != keys:
             text = (
                 f"{shown(device)} is the port of {'.'.join(map(str, other[:-1]))} too; possible: another port"
             )
             yield Fault(keys, text, about=(other,))
+
+
+def _inclinometer(draft: Draft) -> Iterator[Fault]:
+    """Roll outlives an answer that is lost, and what is called frozen was the same in several."""
+    table = draft.inclinometer
+    if table is None:
+        return
+    least_s = _MIN_READINGS * table.interval_s
+    for key in ("max_age_s", "frozen_after_s"):
+        if (value := getattr(table, key)) < least_s - _ROUNDING_S:
+            text = f"{value:g} is too short for readings each {table.interval_s:g} s"
+            about: tuple[Keys, ...] = (("inclinometer", "interval_s"),)
+            yield Fault(("inclinometer", key), f"{text}; possible: from {least_s:g}", about=about)
 
 
 def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
@@ -210,6 +239,27 @@ def _gpio_lines(draft: Draft) -> Iterator[Fault]:
             yield Fault(keys, text, about=(other, ("lamps", "chip"), ("indicators", "chip")))
 
 
+def _thermometers(draft: Draft) -> Iterator[Fault]:
+    """Each thermometer has its own name; its limits, and a camera's, leave a temperature between them."""
+    first: dict[str, int] = {}
+    for number, settings in enumerate(draft.thermometers):
+        if settings is None:
+            continue
+        if (other := first.setdefault(settings.name, number)) != number:
+            text = f"{shown(settings.name)} is the name of thermometers.{other} too; possible: one of its own"
+            yield Fault(("thermometers", number, "name"), text, about=(("thermometers", other, "name"),))
+        yield from _celsius(settings, ("thermometers", number))
+    for name, camera in draft.cameras.items():
+        if isinstance(camera, AravisCameraSettings):
+            yield from _celsius(camera, ("cameras", name))
+
+
+def _celsius(settings: HwmonThermometerSettings | AravisCameraSettings, table: Keys) -> Iterator[Fault]:
+    if settings.max_celsius <= settings.min_celsius:
+        text = f"{settings.max_celsius:g} is no warmer; possible: above {settings.min_celsius:g}"
+        yield Fault((*table, "max_celsius"), text, about=((*table, "min_celsius"),))
+
+
 RULES: tuple[Rule, ...] = (
     _targets,
     _cameras,
@@ -217,7 +267,10 @@ RULES: tuple[Rule, ...] = (
     _rates,
     _one_camera_twice,
     _listeners,
+    _certificate,
     _serial_ports,
+    _inclinometer,
     _lamps_on_cameras,
     _gpio_lines,
+    _thermometers,
 )

@@ -60,6 +60,9 @@ class Scan(Table):
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
     """Time from standstill, or from switching the LEDs, until exposures count."""
     led_pairs: Annotated[int, Field(ge=0, le=100)] = 2
-    """LED reference pairs (off, on) before the grid, and as many after it."""
+    """LED reference pairs (off, on) before the grid, and as many after it. Those before it are a self-check
+    against the calibration so far."""
+    when_bad: Literal["stop", "warning"] = "stop"
+    """What follows where that self-check is bad; ``warning`` calibrates the unit as it stands now."""
     retries: Annotated[int, Field(ge=0, le=100)] = 2
     """How often a node with a bad spot is exposed again before it is refused."""

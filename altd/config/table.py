@@ -18,6 +18,7 @@ Millimetres = Annotated[float, Field(ge=-100_000, le=100_000)]
 StageMillimetres = Annotated[float, Field(ge=-10_000, le=10_000)]
 OffsetDegrees = Annotated[float, Field(ge=-45, le=45)]
 """With the beam's own 14° it stays well below 90°, where mm/m has no end."""
+Celsius = Annotated[float, Field(ge=-100, le=200)]
 ControlValue = Annotated[int, Field(ge=-(2**63), le=2**63 - 1)]
 """What the kernel's largest control holds."""
 

@@ -23,7 +23,8 @@ class Target(Table):
     """One target that the beam meets, in beam order."""
 
     name: Name
-    """The name in the calibration file and in all outputs; small letters, digits and _."""
+    """The name in the calibration file and in all outputs; small letters, digits and _, and no key of the
+    measurement object."""
     z_mm: Millimetres
     """Distance from the front target's printed face along the beam."""
     camera: Name

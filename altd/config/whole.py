@@ -8,8 +8,14 @@ from pydantic import Field
 
 from altd.config.cameras import AnyCameraSettings
 from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
+from altd.config.history import HistorySettings
+from altd.config.inclinometer import InclinometerSettings
+from altd.config.kept_frames import KeptFrames
 from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
+from altd.config.local import LocalSettings
+from altd.config.maintenance import HwmonThermometerSettings, Maintenance
 from altd.config.measuring import Measuring
+from altd.config.self_check import SelfCheckSettings
 from altd.config.stage import GrblStageSettings, Scan
 from altd.config.table import Name, Table
 from altd.config.unit import Installation, Target, Unit
@@ -25,8 +31,15 @@ class Config(Table):
     installation: Installation = Installation()
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None
+    local: LocalSettings | None = None
     serial: tuple[AnySerialPortSettings, ...] = ()
     lamps: AnyLampsSettings | None = None
     indicators: IndicatorsSettings | None = None
+    self_check: SelfCheckSettings = SelfCheckSettings()
+    inclinometer: InclinometerSettings | None = None
+    thermometers: tuple[HwmonThermometerSettings, ...] = ()
+    maintenance: Maintenance = Maintenance()
+    kept_frames: KeptFrames = KeptFrames()
+    history: HistorySettings = HistorySettings()
     stage: GrblStageSettings | None = None
     scan: Scan = Scan()

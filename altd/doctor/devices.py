@@ -20,15 +20,14 @@ SERIAL_NAMES = (
 )
 CAMERA_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
 _MAX_NAMES_SHOWN = 4
-_USB_SHARE = 0.6
+_MAX_USB_SHARE = 0.6
 """The part of a USB's speed that is left for pictures: 80 % of the time, less its own frames and gaps."""
 
 
 def serial_ports(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The ports of ``[[serial]]`` and ``[stage]``."""
+    """The ports of ``[[serial]]``, ``[inclinometer]`` and ``[stage]``."""
     ports = [port.device for port in config.serial]
-    if config.stage is not None:
-        ports.append(config.stage.device)
+    ports += [table.device for table in (config.inclinometer, config.stage) if table is not None]
     for device in ports:
         yield from _device(f"serial {device}", device, SERIAL_NAMES, machine)
     yield from _duplicates("serial", {str(device): device for device in ports}, machine)
@@ -58,7 +57,7 @@ def video_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
     for number, needed in needs_mbit_s.items():
         subject, speed = f"USB bus {number}", speeds[number]
         text = f"its cameras need {needed:.0f} Mbit/s of {speed}"
-        if needed <= _USB_SHARE * speed:
+        if needed <= _MAX_USB_SHARE * speed:
             yield good(subject, text)
         else:
             remedy = "lsusb -t   # plug a camera into a faster socket of the computer, on a bus of its own"

@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.config import AravisCameraSettings, Config
+from altd.config import AravisCameraSettings, Config, HttpSettings
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 
@@ -17,7 +17,7 @@ MIN_JUMBO_BYTES = 8000
 """Bytes of a packet from which a frame's packets no longer cost a noticeable part of a core."""
 
 FRAMES_BUFFERED = 2
-_LISTENS = "0A"
+_LISTEN_STATE = "0A"
 _IPV4_BYTES = 4
 _LOOPBACK_NET = 127
 
@@ -79,6 +79,25 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
                 yield wrong(subject, f"{owner[1]} (process {owner[0]}) listens there", remedy)
         elif not refused:
             yield good(subject, "the address is free")
+    if config.http is not None:
+        yield from _openness(config.http)
+
+
+def _openness(http: HttpSettings) -> Iterator[Finding]:
+    """Advice, no fault: in a network of its own a unit may be open."""
+    address = ipaddress.ip_address("127.0.0.1" if http.host == "localhost" else http.host)
+    if address.is_loopback:
+        return
+    wanted = {"allow": http.allow, "credentials": http.credentials, "TLS": http.certificate}
+    lacking = [name for name, value in wanted.items() if not value]
+    subject = f"http {http.host}:{http.port}"
+    if "allow" in lacking:
+        open_to = f"everybody whom the network lets in can read it, without {', '.join(lacking)}"
+        text = f"{open_to}: well in a network of its own"
+        yield better(subject, text, "docs/http.md   # [http] allow, credentials, certificate")
+    elif "TLS" in lacking and "credentials" not in lacking:
+        text = "passwords and tokens go over the network as they are, without TLS"
+        yield better(subject, text, "docs/http.md   # [http] certificate and key")
 
 
 def _way(
@@ -220,7 +239,7 @@ def _listeners(host: str, port: int, machine: Machine) -> Iterator[str]:
         for line in machine.text(path).splitlines()[1:]:
             fields = line.split()
             address, _, number = fields[1].partition(":")
-            if fields[3] == _LISTENS and int(number, 16) == port:
+            if fields[3] == _LISTEN_STATE and int(number, 16) == port:
                 theirs = _from_kernel(address)
                 if not any(wanted) or not any(theirs) or wanted == theirs[-len(wanted) :]:
                     yield fields[9]

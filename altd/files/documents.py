@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import tomllib
@@ -37,6 +38,12 @@ def parse_json(content: bytes) -> Any:
 def line_of(document: Mapping[str, object]) -> str:
     """Plain JSON types as one line of JSON, without the line end; NaN is refused, not written."""
     return json.dumps(document, allow_nan=False)
+
+
+def checksum_of(document: Mapping[str, object]) -> str:
+    """SHA-256 over a document of plain JSON types, keys sorted, no spaces."""
+    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+    return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
 
 
 class TomlError(ValueError):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 
-_SAME_MM = 1e-3
+_MIN_GAP_MM = 1e-3
 _MAX_STEP_DEVIATION = 0.1
 _MAX_SINGLE_STEP = 1.5
 """Steps up to so many times the smallest one have no node between them that is missing."""
@@ -60,7 +60,7 @@ class Axis:
         """
         ordered = np.sort(mm)
         gaps = np.diff(ordered)
-        if not len(gaps) or gaps.max() <= _SAME_MM:
+        if not len(gaps) or gaps.max() <= _MIN_GAP_MM:
             raise ValueError("all nodes have the same position")
         nodes = np.array(
             [part.mean() for part in np.split(ordered, np.flatnonzero(gaps > gaps.max() / 3) + 1)]

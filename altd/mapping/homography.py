@@ -12,7 +12,7 @@ from altd.records import FloatArray
 _MIN_POINTS = 4
 _MAX_ITERATIONS = 50
 _CONVERGED = 1e-12
-_DEGENERATE = 1e-9
+_DEGENERATE_BELOW = 1e-9
 
 
 def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -25,7 +25,7 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     """
     (to_unit, here), (to_unit_there, there) = _normalised(source), _normalised(target)
     h = vanishing_line_homography(here, there)
-    if abs(h[2, 2]) < _DEGENERATE:
+    if abs(h[2, 2]) < _DEGENERATE_BELOW:
         raise ValueError("the middle of the points lies on the vanishing line")
     h = h / h[2, 2]
     before = np.inf
@@ -51,13 +51,13 @@ def vanishing_line_homography(source: FloatArray, target: FloatArray) -> FloatAr
     if len(source) < _MIN_POINTS:
         raise ValueError(f"{len(source)} points are too few for a homography")
     plane = np.column_stack([source, np.ones(len(source))])  # P, Eq. 2.45
-    if np.linalg.matrix_rank(plane, tol=_DEGENERATE * np.linalg.norm(plane)) < 3:
+    if np.linalg.matrix_rank(plane, tol=_DEGENERATE_BELOW * np.linalg.norm(plane)) < 3:
         raise ValueError("the points lie on a line")
     inverse = np.linalg.pinv(plane)
     seen = [-coordinate[:, None] * plane for coordinate in target.T]  # X′P and Y′P, Eq. 2.47
     d = np.vstack([part - plane @ (inverse @ part) for part in seen])
     _, singular, rows = np.linalg.svd(d)
-    if singular[1] < _DEGENERATE * np.linalg.norm(np.vstack(seen)):
+    if singular[1] < _DEGENERATE_BELOW * np.linalg.norm(np.vstack(seen)):
         raise ValueError("the points leave the homography undetermined")
     line = rows[-1]  # g3, Eq. 2.51: the smallest singular value's
     return np.array([*(-inverse @ (part @ line) for part in seen), line])  # g1 and g2, Eq. 2.49
@@ -84,6 +84,6 @@ def _with_slopes(h: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatAr
 def _normalised(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The similarity that brings points (n, 2) around 0 at a mean distance of √2, and the points after it."""
     middle = points.mean(axis=0)
-    scale = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), _DEGENERATE)
+    scale = np.sqrt(2) / max(float(np.linalg.norm(points - middle, axis=1).mean()), _DEGENERATE_BELOW)
     similarity = np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])
     return similarity, (points - middle) * scale

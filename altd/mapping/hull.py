@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 
-_EDGE_MM = 1e-3
+_EDGE_TOLERANCE_MM = 1e-3
 
 
 def convex_hull_mm(points_mm: FloatArray) -> FloatArray:
@@ -28,5 +28,5 @@ def contains(hull_mm: FloatArray, points_mm: FloatArray) -> npt.NDArray[np.bool_
     """Which of the points (n, 2) lie inside a counter-clockwise hull or on its edge, to a micrometre."""
     lines = edge_lines(hull_mm)
     outside: npt.NDArray[np.float64] = points_mm @ lines[:, :2].T - lines[:, 2]
-    inside: npt.NDArray[np.bool_] = outside.max(axis=1) <= _EDGE_MM
+    inside: npt.NDArray[np.bool_] = outside.max(axis=1) <= _EDGE_TOLERANCE_MM
     return inside

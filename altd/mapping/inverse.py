@@ -19,7 +19,7 @@ _CONVERGED_PX = 1e-6
 _HULL_SIGMAS = 3.0
 _MAX_SIGMA_OUTSIDE_MM = 0.05
 """What a place outside the nodes' hull may be uncertain by, an axis: the accuracy of Tables 3.3 and 3.4."""
-_SINGULAR = 1e-12
+_MIN_DETERMINANT = 1e-12
 
 _UNKNOWN = ((math.nan, math.nan), (math.nan, math.nan))
 
@@ -96,7 +96,7 @@ class InverseMap:
             v, vx, vy = horner_with_slopes(self._v, q, r)
             ux, vx, uy, vy = ux * per_x, vx * per_x, uy * per_y, vy * per_y
             determinant = ux * vy - uy * vx
-            if not abs(determinant) >= _SINGULAR:  # so written, NaN is singular too
+            if not abs(determinant) >= _MIN_DETERMINANT:  # so written, NaN is singular too
                 break
             xu, xv, yu, yv = vy / determinant, -uy / determinant, -vx / determinant, ux / determinant
             miss_u, miss_v = u_px - u, v_px - v

@@ -15,6 +15,7 @@ import numpy as np
 from altd.mapping.camera_model import OPTICS, Bend, Camera, Optics
 from altd.mapping.fiducials import Fiducials
 from altd.mapping.grid import Axis
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit, Model, TensorMap, tensor_basis
 from altd.records import FloatArray
 
@@ -34,30 +35,20 @@ _MAX_DENSE_ERROR_PX = 5e-4
 """How far the tensor polynomial that stands for a lens may lie off it: a hundredth of the nodes' noise."""
 
 
-class _Nodes(NamedTuple):
-    """Places (n, 2) mm, where they are seen (n, 2) px, and each one's relative sigma (n,)."""
-
-    mm: FloatArray
-    px: FloatArray
-    relative_sigma: FloatArray
-
-    def residuals(self, camera: Camera) -> FloatArray:
-        """Seen less projected (2 n,), px, u and v of a node after another, each by its relative sigma."""
-        residuals: FloatArray = (self.px - camera.to_px(self.mm)).ravel() / self._relative_sigmas
-        return residuals
-
-    def jacobian(self, camera: Camera) -> FloatArray:
-        """The camera's Jacobian (2 n, m), each row by its node's relative sigma."""
-        return camera.jacobian(self.mm) / self._relative_sigmas[:, None]
-
-    @property
-    def _relative_sigmas(self) -> FloatArray:
-        """Of all coordinates (2 n,)."""
-        return np.repeat(self.relative_sigma, 2)
+def _residuals(nodes: Nodes, camera: Camera) -> FloatArray:
+    """Seen less projected (2 n,), px, u and v of a node after another, each by its relative sigma."""
+    residuals: FloatArray = (nodes.px - camera.to_px(nodes.mm)).ravel() / _relative_sigmas(nodes)
+    return residuals
 
 
-def _nodes_of(nodes_mm: FloatArray, nodes_px: FloatArray, relative_sigma: FloatArray | None) -> _Nodes:
-    return _Nodes(nodes_mm, nodes_px, np.ones(len(nodes_mm)) if relative_sigma is None else relative_sigma)
+def _jacobian(nodes: Nodes, camera: Camera) -> FloatArray:
+    """The camera's Jacobian (2 n, m), each row by its node's relative sigma."""
+    return camera.jacobian(nodes.mm) / _relative_sigmas(nodes)[:, None]
+
+
+def _relative_sigmas(nodes: Nodes) -> FloatArray:
+    """Of all coordinates (2 n,)."""
+    return np.repeat(nodes.relative_sigma, 2)
 
 
 class _State(NamedTuple):
@@ -80,51 +71,45 @@ class _State(NamedTuple):
 
 
 def fit_lens_map(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
+    nodes: Nodes,
     hull_mm: FloatArray,
     image_size: tuple[int, int],
     optics: Optics = "brown",
     bend_degree: int = 0,
     fiducials: Fiducials | None = None,
-    relative_sigma: FloatArray | None = None,
 ) -> Fit:
-    """Levenberg and Marquardt's least squares through nodes (n, 2) mm at (n, 2) px, with weak priors.
+    """Levenberg and Marquardt's least squares through nodes, with weak priors.
 
     ``bend_degree`` > 1 adds a tensor polynomial of that degree for what the lens model leaves; ``fiducials``
-    of a print say how the plane is bent between the nodes too; ``relative_sigma`` (n,) by how much one node
-    scatters more than another. The map is kept as a tensor polynomial through the camera on a dense grid,
-    with what the nodes' noise leaves in it. Raises ValueError when the nodes are too few or lie on a line.
+    of a print say how the plane is bent between the nodes too. The map is kept as a tensor polynomial through
+    the camera on a dense grid, with what the nodes' noise leaves in it. Raises ValueError when the nodes are
+    too few or lie on a line.
     """
-    nodes = _nodes_of(nodes_mm, nodes_px, relative_sigma)
-    state = _fit_with_noise(_initial_camera(nodes_mm, nodes_px, image_size, optics), nodes, fiducials)
+    state = _fit_with_noise(_initial_camera(nodes.mm, nodes.px, image_size, optics), nodes, fiducials)
     if bend_degree > 1:
-        state = _fit_with_noise(_bent(state.camera, nodes_mm, bend_degree), nodes, fiducials)
+        state = _fit_with_noise(_bent(state.camera, nodes.mm, bend_degree), nodes, fiducials)
     return _as_fit(state, nodes, hull_mm)
 
 
 def fit_lens_maps(
-    nodes_mm: FloatArray,
-    nodes_px: FloatArray,
+    nodes: Nodes,
     hull_mm: FloatArray,
     image_size: tuple[int, int],
     fiducials: Fiducials | None = None,
-    relative_sigma: FloatArray | None = None,
 ) -> list[Fit]:
     """The fits of both optics, each plain and with a bend of degree 2 and 3 where the nodes can carry it.
 
     A model that fails only loses; raises ValueError when all of them do.
     """
     fits, complaint = [], ValueError()
-    nodes = _nodes_of(nodes_mm, nodes_px, relative_sigma)
     for optics in OPTICS:
         try:
-            initial = _initial_camera(nodes_mm, nodes_px, image_size, optics)
+            initial = _initial_camera(nodes.mm, nodes.px, image_size, optics)
             state = _fit_with_noise(initial, nodes, fiducials)
             fits.append(_as_fit(state, nodes, hull_mm))
             for degree in _BEND_DEGREES:
-                bent = _bent(state.camera, nodes_mm, degree)
-                if len(bent.parameters) <= _MAX_FITTED_SHARE * 2 * len(nodes_mm):
+                bent = _bent(state.camera, nodes.mm, degree)
+                if len(bent.parameters) <= _MAX_FITTED_SHARE * 2 * len(nodes):
                     fits.append(_as_fit(_fit_with_noise(bent, nodes, fiducials), nodes, hull_mm))
         except ValueError as error:
             complaint = error
@@ -137,7 +122,7 @@ def _bent(camera: Camera, nodes_mm: FloatArray, degree: int) -> Camera:
     return camera.with_bend(Bend(Axis.through(nodes_mm[:, 0]), Axis.through(nodes_mm[:, 1]), degree))
 
 
-def _as_fit(state: _State, nodes: _Nodes, hull_mm: FloatArray) -> Fit:
+def _as_fit(state: _State, nodes: Nodes, hull_mm: FloatArray) -> Fit:
     camera, bend = state.camera, state.camera.bend
     model: Model = "lens" if camera.optics == "brown" else "fisheye"
     if bend is not None:
@@ -156,7 +141,7 @@ def _as_fit(state: _State, nodes: _Nodes, hull_mm: FloatArray) -> Fit:
     )
 
 
-def _fit_with_noise(camera: Camera, nodes: _Nodes, fiducials: Fiducials | None) -> _State:
+def _fit_with_noise(camera: Camera, nodes: Nodes, fiducials: Fiducials | None) -> _State:
     """Fit, estimate the noise, which says what the priors weigh, and fit again."""
     noise_px, precision = _INITIAL_NOISE_PX, np.diag(1 / camera.prior**2)
     for _ in range(_NOISE_ITERATIONS):
@@ -165,8 +150,8 @@ def _fit_with_noise(camera: Camera, nodes: _Nodes, fiducials: Fiducials | None) 
         if fiducials is not None:
             of_fiducials = fiducials.misfit(camera)[1]
             known = precision + of_fiducials.T @ of_fiducials
-        residuals = nodes.residuals(camera)
-        jacobian = nodes.jacobian(camera)
+        residuals = _residuals(nodes, camera)
+        jacobian = _jacobian(nodes, camera)
         normal = jacobian.T @ jacobian
         gain = jacobian @ np.linalg.inv(normal + known * noise_px**2)
         degrees_of_freedom = len(residuals) - float(np.einsum("ij,ij->", gain, jacobian))
@@ -205,14 +190,14 @@ def _initial_camera(
 def _least_squares(
     camera: Camera,
     precision: FloatArray,
-    nodes: _Nodes,
+    nodes: Nodes,
     noise_px: float,
     fiducials: Fiducials | None,
 ) -> Camera:
     """Levenberg and Marquardt's steps from a camera to the one of the least cost."""
 
     def residuals_and_cost(candidate: Camera) -> tuple[FloatArray, float]:
-        residuals = nodes.residuals(candidate) / noise_px
+        residuals = _residuals(nodes, candidate) / noise_px
         prior = candidate.parameters @ precision @ candidate.parameters
         total = float(np.square(residuals).sum() + prior)
         if fiducials is not None:
@@ -220,7 +205,7 @@ def _least_squares(
         return residuals, total if math.isfinite(total) else math.inf
 
     def normal_equations(residuals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        jacobian = nodes.jacobian(camera) / noise_px
+        jacobian = _jacobian(nodes, camera) / noise_px
         normal = jacobian.T @ jacobian + precision
         gradient = jacobian.T @ residuals - precision @ camera.parameters
         if fiducials is not None:

@@ -20,13 +20,13 @@ import numpy as np
 from altd.mapping.differences import ToPx, jacobian_px_per_mm
 from altd.records import FloatArray
 
-_STEP_MM = 0.5
+_DELTA_MM = 0.5
 """Of all derivatives: second ones want so long a step, and first ones stand beside them."""
 
 
 def px2_per_mm2(to_px: ToPx, points_mm: FloatArray) -> FloatArray:
     """By how much a map enlarges areas at points (n, 2), (n,)."""
-    return np.asarray(np.abs(np.linalg.det(jacobian_px_per_mm(to_px, points_mm, _STEP_MM))))
+    return np.asarray(np.abs(np.linalg.det(jacobian_px_per_mm(to_px, points_mm, _DELTA_MM))))
 
 
 def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float) -> FloatArray:
@@ -34,11 +34,11 @@ def light_centre_shift_px(to_px: ToPx, points_mm: FloatArray, moment_mm2: float)
     here = to_px(points_mm)
     laplacian = np.zeros_like(here)
     log_gradient = np.zeros_like(here)
-    for axis, step in enumerate(_STEP_MM * np.eye(2)):
+    for axis, step in enumerate(_DELTA_MM * np.eye(2)):
         ahead, behind = points_mm + step, points_mm - step
-        laplacian += (to_px(ahead) + to_px(behind) - 2 * here) / _STEP_MM**2
-        log_gradient[:, axis] = (_log_area(to_px, ahead) - _log_area(to_px, behind)) / (2 * _STEP_MM)
-    tilt = np.einsum("nij,nj->ni", jacobian_px_per_mm(to_px, points_mm, _STEP_MM), log_gradient)
+        laplacian += (to_px(ahead) + to_px(behind) - 2 * here) / _DELTA_MM**2
+        log_gradient[:, axis] = (_log_area(to_px, ahead) - _log_area(to_px, behind)) / (2 * _DELTA_MM)
+    tilt = np.einsum("nij,nj->ni", jacobian_px_per_mm(to_px, points_mm, _DELTA_MM), log_gradient)
     return np.asarray(moment_mm2 * (laplacian / 2 + tilt))
 
 

@@ -1,4 +1,4 @@
-"""The robust mean over a window of exposures, and when there is none."""
+"""The robust mean over a window of frame sets, and when there is none."""
 
 from __future__ import annotations
 
@@ -8,28 +8,33 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from altd.measuring.spot_motion import spot_motion
 from altd.reasons import Reason
-from altd.records import Exposure, Fault, FloatArray, MeanSpots, Spot, SpotShape
+from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot, SpotShape
+from altd.records.motion import SpotMotion
 from altd.statistics.robust import MAD_TO_SIGMA, median
 
+BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
+
 _OUTLIER_SIGMAS = 6.0
-_MIN_FOR_OUTLIERS = 4
-"""Of three exposures under vibration two often lie close together, and the third is no outlier."""
+_MIN_FRAME_SETS_FOR_OUTLIERS = 4
+"""Of three frame sets under vibration two often lie close together, and the third is no outlier."""
 _MAX_OUTLIER_FRACTION = 0.3
-_GAP_SIGMAS = 10.0
-_MIN_IN_A_CLUSTER = 2
-"""A single exposure is no place: it is an outlier, or with its neighbour the scatter of a short window."""
+_MIN_GAP_SIGMAS = 10.0
+_MIN_CLUSTER_FRAME_SETS = 2
+"""A single frame set is no place: it is an outlier, or with its neighbour the scatter of a short window."""
 _MAX_UNUSABLE_AT_END = 3
-"""So many unusable exposures at the end of a window: the spot is lost, whatever came before."""
-_MIN_FOR_MOTION = 4
+"""So many unusable frame sets at the end of a window: the spot is lost, whatever came before."""
+_MIN_FRAME_SETS_FOR_MOTION = 4
+_WARMING_UP = Fault(Reason.WARMING_UP, detail="half a window of exposures is needed first")
 _PRIOR_WEIGHT = 2.0
 """Weight of the spots' own noise estimate against the observed scatter."""
 
 
-class ExposureWindow:
-    """The last exposures, and their mean after every so many: 1 is the sliding mean.
+class FrameSetWindow:
+    """The last frame sets, and their mean after every so many: 1 is the sliding mean.
 
-    Exposures that were lost in all cameras at once show only in the numbers, and fill places of the window
+    Frame sets that were lost in all cameras at once show only in the numbers, and fill places of the window
     too: a mean never reaches farther back because of them.
     """
 
@@ -37,63 +42,78 @@ class ExposureWindow:
         self._targets = targets
         self._window = window
         self._every = every
-        self._exposures: deque[Exposure] = deque(maxlen=window)
+        self._frame_sets: deque[FrameSet] = deque(maxlen=window)
+        self._passed_over: deque[int] = deque(maxlen=window)
+        """Their numbers."""
         self._since_mean = 0
 
-    def add(self, exposure: Exposure) -> MeanSpots | tuple[Fault, ...] | None:
-        """Take an exposure; returns the mean, or why there is none, or None when it is not time yet."""
-        while self._exposures and exposure.sequence - self._exposures[0].sequence >= self._window:
-            self._exposures.popleft()
-        self._exposures.append(exposure)
+    def pass_over(self, sequence: int) -> None:
+        """Take the number of a frame set that nobody wants to measure: what it lacks is no fault."""
+        self._passed_over.append(sequence)
+
+    def add(self, frame_set: FrameSet) -> MeanSpots | tuple[Fault, ...] | None:
+        """Take a frame set; returns the mean, or why there is none, or None when it is not time yet."""
+        while self._frame_sets and frame_set.sequence - self._frame_sets[0].sequence >= self._window:
+            self._frame_sets.popleft()
+        while self._passed_over and frame_set.sequence - self._passed_over[0] >= self._window:
+            self._passed_over.popleft()
+        self._frame_sets.append(frame_set)
         self._since_mean += 1
         if self._since_mean < self._every:
             return None
         self._since_mean = 0
-        return mean_spots(tuple(self._exposures), self._targets, self._window)
+        return mean_spots(tuple(self._frame_sets), self._targets, self._window, len(self._passed_over))
 
     def forget(self) -> None:
-        """Drop the exposures that came before a gap; the count to the next mean goes on."""
-        self._exposures.clear()
+        """Drop the frame sets that came before a gap; the count to the next mean goes on."""
+        self._frame_sets.clear()
+        self._passed_over.clear()
 
     def begin(self, window: int | None = None) -> None:
-        """Drop all exposures and count to the next mean anew, from now on over ``window`` exposures."""
+        """Drop all frame sets and count to the next mean anew, from now on over ``window`` frame sets."""
         self._window = window or self._window
-        self._exposures = deque(maxlen=self._window)
+        self._frame_sets = deque(maxlen=self._window)
+        self._passed_over = deque(maxlen=self._window)
         self._since_mean = 0
 
 
 def mean_spots(
-    exposures: Sequence[Exposure], targets: tuple[str, ...], window: int
+    frame_sets: Sequence[FrameSet], targets: tuple[str, ...], window: int, passed_over: int = 0
 ) -> MeanSpots | tuple[Fault, ...]:
-    """Mean of the usable exposures of a window, without outliers.
+    """Mean of the usable frame sets of a window, without outliers.
 
-    An exposure is usable when every target has its spot. At least half a window must be usable, and the
-    last three must not all be bad. An exposure that lies six robust sigmas off the median in any
-    coordinate counts for none; when that is true of more than 30 %, or when the exposures fall into two
-    places, the beam moved: ``unsteady``. Where one camera exposes behind another, the mean spots are those of
-    one instant all the same: steady motion between the two is taken off. What light that one spot does not
-    explain adds to a spot's sigma stays in the mean: it is the same in all exposures.
+    A frame set is usable when every target has its spot. At least half a window must be usable, and the last
+    three must not all be bad. Where those ``passed_over`` would have made the half, they are what it lacks,
+    and none of the faults: ``warming_up``. A frame set that lies six MAD-based standard deviations off the
+    median in any coordinate counts for none; when that is true of more than 30 %, or when the frame sets fall
+    into two places, the beam moved: ``unsteady``. Where one camera exposes behind another, the mean spots are
+    those of one instant all the same: steady motion between the two is taken off. What light that one spot
+    does not explain adds to a spot's sigma stays in the mean: it is the same in all frame sets.
+    Of three exposures or fewer no motion is known.
     """
-    usable = [exposure for exposure in exposures if not exposure.faults()]
-    is_lost = len(exposures) >= _MAX_UNUSABLE_AT_END and all(
-        e.faults() for e in exposures[-_MAX_UNUSABLE_AT_END:]
+    usable = [frame_set for frame_set in frame_sets if not frame_set.faults()]
+    is_lost = len(frame_sets) >= _MAX_UNUSABLE_AT_END and all(
+        e.faults() for e in frame_sets[-_MAX_UNUSABLE_AT_END:]
     )
-    if is_lost or len(usable) < math.ceil(window / 2):
-        return _reasons_of_unusable(exposures)
-    spots = [[_spot(exposure, target) for target in targets] for exposure in usable]
+    least = math.ceil(window / 2)
+    if is_lost or len(usable) + passed_over < least:
+        return _reasons_of_unusable(frame_sets)
+    if len(usable) < least:
+        return (_WARMING_UP,)
+    spots = [[_spot(frame_set, target) for target in targets] for frame_set in usable]
     px = np.array([[c for spot in row for c in (spot.u_px, spot.v_px)] for row in spots])
     typical_noise = np.repeat(median(np.array([[spot.sigma_px for spot in row] for row in spots]), axis=0), 2)
     is_inlier = _is_inlier(px, typical_noise)
     too_many = np.count_nonzero(~is_inlier) > _MAX_OUTLIER_FRACTION * len(usable)
     if too_many or _has_two_clusters(px[is_inlier], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
-    inliers = [exposure for exposure, near in zip(usable, is_inlier, strict=True) if near]
-    middle_ns = _middle_ns([exposure.t_ns for exposure in inliers])
-    since_middle_ns = np.array([exposure.t_ns - middle_ns for exposure in inliers], dtype=np.float64)
+    inliers = [frame_set for frame_set, near in zip(usable, is_inlier, strict=True) if near]
+    middle_ns = _middle_ns([frame_set.t_ns for frame_set in inliers])
+    since_middle_ns = np.array([frame_set.t_ns - middle_ns for frame_set in inliers], dtype=np.float64)
     mean = px[is_inlier].mean(axis=0)
     speed = _speed_px_per_ns(px[is_inlier] - mean, since_middle_ns)
     covariance_px2 = _covariance_of_mean(px[is_inlier] - mean, speed, since_middle_ns, typical_noise)
-    by_target = [[_spot(exposure, target) for exposure in inliers] for target in targets]
+    by_target = [[_spot(frame_set, target) for frame_set in inliers] for target in targets]
     excess_px2 = [sum(spot.excess_px**2 for spot in of_target) / len(inliers) for of_target in by_target]
     return MeanSpots(
         targets=targets,
@@ -101,9 +121,34 @@ def mean_spots(
         covariance_px2=covariance_px2 + np.diag(np.repeat(excess_px2, 2)),
         t_ns=middle_ns,
         frames=int(np.count_nonzero(is_inlier)),
-        lost=len(exposures) - len(usable),
+        lost=len(frame_sets) - len(usable),
         shapes=tuple(_mean_shape(of_target) for of_target in by_target),
         excess_px=tuple(math.sqrt(square) for square in excess_px2),
+        motion=_motion(
+            px - mean,
+            np.array([frame_set.t_ns - middle_ns for frame_set in usable], dtype=np.float64),
+            is_inlier,
+            covariance_px2,
+            typical_noise,
+        ),
+    )
+
+
+def _motion(
+    deviations: FloatArray,
+    since_middle_ns: FloatArray,
+    is_inlier: BoolArray,
+    covariance_of_mean_px2: FloatArray,
+    noise: FloatArray,
+) -> SpotMotion | None:
+    """How the spots move, of all usable exposures (n, coordinates), among them the outliers."""
+    count = int(np.count_nonzero(is_inlier))
+    if count < _MIN_FRAME_SETS_FOR_MOTION:
+        return None
+    since_middle_s = since_middle_ns * 1e-9
+    newest = None if is_inlier[-1] else (deviations[-1], float(since_middle_s[-1]))
+    return spot_motion(
+        deviations[is_inlier], since_middle_s[is_inlier], covariance_of_mean_px2 * count, noise, newest
     )
 
 
@@ -119,23 +164,21 @@ def _middle_ns(times_ns: Sequence[int]) -> int:
     return times_ns[0] + round(sum(t_ns - times_ns[0] for t_ns in times_ns) / len(times_ns))
 
 
-def _spot(exposure: Exposure, target: str) -> Spot:
-    spot = exposure.spots[target]
-    assert isinstance(spot, Spot)  # noqa: S101  a usable exposure has nothing else
+def _spot(frame_set: FrameSet, target: str) -> Spot:
+    spot = frame_set.spots[target]
+    assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has nothing else
     return spot
 
 
-def _is_inlier(px: FloatArray, noise: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _is_inlier(px: FloatArray, noise: FloatArray) -> BoolArray:
     """Which rows of (n, coordinates) lie near the median in every coordinate."""
     count = len(px)
-    if count < _MIN_FOR_OUTLIERS:
+    if count < _MIN_FRAME_SETS_FOR_OUTLIERS:
         return np.ones(count, bool)
     distance = np.abs(px - median(px, axis=0))
     # n / (n − 0.8) takes out most of the MAD's bias in small samples
     scale = MAD_TO_SIGMA * median(distance, axis=0) * count / (count - 0.8)
-    near: np.ndarray[tuple[int], np.dtype[np.bool_]] = np.all(
-        distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1
-    )
+    near: BoolArray = np.all(distance <= _OUTLIER_SIGMAS * np.maximum(scale, noise), axis=1)
     return near
 
 
@@ -149,27 +192,27 @@ def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
     gaps = ordered[1:] - ordered[:-1]
     if not len(gaps):
         return False
-    for column in np.flatnonzero(gaps.max(axis=0) > _GAP_SIGMAS * noise):
+    for column in np.flatnonzero(gaps.max(axis=0) > _MIN_GAP_SIGMAS * noise):
         split = int(gaps[:, column].argmax()) + 1
-        if not _MIN_IN_A_CLUSTER <= split <= len(px) - _MIN_IN_A_CLUSTER:
+        if not _MIN_CLUSTER_FRAME_SETS <= split <= len(px) - _MIN_CLUSTER_FRAME_SETS:
             continue
         sides = ordered[:split, column], ordered[split:, column]
         within = math.sqrt(sum(float(np.square(side - side.mean()).sum()) for side in sides) / len(px))
-        if gaps[split - 1, column] > _GAP_SIGMAS * (within + noise[column]):
+        if gaps[split - 1, column] > _MIN_GAP_SIGMAS * (within + noise[column]):
             return True
     return False
 
 
-def _behind_ns(exposures: Sequence[Exposure], targets: tuple[str, ...]) -> FloatArray:
-    """How far behind its exposure's time each target was exposed, on the mean, (targets,)."""
-    behind_ns = np.array([[e.behind_ns.get(t, 0) for t in targets] for e in exposures], dtype=np.float64)
+def _behind_ns(frame_sets: Sequence[FrameSet], targets: tuple[str, ...]) -> FloatArray:
+    """How far behind its frame set's time each target was exposed, on the mean, (targets,)."""
+    behind_ns = np.array([[e.behind_ns.get(t, 0) for t in targets] for e in frame_sets], dtype=np.float64)
     mean: FloatArray = behind_ns.mean(axis=0)
     return mean
 
 
 def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> FloatArray:
     """Steady motion in each coordinate of (n, coordinates); none in a window too short to tell."""
-    if len(deviations) < _MIN_FOR_MOTION:
+    if len(deviations) < _MIN_FRAME_SETS_FOR_MOTION:
         return np.zeros(deviations.shape[1])
     speed: FloatArray = since_middle_ns @ deviations / (since_middle_ns @ since_middle_ns)
     return speed
@@ -178,13 +221,13 @@ def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> Flo
 def _covariance_of_mean(
     deviations: FloatArray, speed: FloatArray, since_middle_ns: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """Observed scatter of n exposures over n, drawn towards the spots' own noise while n is small.
+    """Observed scatter of n frame sets over n, drawn towards the spots' own noise while n is small.
 
-    Steady motion is taken out first: it moves no mean that is given for the middle of its exposures.
+    Steady motion is taken out first: it moves no mean that is given for the middle of its frame sets.
     """
     count = len(deviations)
     degrees_of_freedom = count - 1.0
-    if count >= _MIN_FOR_MOTION:
+    if count >= _MIN_FRAME_SETS_FOR_MOTION:
         deviations = deviations - since_middle_ns[:, None] * speed
         degrees_of_freedom -= 1
     scatter = deviations.T @ deviations + _PRIOR_WEIGHT * np.diag(np.square(noise))
@@ -192,10 +235,10 @@ def _covariance_of_mean(
     return covariance
 
 
-def _reasons_of_unusable(exposures: Sequence[Exposure]) -> tuple[Fault, ...]:
-    """The reasons of the unusable exposures, most frequent first, each with its latest detail."""
-    latest = {str(fault): fault for exposure in exposures for fault in exposure.faults()}
-    counts = Counter(str(fault) for exposure in exposures for fault in dict.fromkeys(exposure.faults()))
+def _reasons_of_unusable(frame_sets: Sequence[FrameSet]) -> tuple[Fault, ...]:
+    """The reasons of the unusable frame sets, most frequent first, each with its latest detail."""
+    latest = {str(fault): fault for frame_set in frame_sets for fault in frame_set.faults()}
+    counts = Counter(str(fault) for frame_set in frame_sets for fault in dict.fromkeys(frame_set.faults()))
     if not counts:
-        return (Fault(Reason.WARMING_UP, detail="half a window of exposures is needed first"),)
+        return (_WARMING_UP,)
     return tuple(latest[code] for code, _ in counts.most_common())

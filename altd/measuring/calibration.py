@@ -25,7 +25,7 @@ class TargetCalibration:
     ``flat`` is the target's response to even light, None for a target taken as plain.
     ``leave_one_out_px`` is the rms of the map's leave-one-out residuals; ``residual_mean_mm``,
     ``residual_std_mm`` and ``residual_max_mm`` are of the nodes' distances from the map;
-    ``repeatability_px`` (2,) is the scatter of single exposures at one node in u and v; ``leds_px`` (n, 2)
+    ``repeatability_px`` (2,) is the scatter of single frames at one node in u and v; ``leds_px`` (n, 2)
     are the frame LEDs' reference positions; ``spot`` is what its laser spots were like. ``camera`` is the one
     that was calibrated, ``fingerprint`` what is fixed in its picture; None: not known. ``origin`` is that of
     the frames it was calibrated with, a recorded flat's aside: see ``simulated``.

@@ -8,34 +8,41 @@ from datetime import datetime
 from functools import partial
 
 from altd.config import Measuring
-from altd.measuring.averaging import ExposureWindow
+from altd.measuring.averaging import FrameSetWindow
 from altd.measuring.calibration import Calibration
 from altd.measuring.gate import Gate
 from altd.measuring.instrument import Instrument
+from altd.measuring.motion_memory import MotionMemory
 from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.measuring.synchrony import SynchronyCheck
 from altd.reasons import Reason
 from altd.records import (
     CameraIdentity,
-    Exposure,
     Fault,
     Frame,
+    FrameSet,
     MeanSpots,
     Measurement,
     NoSpot,
     Spot,
 )
+from altd.records.motion import Motion
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A target and the camera that looks at it."""
+    """A target and the camera that looks at it.
+
+    ``expected`` is the camera that should stand behind the name, beside the one that was calibrated; None:
+    whichever.
+    """
 
     target: str
     camera: str
+    expected: CameraIdentity | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,13 +56,29 @@ class Place:
     window: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Of the frames, what no pixel tells: where they come from, when and where they were exposed.
+
+    ``origins`` gives what every measurement has to say of where they come from now, ``identity`` which camera
+    stands behind a name now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not known),
+    ``place`` where the exposure of a sequence was made (None: not known).
+    """
+
+    origins: Callable[[], Iterable[Fault]] = tuple
+    identity: Callable[[str], CameraIdentity | None] = lambda camera: None
+    utc: Callable[[int], datetime | None] = lambda t_ns: None
+    place: Callable[[int], Place | None] = lambda sequence: None
+
+
+_UNKNOWN = Provenance()
+
+
 class MeasuringChain:
     """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
 
-    ``origins`` tells what every measurement has to say of where the frames come from; that the calibration
-    is of simulated frames is said as well.
-    ``identity`` tells which camera stands behind a name, ``expected`` which should, beside the one that was
-    calibrated. ``place`` tells where an exposure was made, by its sequence.
+    Every measurement says what ``provenance`` gives as the frames' origin, and whether the calibration is of
+    simulated frames.
 
     ``locators`` locate the spots, by camera. ``push`` calls them itself; who calls them from threads of their
     own hands on to ``add`` what they found, and neither shares anything with the other.
@@ -67,11 +90,7 @@ class MeasuringChain:
         calibration: Calibration,
         measuring: Measuring,
         instrument: Instrument,
-        origins: Callable[[], Iterable[Fault]] = tuple,
-        utc: Callable[[int], datetime | None] = lambda t_ns: None,
-        identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
-        expected: Mapping[str, CameraIdentity] | None = None,
-        place: Callable[[int], Place | None] = lambda sequence: None,
+        provenance: Provenance = _UNKNOWN,
     ) -> None:
         self._views = {view.camera: view for view in views}
         self._targets = tuple(view.target for view in views)
@@ -85,33 +104,39 @@ class MeasuringChain:
             measuring.max_skew_ns,
             measuring.max_lag_ns,
         )
-        self._window = ExposureWindow(self._targets, measuring.window, measuring.every)
-        self._origins = origins
+        self._window = FrameSetWindow(self._targets, measuring.window, measuring.every)
+        self._provenance = provenance
         self._calibration_origin = calibration_faults(calibration)
-        self._utc = utc
-        self._place = place
         self._last_place: Place | None = None
         self.locators: Mapping[str, SpotLocator] = {
             view.camera: SpotLocator(
                 view.camera,
                 self._calibration[view.target],
-                partial(identity, view.camera),
-                (expected or {}).get(view.camera),
+                partial(provenance.identity, view.camera),
+                view.expected,
             )
             for view in views
         }
         self._view_status = {camera: locator.view for camera, locator in self.locators.items()}
         self._synchrony = SynchronyCheck(self._targets)
+        self._motion_memory = MotionMemory()
         self._gate = Gate()
+        self.correct: Callable[[MeanSpots], MeanSpots] | None = None
+        """What takes a known drift of the cameras out of the mean spots before they are mapped."""
         self._breaks_in_window = dict.fromkeys(self._views, 0)
-        self._last_exposure: Exposure | None = None
+        self._last_frame_set: FrameSet | None = None
         self._last_spots: dict[str, Spot | NoSpot] = {}
         self._last_skew_ns: int | None = None
         """None: the last exposure had too few frames to tell."""
         self._now_ns = 0
         self._last_frame_ns: dict[str, int] = {}
-        self.exposures = 0
+        self.frame_sets = 0
         """Those that moved on: paired or given up, and later than the one before."""
+
+    @property
+    def silent_after_s(self) -> float:
+        """A camera from which nothing came for so long is silent."""
+        return self._measuring.silent_after_s
 
     @property
     def late_frames(self) -> int:
@@ -156,14 +181,13 @@ class MeasuringChain:
 
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
-        if frame.leds_on:
-            return []
         return self.add(self.locators[frame.camera].locate(frame))
 
     def add(self, located: Located) -> list[Measurement]:
         """Take what one frame holds; returns the measurements that it completes."""
         self._now_ns = self._last_frame_ns[located.camera] = located.t_ns
-        self._last_spots[self._views[located.camera].target] = located.spot
+        if not located.leds_on:
+            self._last_spots[self._views[located.camera].target] = located.spot
         self._view_status[located.camera] = located.view
         return self._measure(self._pairer.add(located.camera, located.sequence, located.t_ns, located))
 
@@ -177,22 +201,39 @@ class MeasuringChain:
         self._last_skew_ns = None
         self._last_frame_ns.clear()
         self._now_ns = t_ns
-        last = Exposure(self._last_exposure.sequence if self._last_exposure else 0, t_ns, {})
+        last = FrameSet(self._last_frame_set.sequence if self._last_frame_set else 0, t_ns, {})
         silent = _SILENT
         self._last_spots = dict.fromkeys(self._targets, silent)
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
 
     def _measure(self, pairs: Sequence[Pair[Located]]) -> list[Measurement]:
-        measurements = (self._after(self._exposure(pair)) for pair in pairs)
+        measurements = (
+            self._after(self._frame_set(pair)) for pair in pairs if not self._is_passed_over(pair)
+        )
         return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
 
-    def _exposure(self, pair: Pair[Located]) -> Exposure:
+    def _is_passed_over(self, pair: Pair[Located]) -> bool:
+        """Whether the frame LEDs were lit, or switched, in any frame of an exposure.
+
+        Time goes on with it, so it is no gap in which anything may have happened; it is no exposure of the
+        window, whose reach counts by the exposures' numbers.
+        """
+        if not any(located.leds_on for located in pair.items.values()):
+            return False
+        last = self._last_frame_set
+        if last is None or pair.t_ns > last.t_ns:
+            self.frame_sets += 1
+            self._last_frame_set = FrameSet(pair.sequence, pair.t_ns, {})
+            self._window.pass_over(pair.sequence)
+        return True
+
+    def _frame_set(self, pair: Pair[Located]) -> FrameSet:
         """The spots of one instant.
 
         Forgets the window when one was exposed otherwise, or at another place, than those before.
         """
         spots: dict[str, Spot | NoSpot] = {}
-        if (place := self._place(pair.sequence)) != self._last_place:
+        if (place := self._provenance.place(pair.sequence)) != self._last_place:
             self._last_place = place
             self._window.begin(place.window if place else None)
         self._last_skew_ns = None if len(pair.items) == 1 < len(self._views) else pair.skew_ns
@@ -207,7 +248,7 @@ class MeasuringChain:
                 missing = self._why_missing(pair.missing[camera])
                 spots[view.target] = self._last_spots[view.target] = missing
         behind_ns = {self._views[camera].target: late_ns for camera, late_ns in pair.behind_ns.items()}
-        return Exposure(pair.sequence, pair.t_ns, spots, behind_ns)
+        return FrameSet(pair.sequence, pair.t_ns, spots, behind_ns)
 
     def _why_missing(self, reason: Reason) -> NoSpot:
         """The reason with what is known of the cameras' step, where it is that."""
@@ -216,56 +257,64 @@ class MeasuringChain:
         known = {name: value for name, value in self.step().items() if value is not None}
         return NoSpot(reason, ", ".join(f"{name} {value:g}" for name, value in known.items()))
 
-    def _after(self, exposure: Exposure) -> Measurement | None:
-        last = self._last_exposure
-        since_last_ns = 1 if last is None else exposure.t_ns - last.t_ns
+    def _after(self, frame_set: FrameSet) -> Measurement | None:
+        last = self._last_frame_set
+        since_last_ns = 1 if last is None else frame_set.t_ns - last.t_ns
         if not 0 < since_last_ns <= self._silent_after_ns:
             self._window.forget()
             self._synchrony.restart()
-        self.exposures += since_last_ns > 0
-        self._last_exposure = exposure
-        unsynchronised = self._synchrony.look(exposure)
-        mean = self._window.add(exposure)
+        self.frame_sets += since_last_ns > 0
+        self._last_frame_set = frame_set
+        unsynchronised = self._synchrony.inspect(frame_set)
+        mean = self._window.add(frame_set)
         if mean is None:
             return None
         if not isinstance(mean, MeanSpots):
-            return self._invalid(exposure, exposure.t_ns, mean)
+            return self._invalid(frame_set, frame_set.t_ns, mean)
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
-            return self._invalid(exposure, mean.t_ns, (fault,))
-        solution = self._instrument.solve(mean)
+            return self._invalid(frame_set, mean.t_ns, (fault,))
+        solution = self._instrument.solve(mean if self.correct is None else self.correct(mean))
         if isinstance(solution, Fault):
-            return self._invalid(exposure, mean.t_ns, (solution,))
+            return self._invalid(frame_set, mean.t_ns, (solution,))
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
         return Measurement(
-            sequence=exposure.sequence,
+            sequence=frame_set.sequence,
             t_ns=mean.t_ns,
-            time=self._utc(mean.t_ns),
+            time=self._provenance.utc(mean.t_ns),
             frames=mean.frames,
             quantities=self._instrument.quantities,
             values=solution.values,
             targets=solution.targets,
             status=lost + self._origin_faults(),
-            last_exposure_ns=exposure.t_ns,
+            last_exposure_ns=frame_set.t_ns,
+            motions=self._motions(mean, frame_set.t_ns, solution.motions),
         )
 
-    def _invalid(self, exposure: Exposure, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
+    def _motions(
+        self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]
+    ) -> Mapping[str, Motion]:
+        """How the quantities move, with what the windows before say of it."""
+        span_s = mean.motion.span_s if mean.motion else 0.0
+        return self._motion_memory.learn(mean.t_ns, newest_ns, span_s, of_window)
+
+    def _invalid(self, frame_set: FrameSet, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
         """No numbers at all, not even of a target whose own spot is good: nobody may steer by half a beam."""
         return Measurement(
-            sequence=exposure.sequence,
+            sequence=frame_set.sequence,
             t_ns=t_ns,
-            time=self._utc(t_ns),
+            time=self._provenance.utc(t_ns),
             frames=0,
             quantities=self._instrument.quantities,
             values={},
             targets=dict.fromkeys(self._targets),
             status=faults + self._origin_faults(),
-            last_exposure_ns=exposure.t_ns,
+            last_exposure_ns=frame_set.t_ns,
         )
 
     def _origin_faults(self) -> tuple[Fault, ...]:
         """One fault a reason: of the frames first, else of the calibration."""
-        faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._origins())}
+        faults = {fault.reason: fault for fault in (*self._calibration_origin, *self._provenance.origins())}
         return tuple(faults[reason] for reason in sorted(faults))
 
 

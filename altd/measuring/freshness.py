@@ -9,44 +9,44 @@ import numpy.typing as npt
 
 from altd.records import Frame, PixelArray
 
-REMEMBERED = 128
+MAX_COMPARED_FRAMES = 128
 """Frames that a new one is compared with: 6.4 s at 20 a second."""
-_ROWS = 60
+_SAMPLED_ROWS = 60
 _ROW_STEP = 3
 """Odd: the rows that are looked at are even and odd ones, so that a frozen field of an interlaced picture
 is among them."""
-_COLUMNS = 8
+_BLOCKS_PER_ROW = 8
 _LANE_BYTES = 8
-_MIN_PIXELS = 400
+_MIN_REPEATED_PIXELS = 400
 """Pixels that must come again at once. A value between two counts flips with a probability of about 1.1 times
 the noise in counts. At a tenth of a count, less than any sensor has where light falls, a block of 94 pixels
 stays with a probability of 3e-5, and five of 480 at once in one of 128 frames with 1e-9."""
-_MIN_UNEVEN = 0.25
+_MIN_DIFFERING_SHARE = 0.25
 """Neighbouring pixels of a block that differ. A block at one value, black or at full scale, hides its noise
 and says nothing; a few hot pixels in it say nothing either."""
 
 
-class _Seen(NamedTuple):
+class _EarlierFrame(NamedTuple):
     sequence: int
     t_ns: int
 
 
 class FreshnessCheck:
-    """Compares each frame of one camera with the last ``REMEMBERED``, block by block.
+    """Compares each frame of one camera with the last ``MAX_COMPARED_FRAMES``, block by block.
 
     60 rows of the picture, each cut into eight, make the blocks. Of each block a digest is kept: the sum of
     its eight-byte words times random odd numbers, modulo 2⁶⁴, of that the upper half (multilinear hashing).
     Two blocks with different noise have the same digest with a probability of 2⁻³². Blocks find a picture of
     which only a part stands still, and one that stands still under a clock that is written into it.
 
-    What cannot be seen: a repeat of a picture older than that; a picture that an averaging camera mixes of
-    old and new light; frames that somebody adds noise to; black and saturated parts.
+    What cannot be detected: a repeat of a picture older than that; a picture that an averaging camera mixes
+    of old and new light; frames that somebody adds noise to; black and saturated parts.
     """
 
     def __init__(self) -> None:
         self._shape: tuple[int, ...] = ()
         self._playthrough = 0
-        self._seen: dict[int, _Seen] = {}
+        self._earlier: dict[int, _EarlierFrame] = {}
         self._next = 0
 
     def repeated(self, frame: Frame) -> str:
@@ -57,39 +57,39 @@ class FreshnessCheck:
         sample = self._sample(frame.pixels)
         digests = self._digests(sample)
         same = self._known == digests
-        worst, share = -1, 0.0
+        match, share = -1, 0.0
         if same.any():
-            worst, share = self._most_alike(same, sample)
-        seen = self._seen[worst] if worst >= 0 else None
+            match, share = self._best_match(same, sample)
+        earlier = self._earlier[match] if match >= 0 else None
         self._known[self._next] = digests
-        self._seen[self._next] = _Seen(frame.sequence, frame.t_ns)
-        self._next = (self._next + 1) % REMEMBERED
-        if seen is None:
+        self._earlier[self._next] = _EarlierFrame(frame.sequence, frame.t_ns)
+        self._next = (self._next + 1) % MAX_COMPARED_FRAMES
+        if earlier is None:
             return ""
-        age_s = (frame.t_ns - seen.t_ns) * 1e-9
-        return f"{share:.0%} of the picture is that of exposure {seen.sequence}, {age_s:.2f} s before"
+        age_s = (frame.t_ns - earlier.t_ns) * 1e-9
+        return f"{share:.0%} of the picture is that of exposure {earlier.sequence}, {age_s:.2f} s before"
 
     def _begin(self, frame: Frame, shape: tuple[int, ...]) -> None:
-        """Forget what was seen: frames of another size, or a recording that is played again."""
+        """Forget the earlier frames: frames of another size, or a recording that is played again."""
         height, width = frame.pixels.shape
         self._shape = shape
         self._playthrough = frame.playthrough
-        rows = min(_ROWS, height)
+        rows = min(_SAMPLED_ROWS, height)
         spacing = height // rows
         number = np.arange(rows)
         self._rows = number * spacing + number * _ROW_STEP % spacing
         words = width * frame.pixels.itemsize // _LANE_BYTES
         self._width = words * _LANE_BYTES // frame.pixels.itemsize
-        self._first_words = np.arange(_COLUMNS) * words // _COLUMNS
+        self._first_words = np.arange(_BLOCKS_PER_ROW) * words // _BLOCKS_PER_ROW
         self._first_pixels = self._first_words * _LANE_BYTES // frame.pixels.itemsize
         self._sizes = np.diff(np.append(self._first_pixels, self._width))
         self._random = np.random.default_rng()
         factors = self._random.integers(0, 2**63, (rows, words), dtype=np.uint64)
         self._factors = factors * np.uint64(2) + np.uint64(1)
         lane_of_ones = np.ones(_LANE_BYTES // frame.pixels.itemsize, frame.pixels.dtype).view(np.uint64)
-        self._even_sums = np.add.reduceat(self._factors * lane_of_ones, self._first_words, axis=1)
-        self._known = np.zeros((REMEMBERED, rows, _COLUMNS), dtype=np.uint32)
-        self._seen.clear()
+        self._uniform_sums = np.add.reduceat(self._factors * lane_of_ones, self._first_words, axis=1)
+        self._known = np.zeros((MAX_COMPARED_FRAMES, rows, _BLOCKS_PER_ROW), dtype=np.uint32)
+        self._earlier.clear()
         self._next = 0
 
     def _sample(self, pixels: PixelArray) -> npt.NDArray[Any]:
@@ -99,23 +99,23 @@ class FreshnessCheck:
         """The digest of each block, (rows, columns); that of a block at one value is any number."""
         words = sample.view(np.uint64)
         sums = np.add.reduceat(words * self._factors, self._first_words, axis=1)
-        even = sums == sample[:, self._first_pixels] * self._even_sums
+        is_uniform = sums == sample[:, self._first_pixels] * self._uniform_sums
         digests: npt.NDArray[np.uint32] = (sums >> np.uint64(32)).astype(np.uint32)
-        digests[even] = self._random.integers(0, 2**32, np.count_nonzero(even), dtype=np.uint32)
+        digests[is_uniform] = self._random.integers(0, 2**32, np.count_nonzero(is_uniform), dtype=np.uint32)
         return digests
 
-    def _most_alike(self, same: npt.NDArray[np.bool_], sample: npt.NDArray[Any]) -> tuple[int, float]:
+    def _best_match(self, same: npt.NDArray[np.bool_], sample: npt.NDArray[Any]) -> tuple[int, float]:
         """The place of the frame that has most in common with this one, and how much; −1: none has enough.
 
         ``same`` is (frames, rows, columns).
         """
-        uneven = np.zeros(sample.shape, dtype=np.bool_)
-        np.not_equal(sample[:, 1:], sample[:, :-1], out=uneven[:, 1:])
-        count = np.add.reduceat(uneven.view(np.uint8), self._first_pixels, axis=1, dtype=np.uint32)
-        telling = count >= _MIN_UNEVEN * self._sizes
-        sizes = np.broadcast_to(self._sizes, telling.shape)[telling]
-        pixels = same[:, telling] @ sizes
+        differs = np.zeros(sample.shape, dtype=np.bool_)
+        np.not_equal(sample[:, 1:], sample[:, :-1], out=differs[:, 1:])
+        count = np.add.reduceat(differs.view(np.uint8), self._first_pixels, axis=1, dtype=np.uint32)
+        is_usable = count >= _MIN_DIFFERING_SHARE * self._sizes
+        sizes = np.broadcast_to(self._sizes, is_usable.shape)[is_usable]
+        pixels = same[:, is_usable] @ sizes
         most = int(pixels.argmax())
-        if pixels[most] < _MIN_PIXELS or most not in self._seen:
+        if pixels[most] < _MIN_REPEATED_PIXELS or most not in self._earlier:
             return -1, 0.0
         return most, float(pixels[most] / sizes.sum())

@@ -8,12 +8,15 @@ from collections.abc import Iterator, Mapping
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantity, Value
 
+_LATE_S = 10.0
+"""An age at which all that is known of motion has its part in sigma."""
+
 
 class Gate:
-    """Lets measurements through; one that cannot be true loses its numbers and says ``check_failed``.
+    """Admits measurements; one that cannot be true loses its numbers for the reason ``check_failed``.
 
     It remembers the last valid one: a later measurement has a larger sequence and a later last exposure.
-    After one that was out of order the order counts from there, or a single lie would stop all that follows.
+    After one that was out of order the order counts from there, or one wrong time would refuse all others.
     """
 
     def __init__(self) -> None:
@@ -26,20 +29,21 @@ class Gate:
         before = self._last
         if measurement.valid:
             self._last = measurement
-        doubt = next(_doubts(measurement, before), None)
-        if doubt is None:
+        violation = next(_violations(measurement, before), None)
+        if violation is None:
             return measurement
         warnings = tuple(fault for fault in measurement.status if fault.reason.is_warning)
-        return measurement.without_numbers((Fault(Reason.CHECK_FAILED, detail=doubt), *warnings))
+        return measurement.without_numbers((Fault(Reason.CHECK_FAILED, detail=violation), *warnings))
 
 
-def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[str]:
+def _violations(measurement: Measurement, before: Measurement | None) -> Iterator[str]:
     if not measurement.values:
         yield "no quantity is known"
     quantities = measurement.quantities
-    yield from _doubts_of_values("", quantities.of_unit, measurement.values)
+    yield from _value_violations("", quantities.of_unit, measurement.values)
     for target, values in measurement.targets.items():
-        yield from _doubts_of_values(f"{target}.", quantities.of_target, values or {})
+        yield from _value_violations(f"{target}.", quantities.of_target, values or {})
+    yield from _motion_violations(measurement)
     if measurement.frames < 1:
         yield f"it is the mean of {measurement.frames} exposures"
     if before is not None:
@@ -49,7 +53,16 @@ def _doubts(measurement: Measurement, before: Measurement | None) -> Iterator[st
             yield f"exposed {(before.light_ns - measurement.light_ns) * 1e-9:g} s before the one before it"
 
 
-def _doubts_of_values(
+def _motion_violations(measurement: Measurement) -> Iterator[str]:
+    for key, rate in measurement.rates.items():
+        if not math.isfinite(rate.value):
+            yield f"the rate of {key} is {rate.value}"
+        known = measurement.sigma_at(key, _LATE_S)
+        if not all(math.isfinite(sigma) for sigma in (rate.sigma, known) if sigma is not None):
+            yield f"how {key} moves is not known"
+
+
+def _value_violations(
     prefix: str, quantities: tuple[Quantity, ...], values: Mapping[str, Value]
 ) -> Iterator[str]:
     for quantity in quantities:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from altd.records import Fault, MeanSpots, Quantities, Value
+from altd.records.motion import Motion
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """What an instrument makes of a window: values by their quantities' keys."""
+    """What an instrument makes of a window: values by their quantities' keys.
+
+    ``motions`` are those of this window alone, of the values that have a sigma; empty where the window shows
+    none.
+    """
 
     values: Mapping[str, Value]
     targets: Mapping[str, Mapping[str, Value]]
+    motions: Mapping[str, Motion] = field(default_factory=dict)
 
 
 class Instrument(Protocol):

@@ -1,4 +1,4 @@
-"""Frames of several cameras, or what was found in them, become exposures: by sequence or by time."""
+"""Frames of several cameras, or what was found in them, become frame sets: by sequence or by time."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from altd.reasons import Reason
 
 Item = TypeVar("Item")
 
-_PATIENCE = 4
+_PARTNER_TIMEOUT_FRAMES = 4
 """A frame waits for its partner until its own camera has delivered this many more. When more of a camera's
 frames than that are late in a row, it is not they who are wrong but what came before them."""
-_REMEMBERED = 8
+_MAX_COMPARED_FRAMES = 8
 """Frames of a camera whose times are compared: a frame may be delivered later than those that follow it."""
-_SAMPLES = 15
-_HALF_A_PERIOD = 0.55
-"""A little more than half: a lag that lies just there must not change its side with every tremble."""
-_BREAK_NS = 500_000_000
+_MAX_LAG_SAMPLES = 15
+_MAX_LAG_PERIODS = 0.55
+"""A little more than half: a lag that lies just there must not change its side with every jitter."""
+_RESTART_GAP_NS = 500_000_000
 """A camera from which nothing came for so long may have been started anew."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pair(Generic[Item]):
-    """What belongs to one exposure. ``missing`` says, for a camera without an item, why.
+    """What belongs to one frame set. ``missing`` says, for a camera without an item, why.
 
     ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
     steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
@@ -54,7 +54,7 @@ class _Waiting(Generic[Item]):
 
 
 class Lags:
-    """How far each camera exposes behind the first, learnt from their times.
+    """How far each camera exposes behind the first, estimated from their times.
 
     Free-running cameras keep a lag of up to half a period either way, which creeps as their crystals differ.
     A frame is compared with the nearest of the first camera's frames, seen from the lag that is known; the
@@ -62,64 +62,68 @@ class Lags:
     """
 
     def __init__(self, cameras: tuple[str, ...]) -> None:
-        self._first, *others = cameras
-        self._firsts_ns: deque[int] = deque(maxlen=_REMEMBERED)
-        self._open_ns: dict[str, deque[int]] = {camera: deque(maxlen=_REMEMBERED) for camera in others}
-        self._samples_ns: dict[str, deque[int]] = {camera: deque(maxlen=_SAMPLES) for camera in others}
+        self._reference, *others = cameras
+        self._reference_ns: deque[int] = deque(maxlen=_MAX_COMPARED_FRAMES)
+        self._pending_ns: dict[str, deque[int]] = {
+            camera: deque(maxlen=_MAX_COMPARED_FRAMES) for camera in others
+        }
+        self._samples_ns: dict[str, deque[int]] = {
+            camera: deque(maxlen=_MAX_LAG_SAMPLES) for camera in others
+        }
         self.ns = dict.fromkeys(cameras, 0)
         """The lag of each camera; 0 for the first, and for one of which nothing is known yet."""
 
-    def see(self, camera: str, t_ns: int) -> None:
-        """Learn from the time of one frame."""
-        times_ns = self._firsts_ns if camera == self._first else self._open_ns[camera]
-        if times_ns and t_ns - times_ns[-1] > _BREAK_NS:
-            self._forget(camera)
+    def add(self, camera: str, t_ns: int) -> None:
+        """Update the lags by the time of one frame."""
+        times_ns = self._reference_ns if camera == self._reference else self._pending_ns[camera]
+        if times_ns and t_ns - times_ns[-1] > _RESTART_GAP_NS:
+            self._reset(camera)
         times_ns.append(t_ns)
         period_ns = self._period_ns()
         if period_ns is not None:
-            for other in self._open_ns if camera == self._first else (camera,):
-                self._learn(other, period_ns)
+            for other in self._pending_ns if camera == self._reference else (camera,):
+                self._estimate(other, period_ns)
 
-    def _forget(self, camera: str) -> None:
+    def _reset(self, camera: str) -> None:
         """After a break nobody knows the lag: the camera may have been started anew."""
-        if camera == self._first:
-            self._firsts_ns.clear()
-        for other in self._open_ns if camera == self._first else (camera,):
-            self._open_ns[other].clear()
+        if camera == self._reference:
+            self._reference_ns.clear()
+        for other in self._pending_ns if camera == self._reference else (camera,):
+            self._pending_ns[other].clear()
             self._samples_ns[other].clear()
             self.ns[other] = 0
 
     def _period_ns(self) -> float | None:
-        firsts_ns = self._firsts_ns
-        if len(firsts_ns) < 2:
+        reference_ns = self._reference_ns
+        if len(reference_ns) < 2:
             return None
-        return median(firsts_ns[n] - firsts_ns[n - 1] for n in range(1, len(firsts_ns)))
+        return median(reference_ns[n] - reference_ns[n - 1] for n in range(1, len(reference_ns)))
 
-    def _learn(self, camera: str, period_ns: float) -> None:
+    def _estimate(self, camera: str, period_ns: float) -> None:
         """Compare those frames around which the first camera's are all there."""
-        open_ns, samples_ns = self._open_ns[camera], self._samples_ns[camera]
-        while open_ns and open_ns[0] + period_ns / 2 <= self._firsts_ns[-1]:
-            t_ns = open_ns.popleft()
+        pending_ns, samples_ns = self._pending_ns[camera], self._samples_ns[camera]
+        while pending_ns and pending_ns[0] + period_ns / 2 <= self._reference_ns[-1]:
+            t_ns = pending_ns.popleft()
             samples_ns.append(self._behind_nearest(t_ns, self.ns[camera]))
             lag_ns = round(median(samples_ns))
-            if abs(lag_ns) > _HALF_A_PERIOD * period_ns:
+            if abs(lag_ns) > _MAX_LAG_PERIODS * period_ns:
                 samples_ns.clear()
                 samples_ns.append(lag_ns := self._behind_nearest(t_ns, 0))
             self.ns[camera] = lag_ns
 
     def _behind_nearest(self, t_ns: int, lag_ns: int) -> int:
-        return t_ns - min(self._firsts_ns, key=lambda first_ns: abs(t_ns - lag_ns - first_ns))
+        return t_ns - min(self._reference_ns, key=lambda first_ns: abs(t_ns - lag_ns - first_ns))
 
 
 class Pairer(Generic[Item]):
     """Pairs the items of cameras; what cannot be paired comes out too, with the reason.
 
-    By sequence: items of one exposure carry one number, and times no further apart than ``max_skew_ns``.
+    By sequence: items of one frame set carry one number, and times no further apart than ``max_skew_ns``.
     By time: items whose times, each less its camera's lag, are no further apart than that belong together
     unless a lag is larger than ``max_lag_ns``; the number is the first camera's. A camera from which nothing
     came since is silent; one that delivers, but nothing that fits, is out of step.
 
-    A number or a time that jumps spoils its own exposure and a few after it, whichever way it jumps: see
+    A number or a time that jumps spoils its own frame set and a few after it, whichever way it jumps: see
     ``_is_late`` and ``_expire``.
     """
 
@@ -143,7 +147,7 @@ class Pairer(Generic[Item]):
         self._ahead: dict[str, int] = {}
         """By time: how far each camera's numbers are ahead of the first one's, as far as it is known."""
         self.late = 0
-        """Items that came after their exposure was given up."""
+        """Items that came after their frame set was given up."""
 
     @property
     def is_waiting(self) -> bool:
@@ -156,9 +160,9 @@ class Pairer(Generic[Item]):
         return self._lags.ns if self._lags else {}
 
     def add(self, camera: str, sequence: int, t_ns: int, item: Item) -> list[Pair[Item]]:
-        """Take one item; returns the exposures that are now settled, oldest first."""
+        """Take one item; returns the frame sets that are now settled, oldest first."""
         if self._lags:
-            self._lags.see(camera, t_ns)
+            self._lags.add(camera, t_ns)
         aligned_ns = t_ns - self.lags_ns.get(camera, 0)
         self._last_ns[camera] = aligned_ns
         self._delivered[camera] += 1
@@ -171,11 +175,11 @@ class Pairer(Generic[Item]):
         settled: list[Pair[Item]] = []
         group = self._group_of(new)
         if len(group) == len(self._cameras):
-            settled += self._give_up_before(group)
+            settled += self._settle_older(group)
             settled.append(self._settle(group))
-        elif len(self._waiting[camera]) > _PATIENCE:
+        elif len(self._waiting[camera]) > _PARTNER_TIMEOUT_FRAMES:
             group = self._group_of(min(self._waiting[camera], key=self._order))
-            settled += self._give_up_before(group)
+            settled += self._settle_older(group)
             settled.append(self._settle(group))
         return settled
 
@@ -194,12 +198,12 @@ class Pairer(Generic[Item]):
         waiting = self._waiting[new.camera]
         for old in list(waiting):
             ahead = self._order(old) > self._order(new)
-            if ahead and new.delivery - old.delivery > _PATIENCE:
+            if ahead and new.delivery - old.delivery > _PARTNER_TIMEOUT_FRAMES:
                 waiting.remove(old)
                 self.late += 1
 
     def _is_late(self, new: _Waiting[Item]) -> bool:
-        """Whether the exposure of a frame was given up before it came.
+        """Whether the frame set of a frame was given up before it came.
 
         A number that fell back although its time did not was counted anew. When a camera goes on delivering
         what is late, a time that was settled lay in the future: then the order begins anew with this frame.
@@ -209,14 +213,14 @@ class Pairer(Generic[Item]):
             return False
         self._late_in_a_row[new.camera] += 1
         counted_anew = not self._lags and new.t_ns > self._last_out_ns + self._max_skew_ns
-        if not counted_anew and self._late_in_a_row[new.camera] <= _PATIENCE:
+        if not counted_anew and self._late_in_a_row[new.camera] <= _PARTNER_TIMEOUT_FRAMES:
             return True
         self._last_out = None
         self._late_in_a_row[new.camera] = 0
         return False
 
     def _group_of(self, one: _Waiting[Item]) -> dict[str, _Waiting[Item]]:
-        """What waits and belongs to the same exposure as ``one``, by camera."""
+        """What waits and belongs to the same frame set as ``one``, by camera."""
         group = {}
         for camera in self._cameras:
             for other in self._waiting[camera]:
@@ -234,8 +238,8 @@ class Pairer(Generic[Item]):
         near = abs(one.aligned_ns - other.aligned_ns) <= self._max_skew_ns
         return near and abs(lag_ns) <= self._max_lag_ns
 
-    def _give_up_before(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
-        """Settle, incomplete as they are, the exposures older than one that is settled."""
+    def _settle_older(self, group: Mapping[str, _Waiting[Item]]) -> list[Pair[Item]]:
+        """Settle, incomplete as they are, the frame sets older than one that is settled."""
         first = min(self._order(waiting) for waiting in group.values())
         settled = []
         while older := [

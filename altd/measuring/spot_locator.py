@@ -8,14 +8,29 @@ from dataclasses import dataclass, replace
 
 from altd.measuring.calibration import TargetCalibration
 from altd.measuring.freshness import FreshnessCheck
+from altd.measuring.spot_trend import light_per_ms
 from altd.measuring.view_check import ViewCheck, ViewStatus
-from altd.reasons import Reason
+from altd.reasons import LEDS_LIT, Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
+from altd.vision.dust import DustCount, count_dust
+from altd.vision.fingerprint import Fingerprint
+from altd.vision.flat import Flat
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.frame_leds import count_lit_leds, with_leds_as_cause
 from altd.vision.localise import locate_in
 
 _CHANGING = NoSpot(Reason.EXPOSURE_CHANGING)
+DUST_INTERVAL_NS = 5 * 10**9
+"""Dust comes in weeks, and to look for it takes one to three milliseconds."""
+_UNDER_LEDS = NoSpot(Reason.SPOT_MISSING, f"not looked for, {LEDS_LIT}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Appearance:
+    """How a target looks: its response to even light, and what no spot changes in it; None: not known."""
+
+    flat: Flat | None
+    fingerprint: Fingerprint | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +41,11 @@ class Located:
     frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
     across, so one that gets lost is in the next one's: frames that were exposed during a change, or of
     another view, and the second and later ones of a row that are not new: one that comes twice is lost, with
-    two in a row the camera stands still. ``view`` is what is known of the camera.
+    two in a row the camera stands still. ``view`` is what is known of the camera, ``light_per_ms`` the
+    light of ``spot`` for equal exposure and gain, ``dust`` what covers it, looked for now and then; None: not
+    known.
+    ``leds_on``: the frame LEDs were lit, or being switched. Such a frame was not looked at, and its exposure
+    is not measured; it only says that its camera delivers.
     """
 
     camera: str
@@ -36,6 +55,9 @@ class Located:
     breaks: int
     found: Spot | NoSpot | None
     view: ViewStatus
+    light_per_ms: float | None = None
+    leds_on: bool = False
+    dust: DustCount | None = None
 
 
 class SpotLocator:
@@ -54,33 +76,81 @@ class SpotLocator:
     ) -> None:
         self.camera = camera
         self._target = target
+        self.appearance = Appearance(target.flat, target.fingerprint)
+        """By which spots are located and the view is checked; another thread may put another one here."""
+        self._last_appearance = self.appearance
         self._identity = identity
         self._freshness = FreshnessCheck()
         self._stands_still = False
         """The last frame was not new."""
         self._breaks = 0
+        self._dust_ns: int | None = None
         self._view_check = ViewCheck(target, (target.camera, expected or CameraIdentity()))
 
     def locate(self, frame: Frame) -> Located:
-        """The spot of a frame that was taken with the frame LEDs off."""
+        """The spot of a frame; none is looked for where the frame LEDs are lit."""
+        if frame.leds_on:
+            self._breaks += frame.changing
+            return self._located(frame, _UNDER_LEDS, None, leds_on=True)
         stood_still = self._stands_still
         repeated = self._freshness.repeated(frame)
         self._stands_still = bool(repeated)
         analysis = FrameAnalysis(frame, self._target.localiser)
-        self._breaks += frame.changing or (bool(repeated) and stood_still)
+        is_changed = self._takes_another_flat()
+        self._breaks += frame.changing or is_changed or (bool(repeated) and stood_still)
         found = None if repeated else self._found(analysis)
         spot = NoSpot(Reason.FRAME_REPEATED, repeated) if found is None else self._checked(analysis, found)
-        view = self._view_check.status
-        return Located(self.camera, frame.sequence, frame.t_ns, spot, self._breaks, found, view)
+        return self._located(frame, spot, found, self._dust(analysis, spot))
+
+    def _takes_another_flat(self) -> bool:
+        """Look by the newest appearance from this frame on."""
+        before, self._last_appearance = self._last_appearance, self.appearance
+        if self._last_appearance.fingerprint is not before.fingerprint:
+            self._view_check.compare_with(self._last_appearance.fingerprint)
+        return self._last_appearance.flat is not before.flat
+
+    def _located(
+        self,
+        frame: Frame,
+        spot: Spot | NoSpot,
+        found: Spot | NoSpot | None,
+        dust: DustCount | None = None,
+        leds_on: bool = False,
+    ) -> Located:
+        return Located(
+            self.camera,
+            frame.sequence,
+            frame.t_ns,
+            spot,
+            self._breaks,
+            found,
+            self._view_check.status,
+            light_per_ms(spot, frame) if isinstance(spot, Spot) else None,
+            leds_on,
+            dust,
+        )
 
     @property
     def view(self) -> ViewStatus:
         """What is known of the camera now."""
         return self._view_check.status
 
+    def _dust(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> DustCount | None:
+        """What covers a spot, now and then; that of one which is refused may be anything."""
+        fingerprint = self._last_appearance.fingerprint
+        texture = None if fingerprint is None else fingerprint.texture
+        t_ns = analysis.frame.t_ns
+        if isinstance(spot, NoSpot) or texture is None:
+            return None
+        if self._dust_ns is not None and 0 <= t_ns - self._dust_ns < DUST_INTERVAL_NS:
+            return None
+        self._dust_ns = t_ns
+        return count_dust(analysis, texture)
+
     def _found(self, analysis: FrameAnalysis) -> Spot | NoSpot:
         target = self._target
-        spot = _CHANGING if analysis.frame.changing else locate_in(analysis, target.flat, target.spot)
+        flat = self._last_appearance.flat
+        spot = _CHANGING if analysis.frame.changing else locate_in(analysis, flat, target.spot)
         if isinstance(spot, NoSpot) and len(target.leds_px):
             lit = count_lit_leds(analysis.found, target.leds_px)
             spot = with_leds_as_cause(spot, lit, len(target.leds_px))
@@ -90,7 +160,7 @@ class SpotLocator:
         """The spot as far as the camera and its view are those that were calibrated."""
         check = self._view_check
         if (objection := check.objection(analysis, spot, self._identity())) is not None:
-            self._breaks += 1  # the exposures before it are not to be believed either
+            self._breaks += 1  # the frames before it are not to be believed either
             return objection
         if check.displaced_px and isinstance(spot, Spot):
             return replace(spot, excess_px=math.hypot(spot.excess_px, check.displaced_px))

@@ -26,8 +26,8 @@ _BIAS_PER_MM2 = 7.5e-5
 """A map holds for spots of the calibrated size: the curved map and the fall-off of the lens displace a spot
 by the square of its diameter. Millimetres per square millimetre, on simulated lenses of 5.7 and 8 mm."""
 _EXPLAINED_SIGMAS = 3.0
-_DISTORTED_FROM_SIGMAS = 6.0
-_DISTORTED_FROM_STRETCH = 0.015
+_MIN_DISTORTION_SIGMAS = 6.0
+_MIN_DISTORTION_STRETCH = 0.015
 """What may displace a spot by less adds to its sigma."""
 
 
@@ -86,9 +86,9 @@ def shape_agreement(
     unexplained = math.sqrt(max(stretch**2 - (_EXPLAINED_SIGMAS * stretch_sigma) ** 2, 0.0))
     sigma_mm = _BIAS_PER_STRETCH * unexplained * math.exp(float(max(first[0], second[0])))
     size_ratio = math.exp(abs(float(difference[0])))
-    if size_ratio > _MAX_SIZE_RATIO + _DISTORTED_FROM_SIGMAS * float(sigma[0]):
+    if size_ratio > _MAX_SIZE_RATIO + _MIN_DISTORTION_SIGMAS * float(sigma[0]):
         return ShapeAgreement(sigma_mm, f"the spots differ in size by {size_ratio - 1:.0%}")
-    if stretch > max(_DISTORTED_FROM_SIGMAS * stretch_sigma, _DISTORTED_FROM_STRETCH):
+    if stretch > max(_MIN_DISTORTION_SIGMAS * stretch_sigma, _MIN_DISTORTION_STRETCH):
         return ShapeAgreement(sigma_mm, f"the spots differ in elongation by {2 * stretch:.1%}")
     return ShapeAgreement(sigma_mm)
 

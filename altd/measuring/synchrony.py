@@ -1,13 +1,13 @@
 """Whether the targets' spots move at the same instants, or one camera's pictures are whole frames late.
 
 A picture that waited in a buffer and was stamped when it came out has a wrong time that no stamp tells. But
-the machine moves all targets at once: what is new in the motion of one spot, from one exposure to the next,
-must be new in the others in the same exposure.
+the machine moves all targets at once: what is new in the motion of one spot, from one frame set to the next,
+must be new in the others in the same frame set.
 
 That is the cross-correlation of prewhitened series (Box and Jenkins, Time Series Analysis, 12.2): an
 autoregression fitted to the steps of the first spot leaves what was not to be foreseen in them; the same
 filter goes over the steps of the other spot. Then m · ‖C_L‖², C_L the 2 × 2 correlation at lag L over m
-exposures, follows a χ² with four degrees of freedom wherever the two have nothing to do with each other at
+frame sets, follows a χ² with four degrees of freedom wherever the two have nothing to do with each other at
 that lag, whatever spectrum either has. A vibration at one frequency is foreseen, so its phase says nothing.
 """
 
@@ -18,39 +18,39 @@ from collections import deque
 
 import numpy as np
 
-from altd.records import Exposure, FloatArray, Spot
+from altd.records import FloatArray, FrameSet, Spot
 from altd.statistics.robust import MAD_TO_SIGMA, median
 
-_WINDOW = 200
-"""Exposures that are looked at: 10 s at 20 a second."""
-_MIN_EXPOSURES = 100
-_INTERVAL = 20
-"""Exposures from one look to the next."""
-_ORDER = 8
-"""Of the autoregression: four lines of vibration."""
-_MAX_LAG = 4
+_WINDOW_FRAME_SETS = 200
+"""10 s at 20 frame sets a second."""
+_MIN_FRAME_SETS = 100
+_INTERVAL_FRAME_SETS = 20
+"""From one comparison to the next."""
+_AUTOREGRESSION_ORDER = 8
+"""Enough for four lines of vibration."""
+_MAX_LAG_FRAMES = 4
 _MIN_CHI = 9.0
 """The root of χ²: with four degrees of freedom a larger one has a probability of 1e-16."""
 _MIN_CHI_DIFFERENCE = 6.0
 _CLIP_SIGMAS = 4.0
-_UNEVEN = 0.25
-_MAX_APART_PERIODS = 0.1
-"""Between exposures further apart than this, vibration has moved on: no lag is that of the other's motion."""
+_MAX_INTERVAL_DEVIATION = 0.25
+_MAX_SKEW_PERIODS = 0.1
+"""Between frames further apart than this, vibration has moved on: no lag is that of the other's motion."""
 
 
 class SynchronyCheck:
     """Compares the motion of each spot with that of the first target's.
 
-    What cannot be seen: a machine at rest, or one that moves smoothly or in pure lines of vibration, for what
-    lags there may as well be a yaw of its own (at v mm/s the wrong displacement of the late target is v times
-    the delay); a delay of less than a frame, or of more than four; cameras that run freely, more than a tenth
-    of a period apart.
+    What cannot be detected: a machine at rest, or one that moves smoothly or in pure lines of vibration, for
+    what lags there may as well be a yaw of its own (at v mm/s the wrong displacement of the late target is v
+    times the delay); a delay of less than a frame, or of more than four; cameras that run freely, more than a
+    tenth of a period apart.
     """
 
     def __init__(self, targets: tuple[str, ...]) -> None:
         self._targets = targets
-        self._rows: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_WINDOW)
-        self._since_look = 0
+        self._rows: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=_WINDOW_FRAME_SETS)
+        self._since_comparison = 0
         self._late: dict[str, int] = {}
 
     def restart(self) -> None:
@@ -58,25 +58,25 @@ class SynchronyCheck:
         self._rows.clear()
         self._late.clear()
 
-    def look(self, exposure: Exposure) -> str:
-        """Take an exposure; in words which target's pictures do not belong to its time, empty: none known.
+    def inspect(self, frame_set: FrameSet) -> str:
+        """Take a frame set; in words which target's pictures do not belong to its time, empty: none known.
 
         What was found holds until the motion shows the contrary: a machine that stops proves nothing.
         """
-        spots = [exposure.spots.get(target) for target in self._targets]
-        places = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
-        if len(places) < len(self._targets):
+        spots = [frame_set.spots.get(target) for target in self._targets]
+        positions_px = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
+        if len(positions_px) < len(self._targets):
             self._rows.clear()
-            return self._in_words()
-        behind_ns = np.array([exposure.behind_ns.get(target, 0) for target in self._targets], dtype=float)
-        self._rows.append((exposure.t_ns, np.array(places), behind_ns))
-        self._since_look += 1
-        if self._since_look >= _INTERVAL and len(self._rows) >= _MIN_EXPOSURES:
-            self._since_look = 0
+            return self._complaint()
+        behind_ns = np.array([frame_set.behind_ns.get(target, 0) for target in self._targets], dtype=float)
+        self._rows.append((frame_set.t_ns, np.array(positions_px), behind_ns))
+        self._since_comparison += 1
+        if self._since_comparison >= _INTERVAL_FRAME_SETS and len(self._rows) >= _MIN_FRAME_SETS:
+            self._since_comparison = 0
             self._compare()
-        return self._in_words()
+        return self._complaint()
 
-    def _in_words(self) -> str:
+    def _complaint(self) -> str:
         return "; ".join(
             f"the {target} spot moves {abs(lag)} exposures {'after' if lag > 0 else 'before'} the "
             f"{self._targets[0]} spot, although they are stamped alike"
@@ -84,38 +84,38 @@ class SynchronyCheck:
         )
 
     def _compare(self) -> None:
-        times_ns, places, behind_ns = (np.array(column) for column in zip(*self._rows, strict=True))
+        times_ns, positions_px, behind_ns = (np.array(column) for column in zip(*self._rows, strict=True))
         intervals_ns = np.diff(times_ns)
         period_ns = float(np.median(intervals_ns))
-        uneven = np.flatnonzero(np.abs(intervals_ns - period_ns) > _UNEVEN * period_ns)
+        uneven = np.flatnonzero(np.abs(intervals_ns - period_ns) > _MAX_INTERVAL_DEVIATION * period_ns)
         if uneven.size:
             begin = int(uneven[-1]) + 1
-            times_ns, places, behind_ns = times_ns[begin:], places[begin:], behind_ns[begin:]
-        if len(times_ns) < _MIN_EXPOSURES:
+            times_ns, positions_px, behind_ns = times_ns[begin:], positions_px[begin:], behind_ns[begin:]
+        if len(times_ns) < _MIN_FRAME_SETS:
             return
-        steps = np.diff(places, axis=0)
+        steps = np.diff(positions_px, axis=0)
         whiten = _autoregression(steps[:, 0])
         first = _normalised(_filtered(steps[:, 0], whiten))
         for index, target in enumerate(self._targets[1:], start=1):
             other = _normalised(_filtered(steps[:, index], whiten))
-            apart_ns = float((behind_ns[:, index] - behind_ns[:, 0]).mean())
-            if first is None or other is None or abs(apart_ns) > _MAX_APART_PERIODS * period_ns:
+            skew_ns = float((behind_ns[:, index] - behind_ns[:, 0]).mean())
+            if first is None or other is None or abs(skew_ns) > _MAX_SKEW_PERIODS * period_ns:
                 continue
-            chi = {lag: _chi(first, other, lag) for lag in range(-_MAX_LAG, _MAX_LAG + 1)}
-            in_step = chi.pop(0)
+            chi = {lag: _chi(first, other, lag) for lag in range(-_MAX_LAG_FRAMES, _MAX_LAG_FRAMES + 1)}
+            chi_at_zero = chi.pop(0)
             lag = max(chi, key=chi.__getitem__)
-            if chi[lag] > max(_MIN_CHI, in_step + _MIN_CHI_DIFFERENCE):
+            if chi[lag] > max(_MIN_CHI, chi_at_zero + _MIN_CHI_DIFFERENCE):
                 self._late[target] = lag
-            elif in_step > max(_MIN_CHI, chi[lag] + _MIN_CHI_DIFFERENCE):
+            elif chi_at_zero > max(_MIN_CHI, chi[lag] + _MIN_CHI_DIFFERENCE):
                 self._late.pop(target, None)
 
 
 def _autoregression(steps: FloatArray) -> FloatArray:
-    """The filter (order + 1,) that leaves of steps (n, 2) what those before do not foretell."""
-    past = [steps[_ORDER - lag : len(steps) - lag] for lag in range(_ORDER + 1)]
+    """The filter (order + 1,) that leaves of steps (n, 2) what those before do not predict."""
+    past = [steps[_AUTOREGRESSION_ORDER - lag : len(steps) - lag] for lag in range(_AUTOREGRESSION_ORDER + 1)]
     design = np.column_stack([values.ravel() for values in past[1:]])
-    told = np.linalg.lstsq(design, past[0].ravel(), rcond=1e-10)[0]
-    coefficients: FloatArray = np.concatenate([[1.0], -told])
+    weights = np.linalg.lstsq(design, past[0].ravel(), rcond=1e-10)[0]
+    coefficients: FloatArray = np.concatenate([[1.0], -weights])
     return coefficients
 
 
@@ -139,7 +139,7 @@ def _normalised(series: FloatArray) -> FloatArray | None:
 
 
 def _chi(first: FloatArray, other: FloatArray, lag: int) -> float:
-    """√m ‖C‖ for the other series ``lag`` exposures late."""
+    """√m ‖C‖ for the other series ``lag`` frame sets late."""
     size = len(first) - abs(lag)
     a, b = first[max(-lag, 0) :][:size], other[max(lag, 0) :][:size]
     return math.sqrt(float(np.square(a.T @ b).sum()) / size)

@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
 from altd.records import CameraIdentity, Frame, NoSpot, Spot
-from altd.vision.fingerprint import ViewOutcome, ViewVerdict
+from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
 from altd.vision.frame_analysis import FrameAnalysis
 
-_INTERVAL_NS = 190_000_000
+_EXAMINATION_INTERVAL_NS = 190_000_000
 """Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
-_GAP_NS = 400_000_000
+_MAX_FRAME_GAP_NS = 400_000_000
 """After a pause so long, or a step back in time, another camera may deliver: all is looked at anew."""
-_FIRST_FRAMES = 3
-_MOVED_DIAMETERS = 0.25
-_MIN_FRAMES_BETWEEN = 4
-_JUMP_PX = 0.5
+_INITIAL_EXAMINATIONS = 3
+_MAX_MOVE_DIAMETERS = 0.25
+_MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
+_MAX_JUMP_PX = 0.5
 """From where steady motion would have brought it: a picture that is moved moves its spot."""
-_ESTABLISHED_AFTER = 3
+_ESTABLISHED_AFTER_VERDICTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +47,15 @@ class ViewStatus:
 
         Of a camera from which no frame came for a while before ``now_ns``, only when it was verified.
         """
-        figures: dict[str, float | str] = {f"view_{self.target}": self._in_words(now_ns)}
+        figures: dict[str, float | str] = {f"view_{self.target}": self._verdict_text(now_ns)}
         if self.shift_px is not None and not self._is_silent(now_ns):
             figures[f"view_shift_{self.target}_px"] = round(self.shift_px, 3)
         return figures
 
     def _is_silent(self, now_ns: int) -> bool:
-        return self.frame_ns is not None and now_ns - self.frame_ns > _GAP_NS
+        return self.frame_ns is not None and now_ns - self.frame_ns > _MAX_FRAME_GAP_NS
 
-    def _in_words(self, now_ns: int) -> str:
+    def _verdict_text(self, now_ns: int) -> str:
         if not self.has_fingerprint:
             return "could not be verified: the calibration has no fingerprint of the camera"
         if not self.wrong and self.verified_ns is not None:
@@ -77,19 +77,20 @@ class ViewCheck:
     """
 
     def __init__(self, target: TargetCalibration, expected: Sequence[CameraIdentity]) -> None:
-        self._target = target
+        self._target = target.name
+        self._fingerprint = target.fingerprint
         self._expected = expected
         self._last_ns: int | None = None
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._wrong: ViewVerdict | None = None
         self._wrong_verdicts = 0
         self.displaced_px = 0.0
         """What the picture's shift adds to the uncertainty of the spots that are not refused."""
-        self._look_anew()
+        self._restart_examination()
 
-    def _look_anew(self) -> None:
+    def _restart_examination(self) -> None:
         """Examine the next frames; what was found wrong or displaced stands until they show the contrary."""
         self._doubt = "nothing was seen yet"
         self._shift_px: float | None = None
@@ -102,6 +103,11 @@ class ViewCheck:
         self._last: Spot | None = None
         self._before_last: Spot | None = None
 
+    def compare_with(self, fingerprint: Fingerprint | None) -> None:
+        """Hold the frames from now on against another fingerprint; the next one is examined."""
+        self._fingerprint = fingerprint
+        self._restart_examination()
+
     def objection(
         self, analysis: FrameAnalysis, spot: Spot | NoSpot, camera: CameraIdentity | None
     ) -> NoSpot | None:
@@ -111,16 +117,16 @@ class ViewCheck:
         """
         for expected in self._expected:
             if camera is not None and (difference := camera.difference_from(expected)):
-                self._forget()
+                self._reset()
                 self._doubt = difference
                 return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured")
         frame = analysis.frame
         last_ns, self._last_ns = self._last_ns, frame.t_ns
-        if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _GAP_NS:
-            self._look_anew()
+        if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _MAX_FRAME_GAP_NS:
+            self._restart_examination()
         self._frames_since += 1
-        if self._target.fingerprint is not None and self._is_due(frame, spot):
-            self._examine(analysis, spot)
+        if self._fingerprint is not None and self._is_due(frame, spot):
+            self._examine(self._fingerprint, analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.reason)
 
@@ -128,8 +134,8 @@ class ViewCheck:
     def status(self) -> ViewStatus:
         """What is known after the last frame."""
         return ViewStatus(
-            self._target.name,
-            self._target.fingerprint is not None,
+            self._target,
+            self._fingerprint is not None,
             self._verified_ns,
             "" if self._wrong is None else self._wrong.reason,
             self._doubt,
@@ -139,30 +145,31 @@ class ViewCheck:
         )
 
     def _is_due(self, frame: Frame, spot: Spot | NoSpot) -> bool:
-        is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER
+        is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER_VERDICTS
         if (self._wrong is not None and not is_established) or self._examined == 0:
             return True
-        if self._verified_ns is None and self._examined < _FIRST_FRAMES:
+        if self._verified_ns is None and self._examined < _INITIAL_EXAMINATIONS:
             return True
-        if frame.t_ns - self._examined_ns >= _INTERVAL_NS:
+        if frame.t_ns - self._examined_ns >= _EXAMINATION_INTERVAL_NS:
             return True
         if not isinstance(spot, Spot):
             return False
         if self._place is None or self._last is None:
             return True
-        if self._jumped_px(spot, self._last) > _JUMP_PX:
+        if self._jumped_px(spot, self._last) > _MAX_JUMP_PX:
             return True
         moved_px = math.hypot(spot.u_px - self._place.u_px, spot.v_px - self._place.v_px)
-        return self._frames_since >= _MIN_FRAMES_BETWEEN and moved_px > _MOVED_DIAMETERS * spot.diameter_px
+        return (
+            self._frames_since >= _MIN_FRAMES_BETWEEN_EXAMINATIONS
+            and moved_px > _MAX_MOVE_DIAMETERS * spot.diameter_px
+        )
 
     def _jumped_px(self, spot: Spot, last: Spot) -> float:
         """How far a spot lies from where the motion between the last two would have brought it."""
         before = self._before_last or last
         return math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
 
-    def _examine(self, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
-        fingerprint = self._target.fingerprint
-        assert fingerprint is not None  # noqa: S101  it was asked for
+    def _examine(self, fingerprint: Fingerprint, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
         verdict = fingerprint.examine(analysis, isinstance(spot, Spot))
         self._examined += 1
         self._examined_ns, self._frames_since = analysis.frame.t_ns, 0
@@ -188,4 +195,4 @@ class ViewCheck:
             return True
         if wrong.is_print_seen and verdict.is_print_seen is False:
             return True
-        return self._wrong_verdicts < _ESTABLISHED_AFTER
+        return self._wrong_verdicts < _ESTABLISHED_AFTER_VERDICTS

@@ -139,6 +139,15 @@ class PlateHeader(_Header):
     beam_mm: Annotated[float, Field(ge=0, le=50)] = 12.0
 
 
+class SelfCheckHeader(_Header):
+    """What the self-check said that was made before a scan."""
+
+    verdict: Literal["good", "suspect", "bad", "unknown"]
+    reasons: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What else was seen, such as a light that blinks by itself."""
+
+
 class RecordingHeader(_Header):
     """``recording.json``; unknown keys are ignored."""
 
@@ -154,6 +163,8 @@ class RecordingHeader(_Header):
     """UTC of t_s = 0, where it is known."""
     plate: PlateHeader | None = None
     """In a recording of kind ``plate``."""
+    self_check: SelfCheckHeader | None = None
+    """In a recording of kind ``scan``, where there was a calibration to check the unit against."""
     targets: Annotated[tuple[TargetHeader, ...], Field(min_length=1)] | None = None
     """Which targets it shows, in beam order; None: those that ``shown_targets`` tells."""
 

@@ -6,6 +6,7 @@ import logging
 import os
 import socket
 from collections.abc import Sequence
+from pathlib import Path
 
 from altd.ports import Clock
 from altd.records import Measurement
@@ -13,43 +14,43 @@ from altd.status.board import Board
 
 log = logging.getLogger("altd")
 
-_WORD_EVERY_NS = 200_000_000
-_LOG_EVERY_NS = 1_000_000_000
+_NOTIFY_INTERVAL_NS = 200_000_000
+_LOG_INTERVAL_NS = 1_000_000_000
 
 
 class ServiceManager:
-    """Speaks when the pipeline has made progress, never otherwise: it feeds the watchdog.
+    """Notifies when the pipeline has made progress, never otherwise: that feeds the watchdog.
 
-    Ready is said with the first word on the board, again and again until the manager has taken it.
+    Ready is sent with the first measurement on the board, again and again until the manager has taken it.
     """
 
     def __init__(self, board: Board, clock: Clock, unit: str, faces: Sequence[str]) -> None:
         self._board = board
         self._clock = clock
-        self._greeting = f"{unit}: {', '.join(faces) or 'no face to the outside'}"
-        self._word_ns = -_WORD_EVERY_NS
+        self._start_line = f"{unit}: {', '.join(faces) or 'no face to the outside'}"
+        self._notified_ns = -_NOTIFY_INTERVAL_NS
         self._ready = False
         self._log_ns = 0
         self._logged = ""
 
     def progress(self) -> None:
-        """The pipeline took an exposure, or put something on the board."""
+        """The pipeline took a frame set, or put something on the board."""
         now_ns = self._clock.monotonic_ns()
         latest = self._board.read()
-        if latest is None or now_ns - self._word_ns < _WORD_EVERY_NS:
+        if latest is None or now_ns - self._notified_ns < _NOTIFY_INTERVAL_NS:
             return
-        self._word_ns = now_ns
+        self._notified_ns = now_ns
         line = status_line(latest)
         ready = [] if self._ready else ["READY=1"]
         self._ready |= notify(*ready, f"STATUS={line}", "WATCHDOG=1")
-        self._tell_journal(line, now_ns)
+        self._log_status(line, now_ns)
 
-    def _tell_journal(self, line: str, now_ns: int) -> None:
+    def _log_status(self, line: str, now_ns: int) -> None:
         first = not self._logged
-        if line == self._logged or (not first and now_ns - self._log_ns < _LOG_EVERY_NS):
+        if line == self._logged or (not first and now_ns - self._log_ns < _LOG_INTERVAL_NS):
             return
         if first:
-            log.info("%s", self._greeting)
+            log.info("%s", self._start_line)
         self._logged, self._log_ns = line, now_ns
         log.info("%s", line)
 
@@ -60,6 +61,21 @@ def status_line(measurement: Measurement) -> str:
     if measurement.valid:
         return f"measuring ({reasons})" if reasons else "measuring"
     return f"not measuring: {reasons}"
+
+
+def state_folder() -> Path | None:
+    """The folder for what outlives a restart, $STATE_DIRECTORY (systemd.exec(5)); None: there is none."""
+    return _first_folder("STATE_DIRECTORY")
+
+
+def runtime_folder() -> Path | None:
+    """The folder for what does not, $RUNTIME_DIRECTORY; None: there is none."""
+    return _first_folder("RUNTIME_DIRECTORY")
+
+
+def _first_folder(variable: str) -> Path | None:
+    first = os.environ.get(variable, "").partition(":")[0]
+    return Path(first) if first else None
 
 
 def notify(*assignments: str) -> bool:

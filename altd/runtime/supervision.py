@@ -14,19 +14,19 @@ from altd.status.health import Component, Message, State
 
 log = logging.getLogger("altd")
 
-FIRST_RETRY_S = 0.5
-LONGEST_RETRY_S = 30.0
-LONGEST_RETRY_DEVICE_S = 1.0
+MIN_BACKOFF_S = 0.5
+MAX_BACKOFF_S = 30.0
+MAX_DEVICE_BACKOFF_S = 1.0
 """Somebody who plugs a cable in stands beside it and waits; to look for a device costs next to nothing."""
 
-STEADY_S = 10.0
-"""What served for a shorter time and died again is no news for the log, and its pauses go on growing."""
+MIN_STEADY_S = 10.0
+"""What served for a shorter time and died again is not logged again, and its back-off goes on growing."""
 
 _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
 """An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
 
 
-def _in_words(error: Exception) -> str:
+def _failure_text(error: Exception) -> str:
     if isinstance(error, OSError):
         return error.strerror or str(error)
     return f"{type(error).__name__}: {error}"
@@ -57,13 +57,13 @@ async def keep_running(
     udev hands a new one over a moment after it appeared: it is waited for. ``up`` is called once, when the
     first start was tried. The component counts a failure for each time that it stopped serving.
     """
-    retry_s = FIRST_RETRY_S
-    first, told = True, False
+    backoff_s = MIN_BACKOFF_S
+    first, is_logged = True, False
     serving_since_ns: int | None = None
 
     def ready() -> None:
         nonlocal first, serving_since_ns
-        component.say(State.OK)
+        component.set_state(State.OK)
         serving_since_ns = clock.monotonic_ns()
         if first:
             first = False
@@ -73,25 +73,27 @@ async def keep_running(
         try:
             await publisher.run(ready)
             failure = "ended by itself"
-            longest_s = LONGEST_RETRY_S
+            max_backoff_s = MAX_BACKOFF_S
         except Exception as error:
             device = isinstance(error, OSError) and error.filename is not None
             if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START and not device:
                 raise BadInputError(place, os.strerror(error.errno)) from error
-            failure = _in_words(error)
-            longest_s = LONGEST_RETRY_DEVICE_S if device else LONGEST_RETRY_S
-        if serving_since_ns is not None and clock.monotonic_ns() - serving_since_ns >= STEADY_S * 1e9:
-            told, retry_s = False, FIRST_RETRY_S
+            failure = _failure_text(error)
+            max_backoff_s = MAX_DEVICE_BACKOFF_S if device else MAX_BACKOFF_S
+        if serving_since_ns is not None and clock.monotonic_ns() - serving_since_ns >= MIN_STEADY_S * 1e9:
+            is_logged, backoff_s = False, MIN_BACKOFF_S
         if first or serving_since_ns is not None:
             component.count("failures")
         serving_since_ns = None
         if first:
             first = False
             up()
-        if not told:
-            told = True
+        if not is_logged:
+            is_logged = True
             log.warning("%s: %s; trying again", place, failure)
-        retry_s = min(retry_s, longest_s)
-        component.say(State.FAILED, _retry_message(failure, clock.monotonic_ns() + round(retry_s * 1e9)))
-        await clock.sleep(retry_s)
-        retry_s *= 2
+        backoff_s = min(backoff_s, max_backoff_s)
+        component.set_state(
+            State.FAILED, _retry_message(failure, clock.monotonic_ns() + round(backoff_s * 1e9))
+        )
+        await clock.sleep(backoff_s)
+        backoff_s *= 2

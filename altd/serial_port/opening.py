@@ -12,6 +12,7 @@ import fcntl
 import os
 import struct
 import termios
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -33,26 +34,31 @@ _SENTENCES = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """How bytes go over a line, 8 data bits each and without flow control."""
+
+    baud: int
+    """Bits per second."""
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 2] = 1
+    rs485: Rs485Settings | None = None
+    """None: nobody has to switch the direction."""
+
+
 def open_serial(
-    device: Path,
-    baud: int,
-    *,
-    parity: Literal["none", "even", "odd"] = "none",
-    stop_bits: Literal[1, 2] = 1,
-    rs485: Rs485Settings | None = None,
-    read_timeout_s: float = 0.0,
-    write_timeout_s: float = 0.0,
+    device: Path, line: LineSettings, *, read_timeout_s: float = 0.0, write_timeout_s: float = 0.0
 ) -> serial.Serial:
-    """The port, 8 data bits, no flow control, locked against others until it is closed.
+    """The port with the settings of its line, locked against others until it is closed.
 
     Raises OSError whose ``strerror`` is a sentence for a technician and whose ``filename`` is the device.
     """
     try:
         port = serial.Serial(
             str(device),
-            baud,
-            parity=parity[0].upper(),
-            stopbits=stop_bits,
+            line.baud,
+            parity=line.parity[0].upper(),
+            stopbits=line.stop_bits,
             timeout=read_timeout_s,
             write_timeout=write_timeout_s,
             exclusive=True,  # a lock that daemons and good terminal programs heed
@@ -64,8 +70,8 @@ def open_serial(
         raise OSError(error.args[0], f"refuses its settings: {error.args[1]}", str(device)) from error
     try:
         fcntl.ioctl(port.fileno(), termios.TIOCEXCL)  # keeps out those who heed no lock
-        if rs485 is not None:
-            _switch_to_rs485(port.fileno(), device, rs485)
+        if line.rs485 is not None:
+            _switch_to_rs485(port.fileno(), device, line.rs485)
     except BaseException as error:
         close_serial(port)
         if isinstance(error, OSError) and error.filename is None:

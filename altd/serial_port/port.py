@@ -17,9 +17,9 @@ import serial
 
 from altd.config import SerialPortSettings
 from altd.runtime.threads import call_in_thread
-from altd.serial_port.opening import close_serial, open_serial
+from altd.serial_port.opening import LineSettings, close_serial, open_serial
 
-CHUNK = 4096
+MAX_READ_BYTES = 4096
 
 CLOSE_TIMEOUT_S = 1.0
 """How long closing is waited for; a device that takes nothing holds it for 30 s."""
@@ -34,16 +34,8 @@ async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> As
     At most ``limit`` bytes wait to go out. ``fresh``: those that the kernel holds count too, for what must
     not be late; some drivers (cdc_acm) then count a whole buffer for every write that is not out yet.
     """
-    opening = call_in_thread(
-        lambda: open_serial(
-            settings.device,
-            settings.baud,
-            parity=settings.parity,
-            stop_bits=settings.stop_bits,
-            rs485=settings.rs485,
-        ),
-        _THREAD,
-    )
+    line = LineSettings(settings.baud, settings.parity, settings.stop_bits, settings.rs485)
+    opening = call_in_thread(lambda: open_serial(settings.device, line), _THREAD)
     try:
         device = await asyncio.shield(opening)
     except asyncio.CancelledError:
@@ -80,7 +72,7 @@ class Port:
             raise self._gone() from error
         return True
 
-    async def read(self, until: asyncio.Future[Any] | None = None, limit: int = CHUNK) -> bytes:
+    async def read(self, until: asyncio.Future[Any] | None = None, limit: int = MAX_READ_BYTES) -> bytes:
         """What comes in next, or nothing once ``until`` is done; raises OSError when the device is gone.
 
         What is beyond ``limit`` bytes stays with the kernel, whose buffer is the sender's back-pressure.

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Quantities
+from altd.status.proof import Identity
 
 
 class Board:
     """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped."""
 
-    def __init__(self, clock: Clock, stale_after_s: float, quantities: Quantities) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        stale_after_s: float,
+        quantities: Quantities,
+        identity: Identity = Identity(),  # noqa: B008  frozen; nobody's board is of no unit
+    ) -> None:
         self.quantities = quantities
         """What its measurements hold; known before the first."""
+        self._complete: Callable[[Measurement], Measurement] = lambda measurement: measurement
+        self.identity = identity
+        """Whose measurements these are."""
+        self.on_publish: Callable[[Measurement], None] = lambda measurement: None
+        """Is given each measurement that is published; it must neither wait nor fail."""
         self._clock = clock
+        self._started_ns = clock.monotonic_ns()
         self._stale_after_ns = round(stale_after_s * 1e9)
         self._latest: Measurement | None = None
         self._stale: Measurement | None = None
@@ -24,6 +38,10 @@ class Board:
         self._count = 0
         self._changed = asyncio.Event()
 
+    def add_sensors(self, quantities: Quantities, complete: Callable[[Measurement], Measurement]) -> None:
+        """From now on a measurement holds ``quantities``: ``complete`` adds what other sensors say."""
+        self.quantities, self._complete = quantities, complete
+
     @property
     def published(self) -> int:
         """How many measurements were published so far."""
@@ -31,9 +49,10 @@ class Board:
 
     def publish(self, measurement: Measurement) -> None:
         """Publish a measurement and wake every reader that waits."""
-        self._latest, self._stale = measurement, None
+        self._latest, self._stale = self._complete(measurement), None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
+        self.on_publish(self._latest)
         self._changed.set()
         self._changed = asyncio.Event()
 
@@ -42,6 +61,10 @@ class Board:
         while self._count == count:
             await self._changed.wait()
         return self._count
+
+    def running_ns(self) -> int:
+        """Nanoseconds since the board was made, which is when the daemon started."""
+        return self._clock.monotonic_ns() - self._started_ns
 
     def age_s(self) -> float | None:
         """Seconds since the middle of the latest measurement's window; None before the first."""
@@ -54,13 +77,16 @@ class Board:
 
         It ages from when its last light fell, not from when it was published: what waited on its way is as
         old as it is. Frames that are played faster than they were recorded are ahead of the clock; what is
-        made of them ages from when it was published.
+        made of them ages from when it was published. What other sensors say in it goes by its own age.
         """
         latest = self._latest
         if latest is None:
             return None
+        now_ns = self._clock.monotonic_ns()
+        if (shown := latest.at(now_ns)) is not latest:
+            self._latest, self._stale = (latest := shown), None
         since_ns = min(self._published_ns, latest.light_ns)
-        if self._clock.monotonic_ns() - since_ns <= self._stale_after_ns:
+        if now_ns - since_ns <= self._stale_after_ns:
             return latest
         if self._stale is None:
             self._stale = latest.without_numbers((*latest.status, Fault(Reason.STALE)))

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from altd.ports import Clock
+from altd.status.cause import StateReport
+from altd.status.picture_desk import PictureDesk
+from altd.status.recording_desk import RecordingDesk
+from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.target_area import TargetArea
 
 MEASURING = "measuring"
 """The component that does as the latest measurement does."""
@@ -37,6 +43,10 @@ class Component:
     state: State = State.STARTING
     since_ns: int = 0
     counters: dict[str, int] = field(default_factory=dict)
+    heard_ns: int = 0
+    """When it last said how it is, or that it is alive."""
+    silent_after_s: float | None = None
+    """It speaks at least so often while it lives; None: it speaks only when something changes."""
     data_given: int = 0
     """How often it gave data to whoever asked, or wants it unasked: what the Data lamp shows."""
     _message: Message = ""
@@ -47,21 +57,44 @@ class Component:
         """The sentence that explains the state, true at this moment."""
         return self._message if isinstance(self._message, str) else self._message(self.clock.monotonic_ns())
 
-    def say(self, state: State, message: Message = "") -> None:
+    def set_state(self, state: State, message: Message = "") -> None:
         """Set the state; ``since_ns`` moves only when the state changes."""
+        self.heard_ns = self.clock.monotonic_ns()
         if state is not self.state:
-            self.since_ns = self.clock.monotonic_ns()
+            self.since_ns = self.heard_ns
         self.state = state
         self._message = message
+
+    def expect(self, silent_after_s: float) -> None:
+        """From now on it is to be heard of at least so often."""
+        self.silent_after_s = silent_after_s
+        self.heard_ns = self.clock.monotonic_ns()
+
+    def is_alive(self) -> None:
+        """Whoever does its work is there; how it does has not changed."""
+        self.heard_ns = self.clock.monotonic_ns()
+
+    def silent_s(self, now_ns: int) -> float | None:
+        """For how long nothing was heard of it, where that is longer than it should be; None: it is not."""
+        quiet_s = (now_ns - self.heard_ns) * 1e-9
+        if self.silent_after_s is None or quiet_s <= self.silent_after_s or self.state is State.ENDED:
+            return None
+        return quiet_s
 
     def count(self, counter: str, by: int = 1) -> None:
         """Add to a counter, which starts at zero."""
         self.counters[counter] = self.counters.get(counter, 0) + by
 
     def observe(self, figures: Mapping[str, float | str | None]) -> None:
-        """What it measures of itself now, by names that end in the unit; None: not known."""
+        """What it measures of itself now, by names that end in the unit; None: not known.
+
+        A number that is none counts as not known: JSON has no NaN, and one would hide all the others.
+        """
         now_ns = self.clock.monotonic_ns()
-        self._figures |= {name: (figure, now_ns) for name, figure in figures.items()}
+        self._figures |= {
+            name: (None if isinstance(figure, float) and not math.isfinite(figure) else figure, now_ns)
+            for name, figure in figures.items()
+        }
 
     @property
     def figures(self) -> dict[str, float | str | None]:
@@ -84,6 +117,13 @@ class Health:
         self._components: dict[str, Component] = {}
         self.facts: dict[str, str] = {}
         """What does not change while the daemon runs: serial, version, calibration."""
+        self.targets: tuple[TargetArea, ...] = ()
+        """In beam order."""
+        self.self_check = SelfCheckDesk()
+        self.recordings = RecordingDesk()
+        self.pictures = PictureDesk()
+        self.state: Callable[[], StateReport | None] = lambda: None
+        """The unit's state at this moment; None: nobody finds it out."""
 
     def component(self, name: str) -> Component:
         """The component of that name, new when it is not known yet."""
@@ -97,8 +137,15 @@ class Health:
     def as_object(self) -> Mapping[str, object]:
         """All of it as plain JSON types."""
         now_ns = self._clock.monotonic_ns()
+        report = self.state()
+        found = (
+            {}
+            if report is None
+            else {"state": report.as_object(), "availability": report.availability.as_object()}
+        )
         return {
             **self.facts,
+            **found,
             "components": {
                 component.name: {
                     "state": str(component.state),

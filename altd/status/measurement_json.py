@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from altd.files.documents import line_of
-from altd.records import Measurement, Quantity, Value, utc_text
+from altd.records import Measurement, Quantities, Quantity, Value, utc_text
+from altd.records.sensors import Quality, SensorValue
 
 _KNOWN_DECIMALS = 4
 """Of where a stage put the beam, mm, and of what a measurement differs from it."""
+_AGE_DECIMALS = 3
 
 
 def as_object(measurement: Measurement) -> dict[str, Any]:
@@ -22,15 +24,38 @@ def as_object(measurement: Measurement) -> dict[str, Any]:
         "frames": measurement.frames,
         "valid": measurement.valid,
         "status": [str(fault) for fault in measurement.status],
-        **_values(quantities.of_unit, measurement.values),
+        **_values(quantities.of_unit, measurement.known),
         "sigma": {
             quantity.key: _rounded(measurement.sigma(quantity.key), quantity.decimals)
             for quantity in quantities.of_unit
             if quantity.has_sigma
         },
         **{
-            target: _values(quantities.of_target, values or {})
+            target: _values(quantities.of_target, (values or {}).get)
             for target, values in measurement.targets.items()
+        },
+        **_sensors(measurement),
+    }
+
+
+def as_object_now(measurement: Measurement, age_s: float | None) -> dict[str, Any]:
+    """The same as it is sent while the unit runs, ``age_s`` after the middle of the exposures.
+
+    With ``rates``, per second and with their ``sigma``, and ``sigma_now``: the standard deviation as a
+    statement about the truth at that age. None: not known.
+    """
+    quantities = [quantity for quantity in measurement.quantities.of_unit if quantity.has_sigma]
+    rates = measurement.rates
+    return as_object(measurement) | {
+        "sigma_now": {
+            quantity.key: _rounded(
+                None if age_s is None else measurement.sigma_at(quantity.key, age_s), quantity.decimals
+            )
+            for quantity in quantities
+        },
+        "rates": {
+            **{f"{quantity.key}_per_s": _rate(rates, quantity, "value") for quantity in quantities},
+            "sigma": {f"{quantity.key}_per_s": _rate(rates, quantity, "sigma") for quantity in quantities},
         },
     }
 
@@ -49,14 +74,42 @@ def as_scan_object(measurement: Measurement, known_mm: tuple[float, float]) -> d
     return document | _difference(measurement.values, axes)
 
 
+def keys_of(quantities: Quantities) -> frozenset[str]:
+    """The keys that stand beside the targets' names in any of these objects."""
+    sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
+    without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
+    return frozenset(as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0)))
+
+
 def as_line(measurement: Measurement) -> str:
     """The measurement as one line of JSON, without the line end; NaN is refused, not written."""
     return line_of(as_object(measurement))
 
 
-def _values(quantities: tuple[Quantity, ...], values: Mapping[str, Value]) -> dict[str, float | None]:
-    known = {key: value.value for key, value in values.items()}
-    return {quantity.key: _rounded(known.get(quantity.key), quantity.decimals) for quantity in quantities}
+def _values(
+    quantities: tuple[Quantity, ...], known: Callable[[str], Value | None]
+) -> dict[str, float | None]:
+    values = ((quantity, known(quantity.key)) for quantity in quantities)
+    return {
+        quantity.key: None if value is None else round(value.value, quantity.decimals)
+        for quantity, value in values
+    }
+
+
+def _sensors(measurement: Measurement) -> dict[str, Any]:
+    """How good and how old each sensor's value is; nothing where no such sensor is fitted."""
+    if not measurement.from_sensors:
+        return {}
+    return {
+        "sensors": {
+            key: {"quality": str(said.quality), "age_s": _rounded(said.age_s, _AGE_DECIMALS)}
+            for key, said in measurement.from_sensors.items()
+        }
+    }
+
+
+def _rate(rates: Mapping[str, Value], quantity: Quantity, field: str) -> float | None:
+    return _rounded(getattr(rates.get(quantity.key), field, None), quantity.decimals)
 
 
 def _difference(values: Mapping[str, Value], known_mm: Mapping[str, float]) -> dict[str, float | None]:

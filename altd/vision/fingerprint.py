@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import Literal, Self
 
+from altd.records import FloatArray
 from altd.vision.frame_analysis import FrameAnalysis
 from altd.vision.hot_pixels import HotPixels
 from altd.vision.texture import Match, Sample, Texture, match, sample_of
@@ -94,13 +95,15 @@ class Fingerprint:
     a view as well as its shift. One from the ``scan`` holds only near the nodes, and contains what belongs to
     the laser and to the edges of its spots, which moves with a spot: it verifies a view and refutes none.
     None: nothing is known of the target's surface. ``usual_doubled_px`` is what good spots show of a doubled
-    image, 95 % of them less; None: not known.
+    image, 95 % of them less; None: not known. ``moved`` (2, 3) takes (u, v, 1) of the calibrated picture to
+    where it is known to lie now, None: where it lay; shifts count from there.
     """
 
     hot: HotPixels
     texture: Texture | None
     source: TextureSource | None
     usual_doubled_px: float | None = None
+    moved: FloatArray | None = None
 
     def examine(self, analysis: FrameAnalysis, has_spot: bool) -> ViewVerdict:
         """The verdict of one frame; ``has_spot``: a good spot was found in it."""
@@ -127,7 +130,7 @@ class Fingerprint:
         return replace(self._compare(sample, self.texture, is_patterned), is_print_seen=False)
 
     def _compare(self, sample: Sample, texture: Texture, is_patterned: bool) -> ViewVerdict:
-        found = match(sample, texture)
+        found = match(sample, texture, self.moved)
         if found is None:
             return ViewVerdict.undecided("nothing is known of the target under the spot")
         mismatch = _mismatch(found, is_patterned) if self.source == "flat" else None
@@ -136,9 +139,8 @@ class Fingerprint:
         if found.significance < _MIN_SIGNIFICANCE:
             return ViewVerdict.undecided(f"too little is seen of the target ({found.significance:.1f} sigma)")
         if found.shift_px > max(MAX_SHIFT_PX, _MIN_SIGNIFICANCE * found.sigma_px):
-            shift = (
-                f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from where it was calibrated"
-            )
+            place = "where it was calibrated" if self.moved is None else "where the self-check found it"
+            shift = f"the picture lies u {found.u_px:+.2f} v {found.v_px:+.2f} px from {place}"
             if self.source == "flat":
                 return replace(ViewVerdict.refuted(shift), shift_px=found.shift_px)
             return ViewVerdict.undecided(f"{shift}, or the spot has another edge than in the scan")
@@ -158,9 +160,15 @@ class Fingerprint:
         doubled_px2 = 0.0
         if is_patterned and self.usual_doubled_px is not None:
             expected_px = max(_MODEL_DOUBLED_PX, _MAX_USUAL_RATIO * self.usual_doubled_px)
-            explained_px = expected_px + min(_DOUBLED_PER_SHIFT * found.shift_px, _MODEL_DOUBLED_PX)
+            explained_px = expected_px + self._interpolated_px(found)
             doubled_px2 = max(found.doubled_px**2 - explained_px**2, 0.0)
         return math.sqrt(max(found.shift_px**2 - noise_px2, 0.0) + doubled_px2)
+
+    def _interpolated_px(self, found: Match) -> float:
+        """What of a doubled image may be the model's, for it is interpolated; all of a moved one is."""
+        if self.moved is not None:
+            return _MODEL_DOUBLED_PX
+        return min(_DOUBLED_PER_SHIFT * found.shift_px, _MODEL_DOUBLED_PX)
 
 
 def _mismatch(found: Match, is_patterned: bool) -> str | None:

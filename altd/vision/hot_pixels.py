@@ -39,7 +39,7 @@ _MIN_PRESENT = 3
 """That many in place by chance, of 20 at as many places in another sensor: once in 10^9."""
 _MIN_EXPECTED = 4
 _MIN_PRESENT_SHARE = 0.5
-_CHANCE_SHARE = 0.15
+_MAX_CHANCE_SHARE = 0.15
 """Of the hot pixels of a calibration: so many may lie in a place by chance."""
 _MAX_OFFSET_PX = 12
 _MAX_DISPLACEMENT_PX = 400
@@ -98,14 +98,14 @@ class SensorMatch:
 
         Hot pixels fade in the cold, so that they are missing is not enough: others must be there instead.
         """
-        absent = self.expected >= _MIN_EXPECTED and self.present <= _CHANCE_SHARE * self.expected
+        absent = self.expected >= _MIN_EXPECTED and self.present <= _MAX_CHANCE_SHARE * self.expected
         return (absent and self.foreign >= max(_MIN_PRESENT, self.expected / 4)) or self.is_shifted_partly
 
     @property
     def is_shifted_partly(self) -> bool:
         """Whether a part of the image is displaced, as where bytes were lost on the way."""
         most = self.present + self.displaced >= _MIN_PRESENT_SHARE * self.expected
-        return most and self.displaced >= max(_MIN_DISPLACED, _CHANCE_SHARE * self.expected)
+        return most and self.displaced >= max(_MIN_DISPLACED, _MAX_CHANCE_SHARE * self.expected)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ makes. Dust displaces a spot by half of that, grease by as much, weak reflection
 that come near to five stretch the spot too, which the comparison of the targets adds."""
 _MIN_DISTORTION_SIGMAS = 5.5
 """Of spots whose residuals are those of noise and texture alone, one in fifty million lies farther out."""
-_MIN_DISTORTION_DIAMETERS = 0.015
+MIN_DISTORTION_DIAMETERS = 0.015
 """What may displace a spot by less only adds to its sigma, as dust on the window does."""
 
 _E_MINUS_2 = math.exp(-2.0)
@@ -138,7 +138,7 @@ def _compared_with_reference(
     if reference is not None:
         excess_px = _BIAS_PER_EXCESS * misfit.centre_px * math.sqrt(_unexplained(misfit, reference))
         sigmas = excess_sigmas(misfit.chi2 / reference.misfit_ratio, misfit.degrees_of_freedom)
-        limit_px = _MIN_DISTORTION_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
+        limit_px = MIN_DISTORTION_DIAMETERS * max(spot.diameter_px, settings.min_diameter_px)
         if sigmas > _MIN_DISTORTION_SIGMAS and excess_px > limit_px:
             ratio = misfit.chi2 / reference.misfit_ratio / misfit.degrees_of_freedom
             return NoSpot(

@@ -26,7 +26,7 @@ RECORDINGS = ROOT.parent / "shared/data" / RECORDED
 
 _EXPOSURES_A_NODE = 2
 _FLAT_EXPOSURES = 10
-_CALIBRATES = ("vision", "mapping", "measuring", "calibration", "recording", "records.py")
+_CALIBRATES = ("vision", "mapping", "measuring", "calibration", "recording", "records")
 
 
 def folder() -> Path:

@@ -10,6 +10,7 @@ from altd.errors import BadInputError
 from benchmarks.campaign import tally_table
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.judge import Tally
+from tools.markdown import wrapped
 
 _HEAD = """\
 # Campaign: spoilt measurements, judged by truth
@@ -62,10 +63,10 @@ def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) ->
     hidden = [f"- {line[2:]}" for line in tally_table.invisible(tallies)]
     if hidden:
         lines += ["", "What physics forbids to see (marked *), with its size:", "", *hidden]
-    lines += ["", *(f"{line}.  " for line in tally_table.totals(tallies)), "", "## The ways", ""]
+    lines += ["", *(f"- {line}." for line in tally_table.totals(tallies)), "", "## The ways", ""]
     lines += [f"- `{name}` ({way.kind}): {_first_line(way.make)}" for name, way in WAYS.items()]
     try:
-        path.write_text(text + "\n".join(lines) + "\n")
+        path.write_text(wrapped(text + "\n".join(lines) + "\n"))
     except OSError as error:
         raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
 

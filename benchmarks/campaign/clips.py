@@ -42,13 +42,13 @@ class Clip(Protocol):
     """Whether all exposures show the same light."""
 
     def scene(self, camera: str, k: int) -> Scene:
-        """The light of a camera's exposure."""
+        """The light of a camera's frame."""
 
     def snap(self, scene: Scene, k: int, rng: np.random.Generator) -> PixelArray:
         """A frame of this scene, spoilt or not."""
 
     def truth(self, k: int) -> FloatArray:
-        """X mm, y mm, yaw °, pitch ° in the middle of exposure ``k``."""
+        """X mm, y mm, yaw °, pitch ° in the middle of frame set ``k``."""
 
 
 class Rig(Protocol):
@@ -63,7 +63,7 @@ class Rig(Protocol):
 
 
 def t_ns_of(k: int) -> int:
-    """The middle of exposure ``k``."""
+    """The middle of frame set ``k``."""
     return START_NS + k * PERIOD_NS
 
 
@@ -102,7 +102,7 @@ class SimulatedRig:
         return SimulatedClip(self, pose, speed, late_ns, length, rng)
 
     def scene(self, camera: str, t_ns: int, since_s: float) -> Scene:
-        """The light of an exposure at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
+        """The light of a frame at ``t_ns`` of the unit's motion, ``since_s`` after the clip's start."""
         imager, exposure_ms = self.unit.imagers[camera], self.spec.exposure_ms
         rest = self.rest[camera]
         if self.spec.lux_of is not None:
@@ -163,7 +163,7 @@ class SimulatedClip:
         return moved if self._vibration is None else self._vibration.moved(moved, t_ns)
 
     def scene(self, camera: str, k: int) -> Scene:
-        """The light of a camera's exposure."""
+        """The light of a camera's frame."""
         if self.still and camera in self._kept:
             return self._kept[camera]
         self._rig.unit.follow(self._at)
@@ -206,7 +206,7 @@ class RecordedRig:
         }
 
     def frame(self, camera: str, pose: int, k: int) -> PixelArray:
-        """Exposure ``k`` of a pose."""
+        """Frame set ``k`` of a pose."""
         return self._frames[camera, pose * self.window + k]
 
     def clip(self, rng: np.random.Generator, length: int, moving: bool) -> Clip:

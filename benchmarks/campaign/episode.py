@@ -99,7 +99,7 @@ def _shots(clip: Clip, spoil: Spoil, rng: np.random.Generator, onset: int, bits:
 
 
 def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, Measurement]]:
-    """Each measurement with the number of the exposure that completed it."""
+    """Each measurement with the number of the frame set that completed it."""
     measured = []
     for shot in shots:
         shot.pixels.flags.writeable = False
@@ -111,9 +111,9 @@ def _measured(chain: MeasuringChain, shots: Sequence[Shot]) -> list[tuple[int, M
 def _truth_of(
     measurement: Measurement, truth: Sequence[FloatArray], k: int, ended: int | None = None
 ) -> FloatArray | None:
-    """Where the beam was in the window that ends with exposure ``k``.
+    """Where the beam was in the window that ends with frame set ``k``.
 
-    Where the beam ``ended`` with an exposure of that number, what is averaged must be of those before it:
+    Where the beam ``ended`` with a frame set of that number, what is averaged must be of those before it:
     None when the measurement's time says that it is not.
     """
     window = range(max(k - WINDOW + 1, 0), k + 1 if ended is None else min(k + 1, ended))

@@ -162,7 +162,7 @@ class _GoodUnit:
         return np.array([pose.x_mm, pose.y_mm, pose.yaw_deg, pose.pitch_deg])
 
     def frame(self, camera: str, sequence: int, t_ns: int, rng: np.random.Generator) -> Frame:
-        """One exposure, with light, spot size and power as they are then."""
+        """One frame set, with light, spot size and power as they are then."""
         imager, t_s = self.unit.imagers[camera], t_ns * 1e-9
         electrons = imager.view.background_e(self.exposure_ms, self.lives.lux_of(t_s), False)
         spots = [self._drifted(spot, t_s) for spot in self.unit.spots(camera, t_ns)]

@@ -1,4 +1,4 @@
-"""The light of one exposure before any noise, and the noise that belongs to it.
+"""The light of one frame before any noise, and the noise that belongs to it.
 
 A way that spoils light changes mean electrons: noise is drawn of what is left. Pictures are (rows, columns).
 """
@@ -86,7 +86,7 @@ class Scene:
 
     @property
     def electrons(self) -> Image:
-        """Mean electrons of the exposure."""
+        """Mean electrons of the frame."""
         return self.beam + self.rest
 
     def beam_times(self, gain: Image | float) -> Scene:
@@ -152,7 +152,7 @@ class Noise:
 
 
 def noisy_image(mean: MeanImage, noise: Image, bits: int) -> PixelArray:
-    """Grey values of one exposure."""
+    """Grey values of one frame."""
     counts = cv2.multiply(noise, mean.noise_counts)
     if bits <= 8:
         return np.asarray(cv2.add(counts, mean.counts, dtype=cv2.CV_8U), np.uint8)

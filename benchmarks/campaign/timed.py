@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from altd.acquisition.buffers import Buffers
 from altd.acquisition.latest_frames import LatestFrames
 from altd.acquisition.latest_of_each import LatestOfEach
 from altd.acquisition.pipeline import Pipeline
@@ -99,9 +100,7 @@ async def _read(
         instrument,
     )
     component = Health(clock).component("measuring")
-    pipeline = Pipeline(
-        located, LatestFrames(CAMERAS), chain, board, component, clock, Measuring().silent_after_s
-    )
+    pipeline = Pipeline(Buffers(LatestFrames(CAMERAS), located), chain, board, component)
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
     waiting = list(arrivals)

@@ -30,7 +30,7 @@ class Shot:
 
 
 class OnLight(Protocol):
-    """Changes the light of exposure ``since`` after the onset."""
+    """Changes the light of frame set ``since`` after the onset."""
 
     def __call__(self, scene: Scene, since: int) -> Scene:
         """The scene as it is spoilt."""
@@ -44,7 +44,7 @@ class OnPixels(Protocol):
 
 
 OnStream = Callable[[list[Shot], int], list[Shot]]
-"""Changes the frames of an episode, in order, from exposure ``onset`` on."""
+"""Changes the frames of an episode, in order, from frame set ``onset`` on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class Draw:
         return frozenset((self.of(*CAMERAS),))
 
     def seed(self) -> int:
-        """For random numbers that must be the same at each exposure."""
+        """For random numbers that must be the same at each frame set."""
         return int(self.rng.integers(1 << 31))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from hw_sim.ports import free_port
 from hw_sim.unit import EXPOSURES_MS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -126,13 +126,6 @@ def calibrate(seed: int, folder: Path) -> Path:
             [sys.executable, "-m", *map(str, arguments)], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
         )
     return calibration
-
-
-def free_port() -> int:
-    """A TCP port that nobody has at the moment."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
 
 
 @dataclass(frozen=True, slots=True)

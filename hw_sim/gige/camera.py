@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -28,6 +29,9 @@ whole milliseconds and spins for the rest of the last one: 10 % of a core."""
 
 GAIN_STEPS_PER_DB = 1000
 
+USUAL_CELSIUS = 38.0
+"""Inside a camera that is at work in a room."""
+
 _EXPOSURES_US = round(1000 * EXPOSURE_RANGE.shortest_ms), round(1000 * EXPOSURE_RANGE.longest_ms)
 _GAINS = 0, round(GAIN_STEPS_PER_DB * EXPOSURE_RANGE.largest_gain_db)
 
@@ -41,6 +45,7 @@ _TRIGGER_MODE = 0x300
 
 # what this camera adds
 _LINE1_MODE, _LINE1_SOURCE, _USER_OUTPUTS = 0x4004, 0x4014, (0x4020, 0x4024)
+_TEMPERATURE = 0x4028
 _OUTPUT = 1
 _SOURCE_USER_OUTPUT0 = 1
 
@@ -57,7 +62,7 @@ class GigeCamera:
     ) -> None:
         self.serial = serial_of(unit, name)
         self.address = address
-        self.exposures = 0
+        self.frames = 0
         self._unit = unit
         self._name = name
         self._camera = GvCamera(address, self.serial, GENICAM)
@@ -82,9 +87,15 @@ class GigeCamera:
             (_LINE1_SOURCE, _SOURCE_USER_OUTPUT0),
         ):
             self._camera.write(register, value)
+        self.set_temperature(USUAL_CELSIUS)
         self._camera.set_trigger_poll_rate(TRIGGER_POLL_HZ)
         self._camera.set_fill_callback(self._expose, fail)
         self._wake_up = WakeUp(address, lambda: self._camera.read(_FRAME_PERIOD_US))
+
+    def set_temperature(self, celsius: float) -> None:
+        """Let it be so warm inside."""
+        (register,) = struct.unpack(">I", struct.pack(">f", celsius))
+        self._camera.write(_TEMPERATURE, register)
 
     def close(self) -> None:
         """Stop serving."""
@@ -113,11 +124,11 @@ class GigeCamera:
         begin_ns = self._begin_ns(buffer.timestamp_ns) + unit.lag_ns(name)
         buffer.stamp(begin_ns)
         begin_monotonic_ns = begin_ns - (time.time_ns() - time.monotonic_ns())
-        frame = unit.expose(name, self.exposures, begin_monotonic_ns + 500 * exposure_us)
+        frame = unit.expose(name, self.frames, begin_monotonic_ns + 500 * exposure_us)
         buffer.pixels(np.uint8 if bits == 8 else np.uint16)[:] = frame.pixels[rows, columns]
-        lost = unit.is_silent(name) or unit.drops(name, self.exposures)
+        lost = unit.is_silent(name) or unit.drops(name, self.frames)
         self._camera.set_packet_loss(1.0 if lost else 0.0)
-        self.exposures += 1
+        self.frames += 1
         time.sleep(max(begin_monotonic_ns + 1000 * exposure_us - time.monotonic_ns(), 0) * 1e-9)
 
     def _begin_ns(self, timestamp_ns: int) -> int:

@@ -18,7 +18,7 @@ from hw_sim.arguments import natural, seconds
 from hw_sim.beam import BeamPose
 from hw_sim.camera import EXPOSURE_RANGE
 from hw_sim.faults import parse_faults
-from hw_sim.gige.camera import PIXEL_FORMATS, GigeCamera, serial_of
+from hw_sim.gige.camera import PIXEL_FORMATS, USUAL_CELSIUS, GigeCamera, serial_of
 from hw_sim.gige.libaravis import MAX_SERIAL_LENGTH
 from hw_sim.gige.loopback import camera_address, keep_discovery_on_loopback
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
@@ -80,6 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="each line on standard input names the faults that are present from then on",
     )
+    parser.add_argument(
+        "--celsius",
+        type=float,
+        default=USUAL_CELSIUS,
+        help=f"how warm the cameras are inside (default {USUAL_CELSIUS:g})",
+    )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
 
 
@@ -101,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
             serving.enter_context(camera_address(address))
             camera = GigeCamera(unit, name, address, arguments.bits, end.fail)
             serving.callback(camera.close)
+            camera.set_temperature(arguments.celsius)
             cameras.append(camera)
         if all(ipaddress.IPv4Address(camera.address).is_loopback for camera in cameras):
             keep_discovery_on_loopback()
@@ -116,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
         began_s, cpu_began_s = time.monotonic(), time.process_time()
         end.wait(arguments.seconds)
         cpu = (time.process_time() - cpu_began_s) / (time.monotonic() - began_s)
-    made = ", ".join(f"{camera.serial} {camera.exposures}" for camera in cameras)
+    made = ", ".join(f"{camera.serial} {camera.frames}" for camera in cameras)
     print(f"exposures made: {made}; CPU: {cpu:.1%} of one core", flush=True)
     if end.failure is not None:
         raise end.failure

@@ -2,7 +2,7 @@
 
 Its loop (0.8.26) waits for the rest of the period by an unsigned difference. In one frame of some thousand
 the next instant has just passed, the difference is enormous, and the loop sleeps as long as it ever does,
-100 ms: two exposures are left out, which no chip does. A packet on its control port wakes it up.
+100 ms: two frames are left out, which no chip does. A packet on its control port wakes it up.
 """
 
 from __future__ import annotations

@@ -22,16 +22,16 @@ _UP_WITHIN_S = 20.0
 
 
 @contextlib.contextmanager
-def feeding(frames: str, fps: float, devices: list[Path]) -> Iterator[None]:
-    """Frames flow into the devices."""
-    words = [sys.executable, HERE / "feeding.py", frames, str(fps), *devices]
-    with subprocess.Popen(words, stdout=subprocess.PIPE) as feeder:
-        assert feeder.stdout is not None
-        assert feeder.stdout.readline() == b"feeding\n"
+def feeding(frames: str, fps: float, devices: list[Path], feeder: str = "feeding.py") -> Iterator[None]:
+    """Frames flow into the devices, by one of the programs beside this."""
+    words = [sys.executable, HERE / feeder, frames, str(fps), *devices]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"feeding\n"
         try:
             yield
         finally:
-            feeder.kill()
+            process.kill()
 
 
 @contextlib.contextmanager
@@ -50,6 +50,13 @@ def running(config: str) -> Iterator[subprocess.Popen[bytes]]:
 def status() -> Any:
     """``/api/status``."""
     with urllib.request.urlopen(URL + "status", timeout=2) as answer:
+        return json.load(answer)
+
+
+def self_check() -> Any:
+    """What a self-check says that the daemon makes now."""
+    request = urllib.request.Request(URL + "self-check", method="POST", headers={"X-Altd-Request": "test"})
+    with urllib.request.urlopen(request, timeout=30) as answer:
         return json.load(answer)
 
 

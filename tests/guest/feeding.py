@@ -9,6 +9,7 @@ import ctypes
 import os
 import sys
 import time
+from collections.abc import Callable, Iterable
 from mmap import mmap
 from pathlib import Path
 
@@ -82,17 +83,22 @@ def _buffer(index: int) -> abi.v4l2_buffer:
     return abi.v4l2_buffer(index=index, type=V4L2_BUF_TYPE_VIDEO_OUTPUT, memory=abi.V4L2_MEMORY_MMAP)
 
 
-def main(frames: Path, fps: float, devices: list[Path]) -> None:
-    exposures = np.load(frames)
-    outputs = [Output(device, *exposures.shape[2:]) for device in devices]
+def feed(take: Callable[[int], Iterable[np.ndarray]], fps: float, outputs: list[Output]) -> None:
+    """For ever what ``take`` gives for each exposure: a picture an output."""
     number, began_s = 0, time.monotonic()
     while True:
-        for output, picture in zip(outputs, exposures[number % len(exposures)], strict=True):
+        for output, picture in zip(outputs, take(number), strict=True):
             output.show(picture.tobytes())
         if number == 0:
             print("feeding", flush=True)
         number += 1
         time.sleep(max(0.0, began_s + number / fps - time.monotonic()))
+
+
+def main(frames: Path, fps: float, devices: list[Path]) -> None:
+    exposures = np.load(frames)
+    outputs = [Output(device, *exposures.shape[2:]) for device in devices]
+    feed(lambda number: exposures[number % len(exposures)], fps, outputs)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from altd.calibration.fitting import TargetFit, fit_nodes
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap
 from support.lenses import SIZE, LensKind, grid, make_lens, seen
 
@@ -13,7 +14,7 @@ NODES = grid()
 
 def fitted_unit(kind: LensKind, seed: int) -> tuple[TargetFit, np.random.Generator]:
     rng = np.random.default_rng([seed, round(kind.focal_mm * 10)])
-    return fit_nodes(NODES, seen(make_lens(kind, rng), NODES, rng), SIZE, None, 0), rng
+    return fit_nodes(Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, None, 0), rng
 
 
 def difference_px(fitted: TargetFit, wrong: TensorMap, points_mm: np.ndarray) -> np.ndarray:

@@ -27,6 +27,28 @@ def render(seed: int, folder: Path, exposures: int) -> Path:
     return path
 
 
+def render_with_leds(seed: int, folder: Path, exposures: int) -> Path:
+    """The same, with the frame LEDs off, and beside it as .npz what the lit LEDs change in these pictures.
+
+    They change some pixels and no others, for an exposure has one noise. For each camera ``NAME_places``,
+    (n,) of a flat picture, and ``NAME_lit``, (exposures, n), the grey values there.
+    """
+    path = render(seed, folder, exposures)
+    dark = np.load(path)
+    unit = Unit(UnitConfig(seed=seed))
+    unit.place(POSE)
+    unit.leds_on = True
+    arrays = {}
+    for index, camera in enumerate(CAMERAS):
+        times_ns = [number * unit.config.period_ns for number in range(exposures)]
+        lit = np.array([unit.expose(camera, number, t_ns).pixels for number, t_ns in enumerate(times_ns)])
+        differs = (lit != dark[:, index]).any(axis=0)
+        arrays[f"{camera}_places"] = np.flatnonzero(differs)
+        arrays[f"{camera}_lit"] = lit[:, differs]
+    np.savez(path.with_suffix(".npz"), **arrays)
+    return path
+
+
 _MORE = """\
 [measuring]
 pair_by = "time"
@@ -41,10 +63,10 @@ port = 8080
 """
 
 
-def write_config(path: Path, seed: int, calibration: Path, fps: float) -> Path:
-    """A unit with two Video4Linux cameras, on the network of its own machine alone."""
+def write_config(path: Path, seed: int, calibration: Path, fps: float, more: str = "") -> Path:
+    """A unit with two Video4Linux cameras, on the network of its own machine alone; ``more`` are tables."""
     front, rear = (
         f'driver = "v4l2"\ndevice = "/dev/v4l/by-path/{name}"\nfps = {fps}' for name in ("front", "rear")
     )
-    path.write_text(unit_toml(f"SIM-{seed}", calibration, front, rear, _MORE))
+    path.write_text(unit_toml(f"SIM-{seed}", calibration, front, rear, _MORE + more))
     return path

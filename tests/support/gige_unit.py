@@ -23,7 +23,8 @@ import pytest
 from support.foreign import need, need_program
 
 BUFFERS = 16
-FRAME_WITHIN_US = 3_000_000
+FRAME_WITHIN_US = 20_000_000
+"""Long, for a busy machine loses packets of one frame after another; a camera that is silent never sends."""
 
 
 class _Error(ctypes.Structure):

@@ -83,6 +83,19 @@ class SimulatedChip:
             pin = _pins(self._place.name) / f"sim_gpio{self._lines.index(line)}"
             (pin / "pull").write_text("pull-up")
 
+    def plug_with(self, consumer: str, line: str) -> None:
+        """The chip comes back with a line that the kernel itself has from the first instant, low."""
+        hog = self._bank / f"line{self._lines.index(line)}" / "hog"
+        hog.mkdir()
+        (hog / "name").write_text(consumer)
+        (hog / "direction").write_text("output-low")
+        self.plug()
+
+    def unplug_from(self, line: str) -> None:
+        """The chip goes away, and what has its line."""
+        self.unplug()
+        (self._bank / f"line{self._lines.index(line)}" / "hog").rmdir()
+
     @contextmanager
     def held(self, consumer: str, *lines: str) -> Iterator[subprocess.Popen[str]]:
         """Another program holds these lines."""

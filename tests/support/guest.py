@@ -17,6 +17,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,14 +59,10 @@ def run_in_guest(
     them vivid and v4l2loopback make one device each. Without the kernel the test is skipped, in CI it fails.
     Raises TimeoutError with what was printed when the guest is not done in ``timeout_s``.
     """
-    kernel, why_not = _kernel()
-    need(bool(kernel), why_not)
-    folder = folder.resolve()
-    words = ["env", f"PYTHONPATH={ROOT}:{ROOT / 'tests'}", "PYTHONUNBUFFERED=1"]
-    words += [sys.executable, str(_GUEST / program), *map(str, arguments)]
-    (folder / "command").write_text(f"exec {shlex.join(words)}\n")
+    kernel, folder = _prepared(folder, program, arguments)
     try:
-        _boot(kernel, folder, kernel_arguments, timeout_s)
+        with _booted(kernel, folder, kernel_arguments) as process:
+            process.wait(timeout_s)
     except subprocess.TimeoutExpired:
         raise TimeoutError(f"the guest was not done in {timeout_s:g} s:\n{_said(folder)}") from None
     status = folder / "status"
@@ -72,13 +70,52 @@ def run_in_guest(
     return GuestRun(int(status.read_text()), (folder / "output").read_text(errors="replace"), folder)
 
 
+def cut_power(
+    folder: Path,
+    program: str,
+    *arguments: object,
+    kernel_arguments: tuple[str, ...],
+    is_due: Callable[[str], bool],
+    timeout_s: float = 60.0,
+) -> str:
+    """Run a program as ``run_in_guest`` does, and take the machine's power away at a moment.
+
+    ``is_due`` is asked every 10 ms, and shown what stands on the console, ``/dev/console`` in the guest:
+    what was written there came out, whatever the guest still had in memory. Returns all of it. Of the guest's
+    disks there is left what it had given to them. Raises TimeoutError.
+    """
+    kernel, folder = _prepared(folder, program, arguments)
+    deadline = time.monotonic() + timeout_s
+    console = folder / "console"
+    with _booted(kernel, folder, kernel_arguments) as process:
+        while not is_due(console.read_text(errors="replace")):
+            if time.monotonic() > deadline or process.poll() is not None:
+                raise TimeoutError(f"the power was not cut in {timeout_s:g} s:\n{_said(folder)}")
+            time.sleep(0.01)
+    return console.read_text(errors="replace")
+
+
 def leave_results(results: object) -> None:
     """For a program in the guest: leave this, plain JSON types, as ``GuestRun.results``."""
     Path(RESULTS).write_text(json.dumps(results))
 
 
-def _boot(kernel: str, folder: Path, kernel_arguments: tuple[str, ...], timeout_s: float) -> None:
-    """Let the machine run until it switches itself off; raises subprocess.TimeoutExpired."""
+def _prepared(folder: Path, program: str, arguments: tuple[object, ...]) -> tuple[str, Path]:
+    """The kernel, and the folder with the command that the guest shall run."""
+    kernel, why_not = _kernel()
+    need(bool(kernel), why_not)
+    folder = folder.resolve()
+    words = ["env", f"PYTHONPATH={ROOT}:{ROOT / 'tests'}", "PYTHONUNBUFFERED=1"]
+    words += [sys.executable, str(_GUEST / program), *map(str, arguments)]
+    (folder / "command").write_text(f"exec {shlex.join(words)}\n")
+    return kernel, folder
+
+
+@contextlib.contextmanager
+def _booted(
+    kernel: str, folder: Path, kernel_arguments: tuple[str, ...]
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A machine that runs; it is killed at the end unless it has switched itself off."""
     with tempfile.TemporaryDirectory(prefix="uml-") as sockets, (folder / "console").open("wb") as console:
         processor = random.choice(sorted(os.sched_getaffinity(0)))
         machine = ["taskset", "-c", str(processor)]  # four times as fast (docs/decisions/0012)
@@ -93,7 +130,7 @@ def _boot(kernel: str, folder: Path, kernel_arguments: tuple[str, ...], timeout_
             start_new_session=True,  # the guest's processes are processes here: as a group they can be ended
         )
         try:
-            process.wait(timeout_s)
+            yield process
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+from altd.acquisition.buffers import Buffers
 from altd.acquisition.latest_frames import LatestFrames
 from altd.acquisition.latest_of_each import LatestOfEach
 from altd.acquisition.pipeline import Pipeline
@@ -21,12 +22,13 @@ from support.measurements import measurement
 class Chain:
     """Stands in for the measuring chain: a measurement for every frame of the rear camera."""
 
+    silent_after_s = 0.4
     late_frames = 0
     awaits_partner = False
 
     def __init__(self) -> None:
         self.broken = False
-        self.exposures = 0
+        self.frame_sets = 0
         self.spot = "spot_missing"
         self.shift: dict[str, float | str] = {}
 
@@ -60,13 +62,10 @@ class Bench:
         self.component = Health(self.clock).component("measuring")
         self.progress = 0
         self.pipeline = Pipeline(
-            self.located,
-            self.frames,
+            Buffers(self.frames, self.located),
             self.chain,  # type: ignore[arg-type]
             self.board,
             self.component,
-            self.clock,
-            0.4,
             self.count,
         )
         self.task = asyncio.create_task(self.pipeline.run())

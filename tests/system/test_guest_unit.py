@@ -22,7 +22,7 @@ from support.simulated_unit import scan_and_calibrate
 from altd.calibration.file import load_calibration
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 from hw_sim.unit import CAMERAS
@@ -82,8 +82,7 @@ def in_process(unit: FedUnit) -> list[Measurement]:
         calibration,
         Measuring(pair_by="time"),
         BeamInstrument(calibration, Measuring()),
-        lambda: [Fault(Reason.SIMULATED)],
-        lambda _: None,
+        Provenance(origins=lambda: [Fault(Reason.SIMULATED)]),
     )
     exposures = np.load(unit.frames)
     measurements: list[Measurement] = []

@@ -66,6 +66,18 @@ def test_each_contract_fails_on_an_import_that_breaks_it_and_holds_without(proje
     assert broken(project) == {contract["name"] for contract in CONTRACTS}
 
 
+def test_the_self_check_knows_no_instrument_and_does_no_input_or_output(project: Path) -> None:
+    with (project / "altd/selfcheck/history.py").open("a") as source:
+        source.write("import altd.instruments.beam.solver\nimport asyncio\n")
+    with (project / "altd/measuring/chain.py").open("a") as source:
+        source.write("import altd.selfcheck.verdict\n")
+    found = broken(project)
+    assert {name.split(":")[0] for name in found} == {
+        "One direction",
+        "The pure rooms do no input or output",
+    }
+
+
 def test_there_is_a_breaking_import_for_each_contract() -> None:
     for contract in CONTRACTS:
         assert [start for start in BREAKS if contract["name"].startswith(start)], contract["name"]

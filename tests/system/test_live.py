@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
+from support.cli import altd_here
 from support.gige import register
 from support.held import hold
 from support.own_network import inside
@@ -128,6 +131,61 @@ def test_the_frame_leds_hang_on_the_cameras_outputs(calibration: Path, tmp_path:
             await_lamps(watch, "ok")
             watch.first(lambda seen: seen.valid, time.monotonic(), 10.0)
             assert outputs() == [0, 0]
+
+
+def self_checked(config: Path) -> tuple[int, dict[str, Any]]:
+    """``altd selfcheck`` of the running daemon: its status and its object."""
+    outcome = altd_here("selfcheck", "--config", config)
+    return outcome.status, json.loads(outcome.out)
+
+
+def test_the_daemon_checks_itself_with_leds_on_the_cameras_outputs(calibration: Path, tmp_path: Path) -> None:
+    """Asked through its local socket, and over HTTP by who has settings without one."""
+    local = f'[local]\nsocket = "{tmp_path}/altd.sock"\n'
+    with (
+        Camera(tmp_path, "front", FRONT),
+        Camera(tmp_path, "rear", REAR),
+        measuring_daemon(tmp_path, calibration, (FRONT, REAR), LAMPS + local) as (daemon, watch),
+    ):
+        watch.first(lambda seen: seen.valid, 0.0, 20.0)
+        await_check(watch, "ok")
+        begun_s = time.monotonic()
+        whole, over_http = tmp_path / "altd.toml", tmp_path / "http.toml"
+        over_http.write_text(whole.read_text().replace(local, ""))
+        for config in (whole, over_http):
+            status, said = self_checked(config)
+            assert (status, said["verdict"], said["cause"]) == (0, "good", "request")
+            assert {name: of["leds_found"] for name, of in said["targets"].items()} == {"front": 6, "rear": 6}
+            assert 4 <= said["exposures_lost"] <= 9
+            assert outputs() == [0, 0]
+        time.sleep(1.0)
+        assert all(seen.valid for seen in watch.seen if seen.arrived_s > begun_s)
+        daemon.send(signal.SIGTERM)
+        assert daemon.process.wait(20) == 0
+        assert outputs() == [0, 0]
+
+
+def test_leds_that_a_killed_daemon_left_lit_are_dark_once_it_is_back(
+    calibration: Path, tmp_path: Path
+) -> None:
+    with Camera(tmp_path, "front", FRONT), Camera(tmp_path, "rear", REAR):
+        long_check = LAMPS + "[self_check]\nexposures = 20\n"
+        with measuring_daemon(tmp_path, calibration, (FRONT, REAR), long_check) as (daemon, _):
+            await_outputs([1, 1])
+            daemon.process.kill()
+            daemon.process.wait(10)
+            assert outputs() == [1, 1]
+        unchecked = LAMPS + "[self_check]\nenabled = false\n"
+        with measuring_daemon(tmp_path, calibration, (FRONT, REAR), unchecked) as (_, watch):
+            await_outputs([0, 0])
+            watch.first(lambda seen: seen.valid, time.monotonic(), 20.0)
+
+
+def await_check(watch: Watch, state: str, timeout_s: float = 20.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while (check := watch.status()["components"]["self-check"])["state"] != state:
+        assert time.monotonic() < deadline_s, check
+        time.sleep(0.1)
 
 
 def await_outputs(wanted: list[int | None], timeout_s: float = 20.0) -> None:

@@ -94,7 +94,7 @@ class TestWheel:
     def test_has_the_daemon_with_all_that_it_reads(self, wheel: list[str]) -> None:
         sources = {str(path.relative_to(ROOT)) for path in (ROOT / "altd").rglob("*") if path.is_file()}
         assert {name for name in sources if "__pycache__" not in name} <= set(wheel)
-        assert {"altd/py.typed", "altd/publish/http/index.html"} <= set(wheel)
+        assert {"altd/py.typed", "altd/publish/http/page_files/index.html"} <= set(wheel)
 
     def test_has_nothing_else(self, wheel: list[str]) -> None:
         assert {name.split("/")[0] for name in wheel} == {"altd", f"altd-{package.__version__}.dist-info"}

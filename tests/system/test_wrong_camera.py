@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -23,7 +22,7 @@ from altd.calibration.file import load_calibration, save_calibration
 from altd.config import Config, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Measurement
 from altd.vision.hot_pixels import HotPixels, places_of
@@ -114,9 +113,15 @@ def again(seed: int, count: int, pose: int = 0) -> list[Pictures]:
     ]
 
 
-def chain(calibration: Calibration, window: int = 1, **more: Any) -> MeasuringChain:
+def chain(
+    calibration: Calibration,
+    window: int = 1,
+    identity: Callable[[str], CameraIdentity | None] = lambda camera: None,
+    views: Sequence[View] = VIEWS,
+) -> MeasuringChain:
     measuring = Measuring(window=window)
-    return MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring), **more)
+    provenance = Provenance(identity=identity)
+    return MeasuringChain(views, calibration, measuring, BeamInstrument(calibration, measuring), provenance)
 
 
 def measured(chain: MeasuringChain, pictures: Sequence[Pictures], first: int = 0) -> list[Measurement]:
@@ -289,7 +294,7 @@ class TestIdentities:
         measuring = chain(
             self.calibrated(calibration),
             identity=lambda camera: CameraIdentity(f"{camera}-2", driver="v4l2"),
-            expected={"rear": CameraIdentity("rear-1")},
+            views=(VIEWS[0], View("rear", "rear", CameraIdentity("rear-1"))),
         )
         assert status(measured(measuring, pictures[:1])[0]) == {"rear_wrong_camera"}
 

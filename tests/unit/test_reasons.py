@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from altd.publish.modbus.status import STATUS_BITS
-from altd.reasons import Reason, Scope, StatusGroup
+from altd.reasons import Reason, Scope, Signal, StatusGroup
 
 CONTRACT = {
     "spot_missing": 1, "ambiguous": 2, "saturated": 3, "cut_by_edge": 4, "wrong_size": 5, "wrong_shape": 6,
     "camera_silent": 7, "implausible": 8, "exposure_changing": 9, "distorted": 10, "frame_repeated": 11,
     "wrong_camera": 12, "out_of_step": 20, "out_of_range": 21, "unsteady": 22, "warming_up": 23, "stale": 24,
-    "check_failed": 25, "exposures_lost": 0, "playback": 0, "simulated": 0,
+    "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28,
+    "geometry_suspect": 0, "geometry_unknown": 0, "compensated": 0, "exposures_lost": 0,
+    "playback": 0, "simulated": 0, "roll_missing": 0, "pitch_diverges": 0,
 }  # fmt: skip
 """Codes on the wires, and their numbers on Modbus, as released."""
 
 BITS = {
-    2: {"stale"}, 3: {"warming_up"}, 4: {"out_of_range"}, 5: {"out_of_step"}, 6: {"unsteady"},
+    2: {"stale"}, 3: {"warming_up", "self_checking"}, 4: {"out_of_range"}, 5: {"out_of_step"},
+    6: {"unsteady"},
     7: {"exposures_lost"}, 10: {"camera_silent"}, 11: {"camera_silent"}, 12: {"playback"},
-    13: {"simulated"}, 14: {"implausible"}, 15: {"frame_repeated", "wrong_camera", "check_failed"},
+    13: {"simulated"}, 14: {"implausible"}, 15: {
+        "frame_repeated", "wrong_camera", "check_failed", "geometry_drift", "geometry_unverified",
+        "geometry_suspect", "geometry_unknown", "compensated",
+    },
 }  # fmt: skip
 
 
@@ -33,9 +39,13 @@ def test_bits_are_those_that_controllers_know() -> None:
 def test_a_reason_is_its_code_and_knows_whose_it_is() -> None:
     assert Reason("stale") is Reason.STALE
     assert f"{Reason.STALE}" == "stale"
-    assert {reason for reason in Reason if reason.is_warning} == {"exposures_lost", "playback", "simulated"}
+    assert {reason for reason in Reason if reason.is_warning} == {
+        "exposures_lost", "playback", "simulated", "geometry_suspect", "geometry_unknown", "compensated",
+        "roll_missing", "pitch_diverges",
+    }  # fmt: skip
     assert {reason for reason in Reason if reason.scope is Scope.UNIT} == {
         "out_of_step", "out_of_range", "unsteady", "warming_up", "stale", "check_failed",
+        "geometry_drift", "geometry_unverified", "self_checking",
     }  # fmt: skip
 
 
@@ -43,3 +53,40 @@ def test_every_group_has_a_reason_and_every_reason_says_what_and_what_to_do() ->
     assert {reason.group for reason in Reason} == set(StatusGroup)
     assert all(reason.brief and reason.remedy and reason.meaning for reason in Reason)
     assert all(reason.brief.isascii() and reason.remedy.isascii() for reason in Reason)  # any terminal
+
+
+NOT_WELL_BY_ITSELF = {
+    "camera_silent", "frame_repeated", "wrong_camera", "implausible", "out_of_step", "stale", "check_failed",
+    "geometry_drift", "geometry_unverified",
+}  # fmt: skip
+"""What no beam and no light can bring about in a unit that works."""
+
+
+def test_every_reason_has_a_signal_and_none_is_good() -> None:
+    assert all(reason.signal is not Signal.GOOD for reason in Reason)
+    assert {reason for reason in Reason if reason.signal is Signal.FAILURE} == NOT_WELL_BY_ITSELF
+    assert {reason for reason in Reason if reason.signal is Signal.CHECK_FUNCTION} == {
+        "exposure_changing", "warming_up", "playback", "simulated", "self_checking",
+    }  # fmt: skip
+
+
+def test_maintenance_is_asked_for_only_where_the_numbers_may_be_used() -> None:
+    # OPC 10000-100: "although the output signal is valid"
+    assert {reason for reason in Reason if reason.signal is Signal.MAINTENANCE_REQUIRED} == {
+        "exposures_lost", "roll_missing", "pitch_diverges",
+        "geometry_suspect", "geometry_unknown", "compensated",
+    }  # fmt: skip
+    assert all(reason.is_warning for reason in Reason if reason.signal is Signal.MAINTENANCE_REQUIRED)
+
+
+def test_signals_are_ordered_from_failure_to_good() -> None:
+    assert sorted(Signal, key=lambda signal: signal.severity) == [
+        "good", "maintenance_required", "out_of_specification", "check_function", "failure",
+    ]  # fmt: skip
+    assert Signal.GOOD.severity == 0
+
+
+def test_signals_have_the_numbers_of_opc_10000_100() -> None:
+    assert {str(signal): signal.number for signal in Signal} == {
+        "good": 0, "failure": 1, "check_function": 2, "out_of_specification": 3, "maintenance_required": 4,
+    }  # fmt: skip

@@ -48,13 +48,13 @@ DEFECTS = (
     Defect(
         "what is old is not called stale",
         "altd/status/board.py",
-        "if self._clock.monotonic_ns() - since_ns <= self._stale_after_ns:",
-        "if self._clock.monotonic_ns() - since_ns <= 2 * self._stale_after_ns:",
+        "if now_ns - since_ns <= self._stale_after_ns:",
+        "if now_ns - since_ns <= 2 * self._stale_after_ns:",
     ),
     Defect(
         "a calibration with a wrong checksum is taken",
         "altd/calibration/file.py",
-        "if checksum != _checksum(document):",
+        "if checksum != checksum_of(document):",
         "if checksum is None:",
     ),
     Defect(
@@ -76,10 +76,22 @@ DEFECTS = (
         'return struct.unpack(f">{self.words}H", packed)[::-1]',
     ),
     Defect(
+        "two messages of a face have the same number",
+        "altd/status/proof.py",
+        "        self._messages += 1\n",
+        "        self._messages |= 1\n",
+    ),
+    Defect(
+        "the CRC of the checked block leaves out the last register before it",
+        "altd/publish/modbus/checked_block.py",
+        "crc32(checked)",
+        "crc32(checked[:-2])",
+    ),
+    Defect(
         "a failed part is started again without waiting longer each time",
         "altd/runtime/supervision.py",
-        "        retry_s *= 2\n",
-        "        retry_s *= 1\n",
+        "        backoff_s *= 2\n",
+        "        backoff_s *= 1\n",
     ),
     Defect(
         "a driver dates a frame by the end of its exposure",

@@ -83,6 +83,8 @@ PURPOSES = {
     "gpiod": "lamps on GPIO lines",
     "numpy": "arrays and linear algebra",
     "opencv-python-headless": "pictures: reading, filters, camera models",
+    "prometheus-client": "the numbers for Prometheus, in its format",
+    "wsproto": "pictures over a WebSocket",
     "pydantic": "the settings, checked",
     "pygobject": "GigE Vision cameras, through Aravis (extra `aravis`)",
     "pymodbus": "Modbus",

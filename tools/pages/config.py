@@ -16,15 +16,22 @@ from altd.config import (
     ExposureSettings,
     GpiodLampsSettings,
     GrblStageSettings,
+    HistorySettings,
     HttpSettings,
+    HwmonThermometerSettings,
+    InclinometerSettings,
     IndicatorsSettings,
     Installation,
+    KeptFrames,
+    LocalSettings,
+    Maintenance,
     Measuring,
     ModbusRtuPortSettings,
     ModbusTcpSettings,
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
+    SelfCheckSettings,
     Table,
     Target,
     TelegramPortSettings,
@@ -55,6 +62,12 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
     ("[modbus_tcp]", ModbusTcpSettings, "Leave the table out and the face is off. Registers: `modbus.md`."),
     ("[http]", HttpSettings, "Leave the table out and the face is off. Routes: `http.md`."),
+    (
+        "[local]",
+        LocalSettings,
+        "Without the table it is `altd.sock` in the folder that systemd makes for the service "
+        "(`RuntimeDirectory`), and there is none for a daemon that is started by hand: `terminal.md`.",
+    ),
     ('[[serial]], speaks = "telegram"', TelegramPortSettings, "One table a port. Sentences: `telegram.md`."),
     ('[[serial]], speaks = "console"', ConsolePortSettings, "What can be typed: `console.md`."),
     ('[[serial]], speaks = "modbus_rtu"', ModbusRtuPortSettings, "Registers: `modbus.md`."),
@@ -66,6 +79,22 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Leave the table out and there are no frame LEDs."),
     ('[lamps], driver = "camera"', CameraLampsSettings, "Instead of the table above."),
     ("[indicators]", IndicatorsSettings, "Leave the table out and there are none."),
+    (
+        "[self_check]",
+        SelfCheckSettings,
+        "All keys have defaults; without `[lamps]`, or with a calibration that has no LED references, "
+        "nothing is checked: `selfcheck.md`.",
+    ),
+    (
+        "[inclinometer]",
+        InclinometerSettings,
+        "Leave the table out and roll is *not available*. Wiring, and what is shown when it fails: "
+        "`inclinometer.md`.",
+    ),
+    ('[[thermometers]], driver = "hwmon"', HwmonThermometerSettings, "One table a temperature: `states.md`."),
+    ("[maintenance]", Maintenance, "All keys have defaults. What they lead to: `states.md`."),
+    ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `kept-frames.md`."),
+    ("[history]", HistorySettings, "All keys have defaults. What is kept, and for how long: `history.md`."),
     ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, "All keys have defaults."),
 )
@@ -134,10 +163,10 @@ def _lines() -> Iterator[str]:
     yield "`altd run` refuses the same: keys that nobody knows, and what can come to nothing on any"
     yield "computer, such as two faces on one port, a telegram that its line cannot take, one camera or"
     yield "GPIO line twice, a camera that no target has, live cameras of different rates. What depends on"
-    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]` and `[cameras.…]` are"
-    yield "relative to the file; a calibration or a recording that is not there yet is named and is no"
-    yield "fault of the config, one that is there and does not fit is. Exit status: 0 the file is good, 2"
-    yield "it is not."
+    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]` and"
+    yield "`[http]` are relative to the file; a calibration or a recording that is not there yet is named and"
+    yield "is no fault of the config, one that is there and does not fit is. Exit status: 0 the file is good,"
+    yield "2 it is not."
     for heading, model, note in TABLES:
         yield ""
         yield f"## {heading}"

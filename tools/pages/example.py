@@ -7,6 +7,14 @@ from datetime import UTC, datetime
 from altd.instruments.beam.quantities import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.records import Measurement, Value
+from altd.records.motion import Motion
+from altd.status.board import Board
+from altd.status.proof import Identity, Stamp, unit_number
+
+
+def _motion(rate: float, sigma_rate: float, vibration: float, acceleration: float) -> Motion:
+    return Motion(rate, sigma_rate, vibration, 0.0, 0.475, 0.0831, abs(rate), acceleration)
+
 
 MEASURED = Measurement(
     sequence=160,
@@ -19,4 +27,36 @@ MEASURED = Measurement(
         "front": {"x_mm": Value(10.012), "y_mm": Value(4.987)},
         "rear": {"x_mm": Value(15.613), "y_mm": Value(-3.413)},
     },
+    motions={
+        "x_mm": _motion(0.0512, 0.0031, 0.0102, 0.004),
+        "y_mm": _motion(-0.0214, 0.0031, 0.0094, 0.003),
+        "yaw_deg": _motion(0.0021, 0.0004, 0.0012, 0.0002),
+        "pitch_deg": _motion(0.0008, 0.0004, 0.0011, 0.0002),
+    },
 )
+
+SERIAL = "ALT-0007"
+AGE_S = 0.52
+"""Since the middle of its exposures, when it is shown."""
+STAMP = Stamp(Identity(unit_number(SERIAL), 0x5C1E90A7), 4711, 345_678)
+"""Of the message in which the pages show it."""
+
+
+class _Standing:
+    """A clock that stands ``AGE_S`` after the measurement."""
+
+    def monotonic_ns(self) -> int:
+        return MEASURED.t_ns + round(AGE_S * 1e9)
+
+    def utc(self, t_ns: int) -> datetime | None:
+        return None
+
+    async def sleep(self, seconds: float) -> None:
+        return None
+
+
+def board() -> Board:
+    """A board with the measurement on it."""
+    board = Board(_Standing(), 1.0, QUANTITIES, STAMP.identity)
+    board.publish(MEASURED)
+    return board

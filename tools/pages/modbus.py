@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterable
 
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
+from altd.publish.modbus import checked_block
+from altd.publish.modbus.commands import SELF_CHECK_ADDRESS, SELF_CHECK_NOW
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -18,13 +20,14 @@ from altd.publish.modbus.registers import (
     TEST_BLOCK,
     TESTS,
     Register,
-    Snapshot,
     Type,
     image,
 )
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
-from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
+from altd.publish.modbus.status import REASON_CODES, STATUS_BITS, VALID, WITHOUT_BIT, StatusBit
 from altd.publish.modbus.tcp import MAX_CLIENTS
+from altd.publish.modbus.values import Snapshot
+from altd.reasons import Reason, Signal
 from tools.pages.example import MEASURED
 
 EXAMPLE = Snapshot(
@@ -33,6 +36,9 @@ EXAMPLE = Snapshot(
     published=141,
 )
 """The measurement that the page shows."""
+
+(STATE,) = (row for row in checked_block.ROWS if row.name == "state")
+"""The register of the unit's signal."""
 
 
 def page() -> str:
@@ -63,19 +69,23 @@ When all {MAX_CLIENTS} connections are taken, a new one closes another: first on
 of the address that most come from, then the one that has been quiet for longest. So a controller that asks
 keeps its connection, whatever another host opens.
 
-Everything is read only. Function 4 (input registers) and function 3 (holding registers) read the same
-registers; function 43/14 reads vendor, product and version, as a stream (read codes 1 to 3; an unknown object
-starts again at object 0) or one object (code 4; an unknown one is exception 2).
+Everything is read only, but for [a self-check](#a-self-check). Function 4 (input registers) and function 3
+(holding registers) read the same registers; function 43/14 reads vendor, product and version, as a stream
+(read codes 1 to 3; an unknown object starts again at object 0) or one object (code 4; an unknown one is
+exception 2).
 
 Addresses on this page count from 0, as on the wire. Where a tool counts from 1, add 1: address {FLOATS} is
 3{FLOATS + 1:04} as an input register and 4{FLOATS + 1:04} as a holding register.
+
+A controller that must know whether what it reads is whole, new and from this unit reads the checked block,
+{checked_block.SIZE} registers from address {checked_block.FIRST}: [proof](proof.md).
 
 ## First test: byte order
 
 Big-endian throughout, ABCD: the high byte of a register first, the high word of a 32-bit value first. These
 registers never change. Read them first, and swap bytes or words in the controller until they are right.
 
-{_registers(TEST_BLOCK)}
+{register_table(TEST_BLOCK)}
 
     $ mbpoll -1 -0 -B -t 3:float -r {TESTS} -c 1 -p {tcp.port} -a {tcp.unit_id} ADDRESS
     [{TESTS}]: 	123.456
@@ -93,11 +103,11 @@ floating point. Two requests fit together only if `sequence` is the same in both
 
 On a serial line a request and its answer take
 
-{_durations((SIZE, float_end, FLOATS))}
+{_durations((SIZE, checked_block.SIZE, float_end, FLOATS))}
 
 ## Header, addresses 0 to {FLOATS - 1}
 
-{_registers(HEADER)}
+{register_table(HEADER)}
 
 ## Values, from address {FLOATS} as f32, from address {SCALED} as s32
 
@@ -112,14 +122,21 @@ Each value is there twice: as floating point (f32, IEEE 754 single precision) in
 {_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type))}
 
 A value that is not known is never 0 and never an old one. With bit 0 at 0 none of the values is
-known. A number too large for its type is held at the type's end, so `age` stops at 65534.
+known but `roll`, which an inclinometer measures by itself, whether or not the beam is seen. A number too
+large for its type is held at the type's end, so `age` stops at 65534.
 Addresses without a name read 0.
 
 ## Bits of `status`
 
-{_table(("bit", "name", "set when"), ((row.bit, row.name, row.meaning) for row in STATUS_BITS))}
+{_table(("bit", "name", "set when"), ((row.bit, row.name, _set_when(row)) for row in STATUS_BITS))}
 
-The other bits are 0 and may get a meaning later: mask what you test.
+Bits {_listed(_of_valid())} may be set beside bit {VALID}, as warnings: who refuses a measurement for bit
+{_listed(_of_both())} refuses some that are valid.
+
+The warnings {_codes(WITHOUT_BIT)} of the inclinometer have no bit. Where roll is missing, `roll` and
+`sigma_roll` are *not known*. That something is to be seen to is said by `state` at address {STATE.address} of
+the checked block: {Signal.MAINTENANCE_REQUIRED.number} after ten seconds, unless something worse is shown;
+what it is, by `/api/status`, the telegram and the console.
 
 ## Reason codes
 
@@ -142,12 +159,21 @@ at address {SCALED} it is {_hex(words[SCALED : SCALED + 2])}, the integer 100120
 100120/{PER_UNIT} mm = 10.012 mm.
 `roll` is `nan`: this unit has no inclinometer.
 
+## A self-check
+
+With `allow_self_check = true` in `[modbus_tcp]`, function 6 (write single register) with the value
+{SELF_CHECK_NOW} at address {SELF_CHECK_ADDRESS} asks for a self-check (`lamps.md`), which comes within ten
+seconds; status word and reason then say what came of it. The response repeats the request.
+Exception 4: the unit cannot check itself. Without that setting, and on a serial port, it is exception 1.
+Anybody who reaches the port can ask so; between two checks the unit rests for five seconds, however often it
+is asked.
+
 ## Exceptions
 
 | code | when |
 | --- | --- |
-| 1 illegal function | a write, or any function but 3, 4 and 43/14 |
-| 2 illegal data address | a register beyond address {SIZE - 1} |
+| 1 illegal function | a write that is not allowed, or any function but 3, 4 and 43/14 |
+| 2 illegal data address | a read that leaves 0 to {SIZE - 1}, or the checked block ([proof](proof.md)) |
 | 3 illegal data value | no register, more than 125, or a malformed request |
 | 11 gateway target device failed to respond | Modbus TCP: the unit id is another one |
 """
@@ -157,6 +183,31 @@ def mbpoll_lines() -> list[str]:
     """What mbpoll prints of the example's floating point values."""
     words = image(EXAMPLE)
     return [f"[{row.address}]: \t{_float32(words[row.address : row.address + 2]):g}" for row in FLOAT_BLOCK]
+
+
+def _set_when(row: StatusBit) -> str:
+    if not row.warnings or len(row.warnings) == len(row.reasons):
+        return row.meaning
+    return f"{row.meaning}; with bit {VALID} at 1 a warning: {_codes(row.warnings)}"
+
+
+def _of_valid() -> list[StatusBit]:
+    """The bits that a valid measurement may have."""
+    return [row for row in STATUS_BITS if row.warnings]
+
+
+def _of_both() -> list[StatusBit]:
+    """Those of them that an invalid one may have for a reason that is no warning."""
+    return [row for row in _of_valid() if len(row.warnings) < len(row.reasons)]
+
+
+def _listed(rows: Iterable[StatusBit]) -> str:
+    *first, last = [str(row.bit) for row in rows]
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _codes(reasons: Iterable[Reason]) -> str:
+    return ", ".join(f"`{reason}`" for reason in reasons)
 
 
 def _float32(words: list[int]) -> float:
@@ -177,7 +228,8 @@ def _durations(lengths: Iterable[int]) -> str:
     )
 
 
-def _registers(rows: Iterable[Register]) -> str:
+def register_table(rows: Iterable[Register]) -> str:
+    """A row a register."""
     return _table(
         ("address", "name", "type", "unit", "meaning"),
         ((row.address, f"`{row.name}`", row.type, row.unit, row.meaning) for row in rows),

@@ -25,15 +25,16 @@ def page() -> str:
 
 Why a measurement is invalid, or what a valid one warns of: the codes in `status` of [HTTP](http.md) and of
 `altd replay`, in the [telegram](telegram.md) and on the [console](console.md), with their numbers and status
-bits on [Modbus](modbus.md). Where more was seen than the code says, the console's advice follows that.
+bits on [Modbus](modbus.md). Where more was seen than the code says, the console's advice follows that. The
+signal is that of NAMUR NE 107 that the unit shows for it, unless another cause is worse: [states](states.md).
 {"".join(map(_section, Scope))}"""
 
 
 def _section(scope: Scope) -> str:
     title, about = _WHOSE[scope]
     rows = "".join(
-        f"| `{reason}` | {reason.meaning} | {reason.remedy} | {reason.modbus_code or '–'} | {_bits(reason)} |"
-        "\n"
+        f"| `{reason}` | {reason.meaning} | {reason.remedy} | {reason.modbus_code or '–'} "
+        f"| {_bits(reason)} | {_signal(reason)} |\n"
         for reason in Reason
         if reason.scope is scope
     )
@@ -42,8 +43,8 @@ def _section(scope: Scope) -> str:
 
 {about}
 
-| code | given when | what to do | number | bit |
-|---|---|---|---|---|
+| code | given when | what to do | number | bit | signal |
+|---|---|---|---|---|---|
 {rows}"""
 
 
@@ -51,6 +52,10 @@ def _bits(reason: Reason) -> str:
     return ", ".join(
         f"{row.bit}{f' ({row.target})' if row.target else ''}" for row in STATUS_BITS if reason in row.reasons
     )
+
+
+def _signal(reason: Reason) -> str:
+    return str(reason.signal).replace("_", " ")
 
 
 if __name__ == "__main__":

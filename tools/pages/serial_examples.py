@@ -18,6 +18,7 @@ SPOT_LOST = replace(
     sequence=180,
     time=datetime(2026, 11, 20, 8, 15, 31, 125_000, UTC),
     values={},
+    motions={},
     targets={"front": None, "rear": None},
     status=(
         Fault(Reason.SPOT_MISSING, "front", "nothing stands out of the background"),
@@ -57,10 +58,10 @@ def health() -> Health:
         (f"serial {console.device}", console_message(console)),
         (MEASURING, ""),
     ):
-        unit.component(name).say(State.OK, message)
+        unit.component(name).set_state(State.OK, message)
     clock.now_ns = 7_379_000_000_000
     dark = "spot_missing, nothing stands out of the background"
-    unit.component(MEASURING).say(State.DEGRADED, f"front: {dark}; rear: {dark}")
+    unit.component(MEASURING).set_state(State.DEGRADED, f"front: {dark}; rear: {dark}")
     clock.now_ns = 7_380_000_000_000
     for camera in ("front", "rear"):
         unit.component(f"camera {camera}").observe(

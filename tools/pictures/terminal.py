@@ -37,6 +37,10 @@ class Terminal:
         """Type one key."""
         self._tmux("send-keys", key)
 
+    def resize(self, columns: int, rows: int) -> None:
+        """Make it as large as that."""
+        self._tmux("resize-window", "-x", str(columns), "-y", str(rows))
+
     def text(self) -> str:
         """What stands on the screen now."""
         return self._tmux("capture-pane", "-p")
@@ -51,7 +55,7 @@ class Terminal:
         while wanted not in (shown := self.text()):
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f"{wanted!r} is not on the screen:\n{shown}")
-            time.sleep(0.2)
+            time.sleep(0.05)
 
     def _tmux(self, *command: str) -> str:
         return tmux(self._socket, *command)

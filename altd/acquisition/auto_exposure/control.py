@@ -20,12 +20,12 @@ from altd.config import ExposureSettings
 from altd.ports import Camera, CameraRefusedError, ExposureRange
 from altd.records import Frame, NoSpot, Spot
 
-MARKED_FRAMES = 4
+MAX_MARKED_FRAMES = 4
 """So many frames after a change belong to nobody, unless they tell: what waits in a driver's buffers or is
 just being exposed is one or two of them."""
-_TOLERANCE = 0.05
+_EXPOSURE_TIME_TOLERANCE = 0.05
 """Relative, of an exposure time that a frame tells."""
-_TOLERANCE_DB = 0.5
+_GAIN_TOLERANCE_DB = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ class ExposureControl:
                 self.setpoint = setting
                 self._changes += 1
         self.figures = ExposureFigures(
-            self._in_words(ability),
+            self._control_text(ability),
             round(brightness.level, 2),
             None if frame.exposure_ms is None else float(f"{frame.exposure_ms:.3g}"),
             None if frame.gain_db is None else round(frame.gain_db, 1),
@@ -138,7 +138,7 @@ class ExposureControl:
             self._ability = _Ability(limits, refuses=True)
             return Refused(str(error))
         self._gain_stays = self._applied is not None and self._applied.gain_db == setting.gain_db
-        self._applied, self._marks_left = setting, MARKED_FRAMES
+        self._applied, self._marks_left = setting, MAX_MARKED_FRAMES
         self._ability = _Ability(limits)
         return Applied(setting)
 
@@ -150,7 +150,7 @@ class ExposureControl:
         setting = self._applied
         if setting is None:
             return frame
-        if 0 < self._marks_left < MARKED_FRAMES and self._is_exposed_with(setting, frame):
+        if 0 < self._marks_left < MAX_MARKED_FRAMES and self._is_exposed_with(setting, frame):
             self._marks_left = 0
         changing = self._marks_left > 0
         self._marks_left -= changing
@@ -168,10 +168,13 @@ class ExposureControl:
         if frame.gain_db is None:
             gain_fits = self._gain_stays
         else:
-            gain_fits = abs(frame.gain_db - setting.gain_db) <= _TOLERANCE_DB
-        return gain_fits and abs(frame.exposure_ms - setting.exposure_ms) <= _TOLERANCE * setting.exposure_ms
+            gain_fits = abs(frame.gain_db - setting.gain_db) <= _GAIN_TOLERANCE_DB
+        return (
+            gain_fits
+            and abs(frame.exposure_ms - setting.exposure_ms) <= _EXPOSURE_TIME_TOLERANCE * setting.exposure_ms
+        )
 
-    def _in_words(self, ability: _Ability) -> str:
+    def _control_text(self, ability: _Ability) -> str:
         control = self._settings.control
         if control == "camera":
             return control

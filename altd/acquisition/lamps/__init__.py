@@ -1,1 +1,1 @@
-"""Frame LEDs and indicators kept as they should be."""
+"""Frame LEDs and indicators held at their setpoints."""

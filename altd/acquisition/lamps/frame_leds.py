@@ -1,8 +1,8 @@
-"""The frame LEDs in the daemon: at hand and dark until something switches them."""
+"""The frame LEDs in the daemon: open and dark until something switches them."""
 
 from __future__ import annotations
 
-from altd.acquisition.lamps.keeper import Keeper
+from altd.acquisition.lamps.controller import LampController
 from altd.ports import Clock, Lamps
 from altd.status.health import Component
 
@@ -11,15 +11,24 @@ class FrameLamps:
     """The daemon's frame LEDs. When they are lost while lit, they come back dark."""
 
     def __init__(self, lamps: Lamps, component: Component, clock: Clock) -> None:
-        self._keeper: Keeper[bool] = Keeper(lamps, lamps.switch, False, component, clock)
+        self._controller: LampController[bool] = LampController(lamps, lamps.switch, False, component, clock)
 
     async def run(self) -> None:
-        """Keep the lamps at hand until cancelled; then they are dark."""
-        await self._keeper.run()
+        """Control the lamps until cancelled; then they are dark."""
+        await self._controller.run()
 
     async def switch(self, on: bool) -> None:
         """Light or darken all of them; returns once that is done.
 
-        Raises LampsError when they are not at hand or do not do it.
+        Raises LampsError when they are not open or fail.
         """
-        await self._keeper.bring_about(on)
+        await self._controller.apply(on)
+
+    def darken(self) -> None:
+        """Darken them without waiting for it."""
+        self._controller.request(False)
+
+    @property
+    def complaint(self) -> str:
+        """Why they are not at hand; empty: they are."""
+        return self._controller.complaint

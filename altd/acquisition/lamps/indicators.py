@@ -1,4 +1,4 @@
-"""What the lamps on the housing tell the technician beside the unit (App. A.1.4)."""
+"""What the lamps on the housing show to the technician beside the unit (App. A.1.4)."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import asyncio
 from dataclasses import dataclass
 from enum import Enum, auto
 
-from altd.acquisition.lamps.keeper import Keeper
+from altd.acquisition.lamps.controller import LampController
 from altd.ports import Clock, Indicator, Indicators
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 
-TICK_S = 0.08
-"""How often the lamps follow, and how long a flash of Data lasts: short, yet seen."""
+UPDATE_INTERVAL_S = 0.08
+"""Between two updates of the lamps, and the duration of a flash of Data: short, yet seen."""
 
-BLINK_HALF_NS = 500_000_000
+BLINK_HALF_PERIOD_NS = 500_000_000
 """Half a period of blinking: 1 Hz, all lamps in step."""
 
-START_S = 2.0
-"""A daemon that started so recently is warming up, whatever else it says: cameras take time to open."""
+WARM_UP_S = 2.0
+"""A daemon that started less than this ago is warming up, whatever else it reports: cameras open slowly."""
 
 
-class Standing(Enum):
-    """How the measurement is, as far as a lamp can tell."""
+class Validity(Enum):
+    """How valid the measurement is, as far as a lamp can show."""
 
     VALID = auto()
     WARNED = auto()
@@ -41,33 +41,33 @@ class Light(Enum):
 
     def lit_at(self, t_ns: int) -> bool:
         """Whether it shines at an instant of the monotonic clock."""
-        return self is Light.STEADY or (self is Light.BLINKS and t_ns // BLINK_HALF_NS % 2 == 0)
+        return self is Light.STEADY or (self is Light.BLINKS and t_ns // BLINK_HALF_PERIOD_NS % 2 == 0)
 
 
 OK_LIGHT = {
-    Standing.VALID: Light.STEADY,
-    Standing.WARNED: Light.BLINKS,
-    Standing.WARMING_UP: Light.BLINKS,
-    Standing.INVALID: Light.DARK,
+    Validity.VALID: Light.STEADY,
+    Validity.WARNED: Light.BLINKS,
+    Validity.WARMING_UP: Light.BLINKS,
+    Validity.INVALID: Light.DARK,
 }
 
 
-def standing_of(measurement: Measurement | None, running_s: float) -> Standing:
-    """The standing of a daemon with this on its board (None: nothing yet), so long after its start."""
+def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
+    """The validity of what is on the board (None: nothing yet), so long after the daemon's start."""
     if measurement is not None and measurement.valid:
-        return Standing.WARNED if measurement.status else Standing.VALID
+        return Validity.WARNED if measurement.status else Validity.VALID
     status = measurement.status if measurement is not None else ()
     reasons = {fault.reason for fault in status if not fault.reason.is_warning}
-    if running_s < START_S or reasons == {Reason.WARMING_UP}:
-        return Standing.WARMING_UP
-    return Standing.INVALID
+    if running_s < WARM_UP_S or reasons == {Reason.WARMING_UP}:
+        return Validity.WARMING_UP
+    return Validity.INVALID
 
 
-def error_light(standing: Standing, something_failed: bool) -> Light:
-    """What Error does, when some component has failed and when none has."""
-    if standing is Standing.INVALID:
+def error_light(validity: Validity, needs_attention: bool) -> Light:
+    """What Error does, when something beside the measurement wants somebody and when nothing does."""
+    if validity is Validity.INVALID:
         return Light.STEADY
-    return Light.BLINKS if something_failed else Light.DARK
+    return Light.BLINKS if needs_attention else Light.DARK
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class IndicatorPanel:
         self, indicators: Indicators, board: Board, health: Health, component: Component, clock: Clock
     ) -> None:
         dark: frozenset[Indicator] = frozenset()
-        self._keeper: Keeper[frozenset[Indicator]] = Keeper(
+        self._controller: LampController[frozenset[Indicator]] = LampController(
             indicators, indicators.show, dark, component, clock
         )
         self._board = board
@@ -103,24 +103,26 @@ class IndicatorPanel:
     async def run(self) -> None:
         """Follow until cancelled; then all are dark."""
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(self._keeper.run(), name="indicator-keeper")
+            tasks.create_task(self._controller.run(), name="indicator-controller")
             await self._follow()
 
     async def _follow(self) -> None:
         started_ns = self._clock.monotonic_ns()
         while True:
             now_ns = self._clock.monotonic_ns()
-            self._keeper.want(self._lit(now_ns, (now_ns - started_ns) * 1e-9))
-            await self._clock.sleep(TICK_S)
+            self._controller.request(self._lit(now_ns, (now_ns - started_ns) * 1e-9))
+            await self._clock.sleep(UPDATE_INTERVAL_S)
 
     def _lit(self, now_ns: int, running_s: float) -> frozenset[Indicator]:
         components = list(self._health)
-        standing = standing_of(self._board.read(), running_s)
+        validity = validity_of(self._board.read(), running_s)
         failed = any(component.state is State.FAILED for component in components)
+        report = self._health.state()
+        needs_attention = failed or (report is not None and report.needs_attention)
         lit = {
             Indicator.POWER: True,
-            Indicator.OK: OK_LIGHT[standing].lit_at(now_ns),
-            Indicator.ERROR: error_light(standing, failed).lit_at(now_ns),
+            Indicator.OK: OK_LIGHT[validity].lit_at(now_ns),
+            Indicator.ERROR: error_light(validity, needs_attention).lit_at(now_ns),
             Indicator.DATA: self._flash.lit(sum(component.data_given for component in components)),
         }
         return frozenset(indicator for indicator, shines in lit.items() if shines)

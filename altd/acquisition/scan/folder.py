@@ -27,6 +27,7 @@ from altd.recording.header import (
     FRAMES_FILE,
     MADE_BY,
     RecordingHeader,
+    SelfCheckHeader,
     TargetHeader,
     UnitHeader,
     camera_header,
@@ -64,6 +65,7 @@ class State(BaseModel):
     exposures: int = 0
     last_t_s: float = 0.0
     led_pairs: list[Literal["before", "after"]] = []
+    self_check: SelfCheckHeader | None = None
     nodes: dict[str, DoneNode] = {}
     refused: dict[str, str] = {}
 
@@ -123,14 +125,14 @@ class ScanFolder:
 
     def keep(
         self,
-        exposures: Sequence[Pair[Frame]],
+        frame_sets: Sequence[Pair[Frame]],
         unit: UnitHeader,
         note: str,
         position_mm: tuple[float, float] | None,
     ) -> None:
-        """Write exposures; they count from the next ``commit`` on. Raises OSError when the disk refuses."""
-        writer = self._writer or self._open(exposures[0], unit, note)
-        for pair in exposures:
+        """Write frame sets; they count from the next ``commit`` on. Raises OSError when the disk refuses."""
+        writer = self._writer or self._open(frame_sets[0], unit, note)
+        for pair in frame_sets:
             t_s = self._t_s(pair.t_ns)
             for frame in pair.items.values():
                 with writer.write(frame, self.state.exposures, t_s, position_mm).open("rb") as file:
@@ -169,6 +171,7 @@ class ScanFolder:
             },
             unit=unit,
             targets=self._targets,
+            self_check=state.self_check,
             note=note,
             made_by=MADE_BY,
             start=start,

@@ -1,4 +1,4 @@
-"""Whether the exposures of one scan node can be used."""
+"""Whether the frame sets of one scan node can be used."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class BadNode:
     complaint: str
 
 
-def judge(exposures: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
-    """Whether the exposures of a node can be used.
+def judge(frame_sets: Sequence[Pair[Frame]]) -> NodeSpots | BadNode:
+    """Whether the frame sets of a node can be used.
 
-    Every exposure must have one good spot on every target (``calibration.scan_nodes``), and they must agree.
+    Every frame set must have one good spot on every target (``calibration.scan_nodes``), and they must agree.
     """
     means: dict[str, SpotPx] = {}
-    for camera in exposures[0].items:
+    for camera in frame_sets[0].items:
         spots = []
-        for pair in exposures:
+        for pair in frame_sets:
             spot = node_spot(pair.items[camera], SpotSettings(), None)
             if isinstance(spot, NoSpot):
                 return BadNode(f"{camera} {spot.reason}" + (f" ({spot.detail})" if spot.detail else ""))

@@ -47,7 +47,7 @@ def fingerprint(config: Config) -> Facts:
     for target in config.targets:
         facts[f"targets.{target.name}.z_mm"] = target.z_mm
         facts[f"targets.{target.name}.camera"] = target.camera
-    grid = config.scan.model_dump(exclude={"settle_s", "retries"})
+    grid = config.scan.model_dump(exclude={"settle_s", "retries", "when_bad"})
     facts |= {f"scan.{key}": value for key, value in grid.items()}
     if config.stage is not None:
         placed = {"driver", "coordinates", "sign_x", "sign_y", "offset_x_mm", "offset_y_mm"}

@@ -10,19 +10,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol, TypeVar
 
-from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
+from altd.acquisition.scan.leds import KnownUnit, ScanLeds
 from altd.acquisition.scan.node import NodeSpots, SpotPx, judge
 from altd.acquisition.scan.plan import Node, fingerprint, nodes_of
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.mapping.grid import Block
 from altd.measuring.pairing import Pair
-from altd.ports import Camera, CameraError, Clock, Lamps, LampsError, Stage, StageError, StageNotFoundError
-from altd.recording.header import note_of, target_headers, unit_header
+from altd.ports import CameraError, LampsError, Stage, StageError, StageNotFoundError
+from altd.recording.header import SelfCheckHeader, note_of, target_headers, unit_header
 from altd.records import Frame
-from altd.status.health import Health
+from altd.selfcheck.records import Verdict
 
 Result = TypeVar("Result")
 
@@ -54,39 +54,37 @@ class Teller(Protocol):
 
 
 class Scanner:
-    """One scan. ``cameras``, ``stage`` and ``lamps`` stand behind their ports; the caller chooses them.
+    """One scan. The cameras of ``frame_sets``, ``stage`` and ``leds`` are chosen by the caller.
 
-    Exposure is set by ``exposure`` when a camera is opened, and holds still from node to node.
+    The cameras' exposure holds still from node to node.
     """
 
     def __init__(
         self,
         config: Config,
         output: Path,
-        cameras: Sequence[Camera],
+        frame_sets: FrameSets,
         stage: Stage,
-        lamps: Lamps | None,
-        clock: Clock,
+        leds: ScanLeds | None,
         teller: Teller,
-        exposure: Mapping[str, ExposureControl] | None = None,
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
         self._stage = stage
-        self._lamps = lamps
-        self._clock = clock
+        self._leds = leds
+        self._clock = frame_sets.clock
         self._teller = teller
         self._nodes = nodes_of(config.scan)
         self._unit = unit_header(config.unit.serial, config.targets)
-        self._cameras = cameras
+        self._cameras = frame_sets.cameras
         self._folder = ScanFolder(
             output,
             fingerprint(config),
-            clock.utc,
-            cameras,
+            self._clock.utc,
+            self._cameras,
             target_headers(config.targets),
         )
-        self._frame_sets = FrameSets(cameras, config.measuring, Health(clock), exposure)
+        self._frame_sets = frame_sets
         self._doing = "getting ready"
 
     async def run(self) -> ScanResult:
@@ -110,7 +108,7 @@ class Scanner:
 
     async def _scan(self) -> None:
         state = self._folder.state
-        if self._lamps is None and self._config.led_pairs:
+        if self._leds is None and self._config.led_pairs:
             self._teller.say("no lamps are configured: the scan has no LED reference pairs")
         if self._folder.resumed:
             self._teller.say(
@@ -141,15 +139,16 @@ class Scanner:
     @asynccontextmanager
     async def _ready_lamps(self) -> AsyncIterator[None]:
         """The lamps are ours, and dark; at the end they are let go, dark."""
-        if self._lamps is None:
+        if self._leds is None:
             yield
             return
+        lamps = self._leds.lamps
         try:
             self._tell("opening the lamps")
-            await self._in_thread(self._lamps.open)
+            await self._in_thread(lamps.open)
             yield
         finally:
-            await asyncio.shield(asyncio.to_thread(self._lamps.close))
+            await asyncio.shield(asyncio.to_thread(lamps.close))
 
     async def _expose(self, node: Node) -> None:
         """Go to a node and keep its exposures, or refuse it after as many tries as there may be."""
@@ -179,24 +178,46 @@ class Scanner:
             )
 
     async def _led_pairs(self, when: Literal["before", "after"]) -> None:
-        """Reference exposures with the beam in the middle of the grid, LEDs off and on in turn."""
-        lamps, state = self._lamps, self._folder.state
-        if lamps is None or not self._config.led_pairs or when in state.led_pairs:
+        """Reference exposures with the beam in the middle of the grid, LEDs off and on in turn.
+
+        Those before the grid are a self-check; raises ScanStoppedError where it forbids the scan.
+        """
+        leds, state = self._leds, self._folder.state
+        if leds is None or not self._config.led_pairs or when in state.led_pairs:
             return
         self._tell(f"LED reference {when} the grid")
         await self._go(self._config.centre_x_mm, self._config.centre_y_mm)
         kept: list[Pair[Frame]] = []
         try:
             for on in (False, True) * self._config.led_pairs:
-                await self._in_thread(lamps.switch, on)
+                await self._in_thread(leds.lamps.switch, on)
                 (pair,) = await self._settled(1)
                 lit = {name: replace(frame, leds_on=on) for name, frame in pair.items.items()}
                 kept.append(replace(pair, items=lit))
         finally:
-            await asyncio.shield(asyncio.to_thread(lamps.switch, False))
+            await asyncio.shield(asyncio.to_thread(leds.lamps.switch, False))
+        if when == "before":
+            await self._self_check(leds.known, kept)
         self._folder.keep(kept, self._unit, note_of("altd scan", self._cameras), None)
         state.led_pairs.append(when)
         self._folder.commit()
+
+    async def _self_check(self, known: KnownUnit | str, pairs: Sequence[Pair[Frame]]) -> None:
+        """Say whether the cameras stand as they were calibrated before; raise ScanStoppedError where not."""
+        if isinstance(known, str):
+            self._teller.say(f"no self-check: {known}")
+            return
+        judged = await asyncio.to_thread(known.check, pairs, self._cameras)
+        check = judged.check
+        if check.verdict is Verdict.BAD and self._config.when_bad == "stop":
+            raise ScanStoppedError(
+                f"the self-check is {judged.sentence}. Put right what has moved; to calibrate the unit as it "
+                'stands now, set [scan] when_bad = "warning"'
+            )
+        self._teller.say(f"self-check: {judged.sentence}")
+        self._folder.state.self_check = SelfCheckHeader(
+            verdict=check.verdict.value, reasons=check.reasons, notes=judged.notes
+        )
 
     async def _check_nothing_moved(self) -> None:
         """Raise ScanStoppedError unless the spots of the last node that was kept are where they were."""

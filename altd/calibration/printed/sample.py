@@ -18,7 +18,7 @@ from altd.vision.settings import SpotSettings
 
 _MIN_SHARE_OF_PEAK = 0.15
 _PART_PIXELS = 1 << 13
-_GRAIN = 0.15
+_TEXTURE_SIGMA = 0.15
 """Relative scatter that a pixel keeps beside the print: limits the weight of bright pixels."""
 
 
@@ -74,7 +74,10 @@ def sample_of(frame: Frame, plane: Plane, settings: SpotSettings, flat: Flat | N
     variance = (noise.read_counts**2 + even[lit] / noise.electrons_per_count) / even[lit] ** 2
     px = np.stack(np.meshgrid(u, v), axis=-1)[lit]
     return Sample(
-        plane.to_mm(px), light[lit] / even[lit], 1 / (_GRAIN**2 + variance), plane.metric(px.mean(axis=0))
+        plane.to_mm(px),
+        light[lit] / even[lit],
+        1 / (_TEXTURE_SIGMA**2 + variance),
+        plane.metric(px.mean(axis=0)),
     )
 
 

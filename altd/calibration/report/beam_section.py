@@ -7,8 +7,8 @@ import numpy as np
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row
 from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of
-from altd.calibration.report.source import Source, targets_in_words
-from altd.calibration.report.target_plots import Plane
+from altd.calibration.report.source import Source, target_names_text
+from altd.calibration.report.target_plots import Plane, Raster
 
 _PER_UNIT = 1000
 """Pictures are in thousandths of a degree or of a millimetre."""
@@ -27,7 +27,7 @@ def beam_section(prediction: Prediction, source: Source) -> list[Block]:
     else:
         caption = (
             "Predicted sigma (1 standard deviation) of one measurement over the area, from "
-            f"{targets_in_words(targets)} together: a beam normal to the targets at (x, y), "
+            f"{target_names_text(targets)} together: a beam normal to the targets at (x, y), "
             f"{exposures} exposures averaged. Seen along the beam; yaw and pitch share one scale, "
             "x and y another."
         )
@@ -70,9 +70,8 @@ def _pair(prediction: Prediction, plane: Plane, *quantities: str) -> tuple[Pictu
     pictures = []
     for quantity, sigma in zip(quantities, sigmas, strict=True):
         name = name_of(quantity)
-        draw = target_plots.contours(
-            plane, f"sigma of {name}", prediction.x_mm, prediction.y_mm, sigma, limits, _unit(quantity)
-        )
+        over = Raster(prediction.x_mm, prediction.y_mm, sigma)
+        draw = target_plots.contours(plane, f"sigma of {name}", over, limits, _unit(quantity))
         pictures.append(Picture(f"predicted sigma of {name} over the area", plane.height_in(bar=True), draw))
     return tuple(pictures)
 

@@ -19,8 +19,8 @@ from altd.calibration.report.prediction import (
     own_noise_px,
     spectrum_covariance_px2,
 )
-from altd.calibration.report.source import Source, targets_in_words
-from altd.calibration.report.target_plots import Plane, nice_length
+from altd.calibration.report.source import Source, target_names_text
+from altd.calibration.report.target_plots import Plane, Raster, nice_length
 from altd.mapping.hull import contains
 from altd.measuring.calibration import TargetCalibration
 
@@ -39,10 +39,7 @@ def residuals(source: Source) -> list[Block]:
     pictures = []
     rows = []
     for (target, seen), of_one in zip(source.targets(), offsets, strict=True):
-        excluded = [place for place, _ in seen.excluded]
-        draw = target_plots.arrows(
-            plane, target.name, seen.nodes_mm, of_one, target.map.hull_mm, excluded, scale
-        )
+        draw = target_plots.arrows(plane, target, seen, of_one, scale)
         pictures.append(Picture(f"residual vectors of target {target.name}", plane.height_in(), draw))
         rows.append(
             (
@@ -174,7 +171,8 @@ def cross_checks(source: Source) -> list[Block]:
     pictures, said = [], []
     for target, off_mm in zip(targets, apart, strict=True):
         other = target.cross_check
-        draw = target_plots.differences(plane, target.name, x_mm, y_mm, off_mm, longest_mm, scale)
+        over = Raster(x_mm, y_mm, off_mm)
+        draw = target_plots.differences(plane, target.name, over, longest_mm, scale)
         pictures.append(
             Picture(f"cross-check difference over target {target.name}", plane.height_in(bar=True), draw)
         )
@@ -183,7 +181,7 @@ def cross_checks(source: Source) -> list[Block]:
             f"{other.max_difference_px:.2f} px apart, bound {other.limit_px:.2f} px; a node that it was not "
             f"shown it misses by {other.leave_one_out_px:.3f} px."
         )
-    one_scale = f", {targets_in_words(targets)} on one scale" if len(targets) > 1 else ""
+    one_scale = f", {target_names_text(targets)} on one scale" if len(targets) > 1 else ""
     caption = (
         "By how much the second map, of another kind, puts spots elsewhere: colour for length, arrows "
         f"{scale:g} times enlarged{one_scale}, seen along the beam. {' '.join(said)} A "

@@ -31,6 +31,6 @@ class Source:
         return [(target, known[target.name]) for target in self.calibration.targets]
 
 
-def targets_in_words(targets: Sequence[TargetCalibration]) -> str:
+def target_names_text(targets: Sequence[TargetCalibration]) -> str:
     """All the targets, in a sentence."""
     return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")

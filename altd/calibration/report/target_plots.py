@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
+from altd.calibration.evidence import TargetEvidence
 from altd.calibration.report.canvas import BLUE, FAINT, INK, QUIET, VERMILION, Canvas
 from altd.calibration.report.document import WIDTH_IN
+from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 
 _LEFT_IN, _BOTTOM_IN, _RIGHT_IN, _TOP_IN = 0.48, 0.42, 0.1, 0.28
@@ -20,7 +23,15 @@ _MIN_SPAN_SHARE = 0.05
 """A colour scale spans at least this share of its largest value."""
 
 Draw = Callable[[Canvas], None]
-Place = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """Values (rows, columns, …) over a target's plane: a row for each y, a column for each x."""
+
+    x_mm: FloatArray
+    y_mm: FloatArray
+    values: FloatArray
 
 
 class Plane:
@@ -60,22 +71,23 @@ def nice_length(longest: float) -> float:
 
 def arrows(
     plane: Plane,
-    title: str,
-    nodes_mm: FloatArray,
+    target: TargetCalibration,
+    seen: TargetEvidence,
     offsets_mm: FloatArray,
-    hull_mm: FloatArray,
-    left_out_mm: Sequence[Place],
     scale: float,
 ) -> Draw:
-    """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets are, with a scale arrow."""
+    """Residual vectors as in Fig. 3.13, ``scale`` times as long as the offsets (n, 2), with a scale arrow."""
 
     def draw(canvas: Canvas) -> None:
-        axes = plane.axes(canvas, title)
+        nodes_mm = seen.nodes_mm
+        axes = plane.axes(canvas, target.name)
         axes.grid()
-        axes.add_patch(Polygon(hull_mm, fill=False, edgecolor=QUIET, linewidth=0.7, linestyle=(0, (4, 3))))
+        axes.add_patch(
+            Polygon(target.map.hull_mm, fill=False, edgecolor=QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
+        )
         axes.plot(nodes_mm[:, 0], nodes_mm[:, 1], "o", color=QUIET, markersize=1.8)
         _quiver(axes, nodes_mm, scale * offsets_mm, BLUE)
-        for place in left_out_mm:
+        for place, _ in seen.excluded:
             axes.plot(*place, "x", color=VERMILION, markersize=6, markeredgewidth=1.6)
         key_mm = nice_length(18.0 / scale)
         _key(axes, plane, scale * key_mm, f"{1000 * key_mm:g} µm")
@@ -86,16 +98,15 @@ def arrows(
 def differences(
     plane: Plane,
     title: str,
-    x_mm: FloatArray,
-    y_mm: FloatArray,
-    offsets_mm: FloatArray,
+    over: Raster,
     largest_mm: float,
     scale: float,
 ) -> Draw:
-    """Where another map puts spots, offsets (rows, columns, 2): colour for length, and some arrows."""
+    """Where another map puts spots, offsets (rows, columns, 2) in mm: colour for length, and some arrows."""
 
     def draw(canvas: Canvas) -> None:
         axes = plane.axes(canvas, title, bar=True)
+        x_mm, y_mm, offsets_mm = over.x_mm, over.y_mm, over.values
         length_um = 1000 * np.linalg.norm(offsets_mm, axis=2)
         levels = MaxNLocator(7).tick_values(0, 1000 * largest_mm)
         filled = axes.contourf(x_mm, y_mm, length_um, levels=levels, cmap="YlGnBu", extend="max")
@@ -112,9 +123,7 @@ def differences(
 def contours(
     plane: Plane,
     title: str,
-    x_mm: FloatArray,
-    y_mm: FloatArray,
-    value: FloatArray,
+    over: Raster,
     limits: tuple[float, float],
     unit: str,
 ) -> Draw:
@@ -127,8 +136,8 @@ def contours(
             max(_MIN_SPAN_SHARE * high - (high - low), 0.0) / 2
         )  # hardly any difference is not to look like one
         levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(low - slack, high + slack)
-        filled = axes.contourf(x_mm, y_mm, value, levels=levels, cmap="YlGnBu")
-        lines = axes.contour(x_mm, y_mm, value, levels=levels, colors=INK, linewidths=0.5)
+        filled = axes.contourf(over.x_mm, over.y_mm, over.values, levels=levels, cmap="YlGnBu")
+        lines = axes.contour(over.x_mm, over.y_mm, over.values, levels=levels, colors=INK, linewidths=0.5)
         axes.clabel(lines, fontsize=6, fmt="%g", inline_spacing=2)
         _bar(canvas, axes, filled, unit)
 

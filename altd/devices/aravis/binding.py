@@ -100,6 +100,11 @@ class Device:
         with _typed_errors(feature):
             return str(self._camera.get_string(feature))
 
+    def number(self, feature: str) -> float:
+        """The value of a number with a fraction."""
+        with _typed_errors(feature):
+            return float(self._camera.get_float(feature))
+
     def set(self, feature: str, value: bool | int | float | str) -> None:
         """Set any feature; a command is executed by True."""
         with _typed_errors(feature):

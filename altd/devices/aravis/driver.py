@@ -54,7 +54,7 @@ _SIMULATED_NAMES = ("Aravis", "altd hw_sim")
 
 
 class AravisCamera:
-    """See ``altd.ports.Camera``; ``switch_output`` alone may be called from another thread."""
+    """See ``altd.ports.Camera``; ``switch_output`` and ``celsius`` alone may come from another thread."""
 
     waits = False
 
@@ -156,6 +156,16 @@ class AravisCamera:
         self._outputs[line] = on
         self._open_camera().switch_output(line, on)
 
+    def celsius(self) -> float | None:
+        """The temperature inside; from any thread. None: the camera measures none.
+
+        Raises CameraError. A camera from which no frames come is not asked, for that might take 2.5 s.
+        """
+        opened = self._open_camera()
+        if not self._answers or self._silent_s(time.monotonic_ns()):
+            raise CameraLostError("no frames come")
+        return opened.celsius()
+
     def close(self) -> None:
         """Stop and release it; at most a second, also for a camera that is dead."""
         opened, self._opened = self._opened, None
@@ -198,11 +208,8 @@ class AravisCamera:
     def _check_controlled(self, opened: OpenCamera) -> None:
         """Of a camera that sends no whole frames: raises CameraLostError when it is not ours any more."""
         now_ns = time.monotonic_ns()
-        silent_s = (now_ns - self._frame_ns) * 1e-9
-        if (
-            silent_s < max(_SILENCE_TIMEOUT_S, _SILENCE_TIMEOUT_PERIODS * self._period_ns * 1e-9)
-            or self._address is None
-        ):
+        silent_s = self._silent_s(now_ns)
+        if not silent_s or self._address is None:
             return
         privilege = gvcp_client.control_privilege(self._address, _ANSWER_TIMEOUT_S)
         self._answers = privilege is not None
@@ -223,6 +230,12 @@ class AravisCamera:
             raise CameraLostError(
                 f"the camera answers, but sent no frame for {silent_s:.1f} s{remark and f': {remark}'}"
             )
+
+    def _silent_s(self, now_ns: int) -> float:
+        """For how long no frame has come, where that is longer than it should be; else 0."""
+        silent_s = (now_ns - self._frame_ns) * 1e-9
+        longest_s = max(_SILENCE_TIMEOUT_S, _SILENCE_TIMEOUT_PERIODS * self._period_ns * 1e-9)
+        return 0.0 if silent_s < longest_s else silent_s
 
     def _trigger_when_due(self, opened: OpenCamera, now_ns: int) -> float:
         """Trigger when it is time; how long until the next time, s.

@@ -20,9 +20,10 @@ BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 _MAX_RATE_ERROR = 0.02
 MIN_PACKET_BYTES, MAX_PACKET_BYTES = 576, 16404
 """GigE Vision demands 576 of every camera; the largest frame on an Ethernet has little over 9000."""
-_SOCKET_FRAMES = 4
+_SOCKET_BUFFER_FRAMES = 4
 """As many as net.core.rmem_max allows; a packet takes twice its size there."""
 _RELEASE_TIMEOUT_S = 1.0
+_TEMPERATURE = "DeviceTemperature"
 
 
 @dataclass(slots=True)
@@ -52,6 +53,13 @@ class OpenCamera:
             if self.device.closed:  # by the camera's thread, while this one waited
                 raise CameraLostError("the camera was closed")
             _switch_output(self.device, line, on)
+
+    def celsius(self) -> float | None:
+        """``DeviceTemperature`` (SFNC, chapter 3) of the place that is selected; None: it has none."""
+        with self.lock:
+            if self.device.closed:  # by the camera's thread, while this one waited
+                raise CameraLostError("the camera was closed")
+            return self.device.number(_TEMPERATURE) if self.device.has(_TEMPERATURE) else None
 
     def trigger(self) -> None:
         """The software trigger."""
@@ -99,7 +107,7 @@ def _start_stream(
         device.ticks_per_s(),
     )
     try:
-        receiving = PacketSocket(own_address, address, packet_bytes, _SOCKET_FRAMES * image_bytes)
+        receiving = PacketSocket(own_address, address, packet_bytes, _SOCKET_BUFFER_FRAMES * image_bytes)
     except OSError as error:
         raise CameraLostError(f"{own_address}: {error.strerror}") from None
     try:
@@ -109,7 +117,7 @@ def _start_stream(
         raise
     assembler = Assembler(
         stream_format,
-        max_open=_SOCKET_FRAMES + math.ceil(settings.fps * RETENTION_NS * 1e-9),
+        max_open=_SOCKET_BUFFER_FRAMES + math.ceil(settings.fps * RETENTION_NS * 1e-9),
         resend=settings.resend,
         source_port=source_port,
     )

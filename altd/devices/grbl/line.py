@@ -9,7 +9,7 @@ from pathlib import Path
 
 from altd.devices.grbl.protocol import Reply, parse
 from altd.ports import StageLostError, StageNotFoundError
-from altd.serial_port.opening import close_serial, open_serial
+from altd.serial_port.opening import LineSettings, close_serial, open_serial
 
 _READ_TIMEOUT_S = 0.02
 _WRITE_TIMEOUT_S = 2.0
@@ -29,7 +29,7 @@ class Line:
         """Lines that were not understood."""
         try:
             self._port = open_serial(
-                device, baud, read_timeout_s=_READ_TIMEOUT_S, write_timeout_s=_WRITE_TIMEOUT_S
+                device, LineSettings(baud), read_timeout_s=_READ_TIMEOUT_S, write_timeout_s=_WRITE_TIMEOUT_S
             )
         except OSError as error:
             raise StageNotFoundError(f"{device}: {error.strerror}") from error

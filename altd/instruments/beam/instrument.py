@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from altd.config import Installation, Measuring
+from altd.instruments.beam.motion import beam_motions
 from altd.instruments.beam.quantities import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam, fit_beam, joint_covariance_mm2
 from altd.measuring.calibration import Calibration
@@ -65,6 +66,9 @@ class BeamInstrument:
         return Solution(
             values_of(installed(beam, self._installation)),
             {target: {"x_mm": Value(point.x_mm), "y_mm": Value(point.y_mm)} for target, point in places},
+            beam_motions(mean.motion, points, z_mm, covariance, beam, self._installation)
+            if mean.motion
+            else {},
         )
 
     def _points(self, mean: MeanSpots) -> list[TargetPoint] | Fault:

@@ -47,13 +47,38 @@ def joint_covariance_mm2(spots: MeanSpots, points: Sequence[TargetPoint]) -> Flo
     moves the spots of all targets together); print, speckle and map add to it, each target on its own.
     """
     size = 2 * len(points)
-    jacobian, of_maps = np.zeros((size, size)), np.zeros((size, size))
+    of_maps = np.zeros((size, size))
+    for index, point in enumerate(points):
+        block = slice(2 * index, 2 * index + 2)
+        of_maps[block, block] = point.covariance_mm2
+    jacobian = joint_jacobian_mm_per_px(points)
+    covariance: FloatArray = jacobian @ spots.covariance_px2 @ jacobian.T + of_maps
+    return covariance
+
+
+def joint_jacobian_mm_per_px(points: Sequence[TargetPoint]) -> FloatArray:
+    """d(x, y)/d(u, v) of all targets, (2 T, 2 T): a block a target."""
+    jacobian = np.zeros((2 * len(points), 2 * len(points)))
     for index, point in enumerate(points):
         block = slice(2 * index, 2 * index + 2)
         jacobian[block, block] = point.jacobian_mm_per_px
-        of_maps[block, block] = point.covariance_mm2
-    covariance: FloatArray = jacobian @ spots.covariance_px2 @ jacobian.T + of_maps
-    return covariance
+    return jacobian
+
+
+def line_gain(
+    z_mm: Sequence[float], covariance_mm2: FloatArray, reference_plane_mm: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """What a line is made of: d(x, slope x, y, slope y)/d(points), (4, 2 T), and their covariance (4, 4).
+
+    Raises numpy.linalg.LinAlgError where no line fits points with that covariance.
+    """
+    lever = np.asarray(z_mm, dtype=np.float64) - reference_plane_mm
+    design = np.zeros((2 * len(lever), 4))
+    design[0::2, 0] = design[1::2, 2] = 1.0
+    design[0::2, 1] = design[1::2, 3] = lever
+    weighted = np.linalg.solve(covariance_mm2, design)
+    covariance: FloatArray = np.linalg.inv(design.T @ weighted)
+    return covariance @ weighted.T, covariance
 
 
 def fit_beam(
@@ -67,14 +92,9 @@ def fit_beam(
     x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (DESIGN §1). Two points
     are met exactly.
     """
-    lever = np.asarray(z_mm, dtype=np.float64) - reference_plane_mm
-    design = np.zeros((2 * len(lever), 4))
-    design[0::2, 0] = design[1::2, 2] = 1.0
-    design[0::2, 1] = design[1::2, 3] = lever
+    gain, covariance = line_gain(z_mm, covariance_mm2, reference_plane_mm)
     measured = np.array([c for point in points for c in (point.x_mm, point.y_mm)])
-    weighted = np.linalg.solve(covariance_mm2, design)
-    covariance = np.linalg.inv(design.T @ weighted)
-    x, slope_x, y, slope_y = (float(value) for value in covariance @ weighted.T @ measured)
+    x, slope_x, y, slope_y = (float(value) for value in gain @ measured)
     sigma = np.sqrt(np.diag(covariance))
     return Beam(
         x_mm=x,

@@ -1,114 +1,114 @@
-"""What answers HTTP: read-only, each answer from one reading of the board."""
+"""The face: its settings, its socket, its application."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
-
-from starlette.applications import Starlette
-from starlette.exceptions import HTTPException
-from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
-from starlette.routing import Route
+import logging
+import socket
+from collections.abc import Callable
+from functools import partial
 
 from altd.config import HttpSettings
-from altd.publish.http.page import page_of
-from altd.publish.http.server import listen, serve
-from altd.publish.http.stream import EventStream, Streams
-from altd.reasons import Reason
+from altd.credentials.keeper import CredentialsKeeper
+from altd.history.history import History
+from altd.publish.http.addresses import Allowed
+from altd.publish.http.answers import Answers
+from altd.publish.http.api_page import api_page_of
+from altd.publish.http.application import application_of
+from altd.publish.http.guard import Guard
+from altd.publish.http.limits import CONNECTIONS, REQUESTS, Buckets
+from altd.publish.http.openapi import document_of
+from altd.publish.http.past import Past
+from altd.publish.http.paths import PATHS
+from altd.publish.http.server import Door, listen, serve
+from altd.publish.http.tls import Certificate
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
-from altd.status.measurement_json import as_line
 
-_PAGE_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; "
-    "img-src data:; frame-ancestors 'none'"
-)
-"""The page may load nothing but its own unit's answers."""
-
-NOTHING_YET = {
-    "error": "nothing was measured since the unit started; /api/status says what it waits for",
-    "status": [str(Reason.WARMING_UP)],
-}
+log = logging.getLogger("altd")
 
 
 class HttpPublisher:
-    """Serves the unit's page and its API."""
+    """Serves the unit's page and its API.
 
-    def __init__(self, settings: HttpSettings, board: Board, health: Health, component: Component) -> None:
+    Raises BadInputError for credentials or a certificate that cannot be used.
+    """
+
+    is_local = False
+    """Whether a file's permissions say who may connect, and he may what the unit's own computer may."""
+
+    def __init__(
+        self,
+        settings: HttpSettings,
+        board: Board,
+        health: Health,
+        component: Component,
+        history: History | None = None,
+    ) -> None:
         self.port = settings.port
         """Where it serves; for port 0, what the system chose."""
         self._settings = settings
-        self._board = board
-        self._health = health
         self._component = component
-        self._streams = Streams(board, component)
-        self._page = page_of(board.quantities)
+        self._place = ""
+        self._complaints: dict[str, str] = {}
+        keeper = certificate = None
+        if settings.credentials is not None:
+            keeper = CredentialsKeeper(settings.credentials, partial(self._complain, "credentials"))
+        if settings.certificate is not None and settings.key is not None:
+            complain = partial(self._complain, "certificate")
+            certificate = Certificate(settings.certificate, settings.key, complain)
+        guard = Guard(None if keeper is None else keeper.current, component.clock, is_local=self.is_local)
+        self._door = Door(Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock))
+        past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
+        self._answers = Answers(board, health, component, guard, past)
+        self._answers.document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
+        self._answers.api_page = api_page_of(self._answers.document)
+
+    @property
+    def open_viewers(self) -> int:
+        """Browsers that look at the targets now."""
+        return self._answers.viewers.open
+
+    @property
+    def open_streams(self) -> int:
+        """Clients that are sent every measurement now."""
+        return self._answers.streams.open
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the address cannot be had."""
+        with listen(self._settings) as listener:
+            self.port = listener.getsockname()[1]
+            await self.serve(listener, f"port {self.port}{_openness(self._settings)}", ready)
+
+    async def serve(self, listener: socket.socket, place: str, ready: Callable[[], None]) -> None:
+        """Serve who connects there until cancelled; ``place`` is what health says."""
+        self._place = place
 
         def serving() -> None:
             ready()
-            self._component.say(State.OK, f"port {self.port}")
+            self._tell()
 
-        with listen(self._settings) as listener:
-            self.port = listener.getsockname()[1]
-            await serve(self._application(), listener, self._component, serving)
+        requests = Buckets(REQUESTS, self._component.clock)
+        application = application_of(PATHS, self._answers, self._component, requests)
+        await serve(application, listener, self._component, self._door, serving)
 
-    async def index(self, _: Request) -> Response:
-        """The page."""
-        return HTMLResponse(self._page, headers={"Content-Security-Policy": _PAGE_POLICY})
+    def _complain(self, about: str, sentence: str) -> None:
+        """A file that was changed cannot be used; with an empty sentence, it can again."""
+        self._complaints.pop(about, None)
+        if sentence:
+            self._complaints[about] = sentence
+            log.warning("%s: %s", self._component.name, sentence)
+        self._tell()
 
-    async def measurement(self, _: Request) -> Response:
-        """The latest measurement."""
-        self._component.count("requests")
-        measurement = self._board.read()
-        if measurement is None:
-            return JSONResponse(NOTHING_YET, status_code=503)
-        self._component.gave_data()
-        return Response(as_line(measurement), media_type="application/json")
-
-    async def status(self, _: Request) -> Response:
-        """The unit's facts and its components."""
-        self._component.count("requests")
-        return JSONResponse(self._health.as_object())
-
-    async def stream(self, request: Request) -> Response:
-        """Measurements as they come."""
-        if request.method == "HEAD":
-            return Response(media_type=EventStream.media_type)
-        return EventStream(self._streams)
-
-    def _application(self) -> Starlette:
-        application = Starlette(
-            routes=[Route(path.path, path.answer.__get__(self)) for path in PATHS],
-            exception_handlers={HTTPException: _refusal},
-        )
-        application.router.redirect_slashes = False
-        return application
+    def _tell(self) -> None:
+        wrong = "; ".join(self._complaints.values())
+        self._component.set_state(State.DEGRADED if wrong else State.OK, wrong or self._place)
 
 
-@dataclass(frozen=True, slots=True)
-class ServedPath:
-    """One path that is served."""
-
-    path: str
-    answer: Callable[[HttpPublisher, Request], Awaitable[Response]]
-    gives: str
-
-
-PATHS = (
-    ServedPath("/", HttpPublisher.index, "a page for a person: the values live, their validity, links"),
-    ServedPath("/api/measurement", HttpPublisher.measurement, "the latest measurement, one JSON object"),
-    ServedPath(
-        "/api/status", HttpPublisher.status, "the unit and the state of its components, one JSON object"
-    ),
-    ServedPath("/api/stream", HttpPublisher.stream, "every measurement as it comes, server-sent events"),
-)
-
-
-async def _refusal(_: Request, error: Exception) -> Response:
-    """404 and 405 in JSON."""
-    assert isinstance(error, HTTPException)  # noqa: S101  it is registered for no other
-    return JSONResponse({"error": error.detail}, status_code=error.status_code, headers=error.headers)
+def _openness(settings: HttpSettings) -> str:
+    """What a person should know of who can read here: advice, and no fault."""
+    own = settings.host == "localhost" or settings.host == "::1" or settings.host.startswith("127.")
+    parts = [
+        "with TLS" if settings.certificate is not None else "",
+        "" if own or settings.allow else "open to every network that reaches it",
+    ]
+    return "".join(f", {part}" for part in parts if part)

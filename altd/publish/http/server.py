@@ -10,16 +10,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import socket
+import ssl
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import cast
 
 import h11
 import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
+from uvicorn.protocols.utils import is_ssl
+from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 
 from altd.config import HttpSettings
+from altd.publish.http import pictures
+from altd.publish.http.addresses import Allowed, address_of, group_of, is_loopback
+from altd.publish.http.errors import error_body
+from altd.publish.http.limits import Buckets
+from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
 from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
@@ -37,6 +47,16 @@ SEND_TIMEOUT_S = 20
 """A client that takes nothing for so long is cut off by the kernel."""
 
 MAX_HEADER_BYTES = 8192
+MAX_HEADER_LINES = 64
+
+_BLANK_LINE = re.compile(rb"\n\r?\n")
+"""What h11 takes for the end of a header."""
+
+MAX_MESSAGE_BYTES = 256
+"""Of a browser over a WebSocket: it only asks for the next picture."""
+
+PING_INTERVAL_S = 10.0
+"""A WebSocket is asked whether it is there; without an answer for so long it is closed."""
 
 _SEND_BUFFER_BYTES = 16384
 """Small, so that a slow reader of the stream skips measurements instead of getting old ones."""
@@ -57,14 +77,44 @@ def listen(settings: HttpSettings) -> socket.socket:
     return listener
 
 
+@dataclass(frozen=True, slots=True)
+class Door:
+    """Who is let in before a byte is read, and whether TLS is spoken."""
+
+    allowed: Allowed
+    certificate: Certificate | None
+    connections: Buckets
+    """How often an address may connect where that costs a handshake."""
+
+    def refuses(self, connection: socket.socket) -> str:
+        """Why a connection is closed unanswered, as the name of a counter; empty: it is not."""
+        if connection.family == socket.AF_UNIX:
+            return ""
+        host = connection.getpeername()[0]
+        if host not in self.allowed:
+            return "connections_not_allowed"
+        address = address_of(host)
+        if self.certificate is None or address is None or is_loopback(address):
+            return ""
+        return "connections_limited" if self.connections.take(group_of(address)) else ""
+
+
 async def serve(
-    application: ASGIApp, listener: socket.socket, component: Component, ready: Callable[[], None]
+    application: ASGIApp,
+    listener: socket.socket,
+    component: Component,
+    door: Door,
+    ready: Callable[[], None],
 ) -> None:
     """Serve until cancelled; every connection is closed by then."""
     config = uvicorn.Config(
         application,
         http=_BoundedProtocol,
-        ws="none",
+        ws=_BoundedWebSocket,
+        ws_max_size=MAX_MESSAGE_BYTES,
+        ws_ping_interval=PING_INTERVAL_S,
+        ws_ping_timeout=PING_INTERVAL_S,
+        ws_per_message_deflate=False,
         lifespan="off",
         log_config=None,
         log_level="error",
@@ -75,19 +125,26 @@ async def serve(
         timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=MAX_HEADER_BYTES,
     )
-    await _Server(config, listener, component, ready).serve()
+    await _Server(config, listener, component, door, ready).serve()
 
 
 class _Server(uvicorn.Server):
     """Leaves the signals to the daemon, accepts connections in altd's way and ends by cancellation."""
 
     def __init__(
-        self, config: uvicorn.Config, listener: socket.socket, component: Component, ready: Callable[[], None]
+        self,
+        config: uvicorn.Config,
+        listener: socket.socket,
+        component: Component,
+        door: Door,
+        ready: Callable[[], None],
     ) -> None:
         super().__init__(config)
         self._listener = listener
         self._component = component
+        self._door = door
         self._ready = ready
+        self._handshakes: set[asyncio.Task[None]] = set()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -107,39 +164,122 @@ class _Server(uvicorn.Server):
             await asyncio.gather(accepting, super().main_loop())
         finally:
             accepting.cancel()
+            for handshake in self._handshakes:
+                handshake.cancel()
+            await asyncio.gather(*self._handshakes, return_exceptions=True)
             for connection in list(self.server_state.connections):
                 connection.transport.abort()
             await self.shutdown()
 
     async def _admit(self, connection: socket.socket) -> None:
-        """Serve a connection, or close it where there are enough."""
-        if len(self.server_state.connections) >= MAX_CONNECTIONS or is_among_last(
-            connection, RESERVED_DESCRIPTORS
-        ):
-            self._component.count("connections_refused")
+        """Serve a connection, or close it where it may not be or there are enough."""
+        why = self._door.refuses(connection) or self._is_full(connection)
+        if why:
+            self._component.count(why)
             connection.close()
             return
-        await asyncio.get_running_loop().connect_accepted_socket(
-            lambda: _BoundedProtocol(self.config, self.server_state, {}), connection
-        )
+        # what TCP inherits of the listener, a local socket does not
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+        if self._door.certificate is None:
+            protocol = _BoundedProtocol(self.config, self.server_state, {})
+            await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
+            return
+        task = asyncio.create_task(self._shake_hands(connection, self._door.certificate.context()))
+        self._handshakes.add(task)
+        task.add_done_callback(self._handshakes.discard)
+
+    def _is_full(self, connection: socket.socket) -> str:
+        taken = len(self.server_state.connections) + len(self._handshakes)
+        is_full = taken >= MAX_CONNECTIONS or len(self._handshakes) >= MAX_HANDSHAKES
+        return "connections_refused" if is_full or is_among_last(connection, RESERVED_DESCRIPTORS) else ""
+
+    async def _shake_hands(self, connection: socket.socket, context: ssl.SSLContext) -> None:
+        """TLS over a connection that is already ours, so that its buffer is as small as without TLS."""
+        loop = asyncio.get_running_loop()
+        protocol = _BoundedProtocol(self.config, self.server_state, {})
+        try:
+            transport, _ = await loop.connect_accepted_socket(_Silent, connection)
+            secured = await loop.start_tls(
+                transport,
+                protocol,
+                context,
+                server_side=True,
+                ssl_handshake_timeout=HANDSHAKE_TIMEOUT_S,
+                ssl_shutdown_timeout=SHUTDOWN_TIMEOUT_S,
+            )
+        except OSError:  # no TLS, none that we speak, or it left; ssl's errors are among these
+            self._component.count("handshakes_failed")
+            connection.close()
+            return
+        if secured is None or secured.is_closing():
+            return
+        protocol.connection_made(secured)
+
+
+class _Silent(asyncio.Protocol):
+    """Holds a connection until TLS takes it over: reads nothing, keeps nothing to be sent."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Stop before the first byte."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
+        transport.pause_reading()
+        transport.set_write_buffer_limits(high=0)
 
 
 class _BoundedProtocol(H11Protocol):
     """uvicorn's HTTP protocol with an end to its patience."""
 
     _deadline: asyncio.TimerHandle | None = None
+    _stuck: asyncio.TimerHandle | None = None
+    _head: bytes | None = b""
+    """What came so far of the first header; None: it is whole."""
+    _early: bytes = b""
+    """What TLS deciphered before the handshake's end came to ``connection_made``."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
         """Write nothing ahead of the client, and wait for its request only so long."""
         super().connection_made(transport)
-        transport.set_write_buffer_limits(high=0)
+        # asyncio's TLS would stop at a mark of 0 and never go on
+        transport.set_write_buffer_limits(high=1 if is_ssl(transport) else 0)
         self._deadline = self.loop.call_later(REQUEST_TIMEOUT_S, self._give_up)
+        if early := self._early:
+            self._early = b""
+            self.data_received(early)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the deadline."""
-        if self._deadline is not None:
-            self._deadline.cancel()
-        super().connection_lost(exc)
+        for timer in (self._deadline, self._stuck):
+            if timer is not None:
+                timer.cancel()
+        if cast("object | None", self.transport) is not None:  # uvicorn's annotation knows no None
+            super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Pass it on while its header is within bounds: h11 bounds only one that comes in pieces."""
+        if cast("object | None", self.transport) is None:
+            self._early += data
+            return
+        if self._head is not None:
+            came = self._head + data
+            end = _BLANK_LINE.search(came)
+            head = came if end is None else came[: end.end()]
+            if len(head) > MAX_HEADER_BYTES or head.count(b"\n") > MAX_HEADER_LINES:
+                self._refuse(431, "its header is too large, or has too many lines")
+                return
+            self._head = came if end is None else None
+        super().data_received(data)
+
+    def pause_writing(self) -> None:
+        """The client takes nothing now: where no TCP cuts it off, this does."""
+        super().pause_writing()
+        if self.transport.get_extra_info("socket").family == socket.AF_UNIX:
+            self._stuck = self.loop.call_later(SEND_TIMEOUT_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """It has taken all."""
+        if self._stuck is not None:
+            self._stuck.cancel()
+        super().resume_writing()
 
     def send_400_response(self, msg: str) -> None:
         """Answer what is malformed, if no answer is under way; whatever is under way ends.
@@ -150,12 +290,48 @@ class _BoundedProtocol(H11Protocol):
         if cycle is not None:
             cycle.disconnected = True
             cycle.message_event.set()
-        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
-            super().send_400_response(msg)
-        else:
+        self._refuse(400, "what was sent is no request")
+
+    def _refuse(self, status: int, sentence: str) -> None:
+        """Say in one answer why there is none, and close; cut where an answer is under way already."""
+        if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
             self.transport.abort()
+            return
+        body = error_body(sentence)
+        headers = [*_HEADERS, ("Content-Type", "application/json"), ("Content-Length", str(len(body)))]
+        asked = cast("RequestResponseCycle | None", self.cycle)
+        sent = b"" if asked is not None and asked.scope["method"] == "HEAD" else body
+        events = (h11.Response(status_code=status, headers=headers), h11.Data(data=sent), h11.EndOfMessage())
+        self.transport.write(b"".join(self.conn.send(event) or b"" for event in events))
+        self.transport.close()
+
+    def _should_upgrade_to_ws(self) -> bool:
+        """Elsewhere the wish to upgrade is ignored."""
+        return self.scope["path"] == pictures.PATH
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """A WebSocket has its own bounds."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+        super().handle_websocket_upgrade(event)
 
     def _give_up(self) -> None:
         asked = cast("object | None", self.cycle)  # uvicorn's annotation knows no None
         if asked is None:
+            self.transport.abort()
+
+
+class _BoundedWebSocket(WSProtocol):
+    """uvicorn's WebSocket protocol; whatever it fails on ends the connection and nothing else."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
+        """Take over from HTTP, whose headers for each answer would say that the connection closes."""
+        super().connection_made(transport)
+        self.default_headers = []
+
+    def data_received(self, data: bytes) -> None:
+        """What is no WebSocket is cut off."""
+        try:
+            super().data_received(data)
+        except Exception:
             self.transport.abort()

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 
-from starlette.responses import JSONResponse, StreamingResponse
+from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from altd.publish.http.errors import refusal
+from altd.publish.http.resuming import Resume, id_of, key_of
 from altd.records import Measurement
 from altd.status.board import Board
+from altd.status.checked_json import checked_line
 from altd.status.health import Component
-from altd.status.measurement_json import as_line
+from altd.status.proof import Stamps
 
 MAX_STREAMS = 16
 """Streams that are served at a time."""
@@ -24,41 +27,86 @@ RETRY_MS = 2000
 """When a browser that lost the stream comes back."""
 
 
-def event(measurement: Measurement) -> str:
-    """One measurement as an event whose id is its sequence."""
-    return f"id: {measurement.sequence}\ndata: {as_line(measurement)}\n\n"
+def event(measurement: Measurement, line: str) -> str:
+    """One measurement, and its line of JSON, as an event whose id is its sequence."""
+    return f"id: {measurement.sequence}\ndata: {line}\n\n"
 
 
-async def events(board: Board, component: Component) -> AsyncGenerator[str, None]:
+async def events(
+    board: Board, component: Component, stamps: Stamps, resuming: Resuming | None = None
+) -> AsyncGenerator[str, None]:
     """The latest measurement and every later one that is still the latest when the client takes it.
 
-    A measurement that goes stale is told too: as an event that is invalid.
+    A measurement that goes stale is told too: as an event that is invalid. ``resuming``: how a stream that
+    can be resumed goes on, what was missed among it.
     """
     cursor = board.cursor()
     told: Measurement | None = None
     yield f"retry: {RETRY_MS}\n\n"
-    while True:
-        skipped = cursor.skipped
-        try:
-            async with asyncio.timeout(KEEP_ALIVE_INTERVAL_S):
-                latest: Measurement | None = await cursor.next()
-        except TimeoutError:
-            latest = board.read()
-        component.count("events_skipped", cursor.skipped - skipped)
-        if latest is None or latest == told:
-            yield ": nothing new\n\n"
-        else:
-            told = latest
-            component.gave_data()
-            yield event(latest)
+    try:
+        while True:
+            skipped = cursor.skipped
+            try:
+                async with asyncio.timeout(KEEP_ALIVE_INTERVAL_S):
+                    latest: Measurement | None = await cursor.next()
+            except TimeoutError:
+                latest = board.read()
+            component.count("events_skipped", cursor.skipped - skipped)
+            if latest is None or latest == told:
+                yield ": nothing new\n\n"
+            else:
+                told = latest
+                component.gave_data()
+                line = checked_line(board, latest, stamps.next())
+                yield event(latest, line) if resuming is None else resuming.event(latest, line)
+            for each in () if resuming is None or told is None else resuming.past(told):
+                yield each
+    finally:
+        if resuming is not None:
+            resuming.end()
+
+
+class Resuming:
+    """A stream whose events have ids by which it is resumed; ``missed``: what the client asks to have."""
+
+    def __init__(self, missed: Resume | None) -> None:
+        self._missed = missed
+        self._until: Measurement | None = None
+        self._asking: asyncio.Task[Sequence[str]] | None = None
+
+    def event(self, measurement: Measurement, line: str) -> str:
+        """A measurement of now; without an id while something of before is missing."""
+        if self._missed is not None:
+            return f"data: {line}\n\n"
+        return f"id: {id_of(key_of(measurement))}\ndata: {line}\n\n"
+
+    def past(self, told: Measurement) -> Sequence[str]:
+        """What has come of what was missed before the first measurement that was told; never waits."""
+        if self._missed is None:
+            return ()
+        self._until = self._until or told
+        if self._asking is None:
+            self._asking = asyncio.create_task(self._missed.events(self._until))
+        if not self._asking.done():
+            return ()
+        events, self._asking = self._asking.result(), None
+        if self._missed.is_done:
+            self._missed = None
+        return events
+
+    def end(self) -> None:
+        """Nobody listens any more."""
+        if self._asking is not None:
+            self._asking.cancel()
 
 
 class Streams:
     """How many streams are open, so that they stay few."""
 
-    def __init__(self, board: Board, component: Component) -> None:
+    def __init__(self, board: Board, component: Component, stamps: Stamps) -> None:
         self.board = board
         self.component = component
+        self.stamps = stamps
         self.open = 0
 
 
@@ -67,9 +115,9 @@ class EventStream(StreamingResponse):
 
     media_type = "text/event-stream"
 
-    def __init__(self, streams: Streams) -> None:
+    def __init__(self, streams: Streams, resuming: Resuming | None = None) -> None:
         self._streams = streams
-        self._events = events(streams.board, streams.component)
+        self._events = events(streams.board, streams.component, streams.stamps, resuming)
         super().__init__(self._events)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -77,8 +125,7 @@ class EventStream(StreamingResponse):
         streams = self._streams
         if streams.open >= MAX_STREAMS:
             streams.component.count("streams_refused")
-            refusal = JSONResponse({"error": f"{MAX_STREAMS} streams are open already"}, status_code=503)
-            await refusal(scope, receive, send)
+            await refusal(503, f"{MAX_STREAMS} streams are open already")(scope, receive, send)
             return
         streams.open += 1
         streams.component.count("streams")

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 import struct
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
-from altd.publish.modbus.status import reason_code, status_word
-from altd.records import Measurement
+from altd.publish.modbus import values
+from altd.publish.modbus.values import Reading, Snapshot
 
 MAP_VERSION = 1
 """Counts up when a register changes its meaning or place; a new register in a gap leaves it."""
@@ -30,21 +29,8 @@ FLOATS, SCALED, TESTS = 20, 60, 100
 PER_UNIT = 10_000
 """Counts per mm, degree or mm/m in the scaled block."""
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _FLOAT_MAX = sys.float_info.max
 _FLOAT32_MAX = float.fromhex("0x1.fffffep127")
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """What one request is answered from: the board at one instant.
-
-    ``age_s`` is None before the first measurement; ``published`` counts the measurements put up so far.
-    """
-
-    measurement: Measurement | None
-    age_s: float | None
-    published: int
 
 
 class Type(StrEnum):
@@ -94,68 +80,12 @@ class Register:
     type: Type
     unit: str
     meaning: str
-    value: Callable[[Snapshot], float | None]
+    value: Reading
     is_ageing: bool = False
     """The value depends on when it is read, not on the measurement alone."""
 
 
-def _status(snapshot: Snapshot) -> int:
-    return status_word(snapshot.measurement)
-
-
-def _reason(target: str | None) -> Callable[[Snapshot], int]:
-    return lambda snapshot: reason_code(snapshot.measurement, target)
-
-
-def _of_measurement(field: str) -> Callable[[Snapshot], float | None]:
-    return lambda snapshot: getattr(snapshot.measurement, field, None)
-
-
-def _number(key: str) -> Callable[[Snapshot], float | None]:
-    return lambda snapshot: snapshot.measurement.number(key) if snapshot.measurement else None
-
-
-def _sigma(key: str) -> Callable[[Snapshot], float | None]:
-    return lambda snapshot: snapshot.measurement.sigma(key) if snapshot.measurement else None
-
-
-def _of_target(target: str, key: str) -> Callable[[Snapshot], float | None]:
-    def coordinate(snapshot: Snapshot) -> float | None:
-        values = (snapshot.measurement and snapshot.measurement.targets.get(target)) or {}
-        return values[key].value if key in values else None
-
-    return coordinate
-
-
-def _sequence(snapshot: Snapshot) -> int | None:
-    return snapshot.measurement.sequence % 0xFFFF_FFFF if snapshot.measurement else None
-
-
-def _age_ms(snapshot: Snapshot) -> float | None:
-    return None if snapshot.age_s is None else 1000.0 * snapshot.age_s
-
-
-def _utc_ms(snapshot: Snapshot) -> int | None:
-    """Milliseconds since 1970 in UTC; None when the time is not known."""
-    time = snapshot.measurement and snapshot.measurement.time
-    return (time - _EPOCH) // timedelta(milliseconds=1) if time else None
-
-
-def _utc_s(snapshot: Snapshot) -> int | None:
-    ms = _utc_ms(snapshot)
-    return None if ms is None else ms // 1000
-
-
-def _utc_rest_ms(snapshot: Snapshot) -> int | None:
-    ms = _utc_ms(snapshot)
-    return None if ms is None else ms % 1000
-
-
-def _constant(value: float) -> Callable[[Snapshot], float]:
-    return lambda _: value
-
-
-def _scaled(value: Callable[[Snapshot], float | None]) -> Callable[[Snapshot], float | None]:
+def _scaled(value: Reading) -> Reading:
     def counts(snapshot: Snapshot) -> float | None:
         plain = value(snapshot)
         if plain is None or not math.isfinite(plain):
@@ -166,10 +96,14 @@ def _scaled(value: Callable[[Snapshot], float | None]) -> Callable[[Snapshot], f
 
 
 HEADER = (
-    Register(0, "status", Type.U16, "", "status word, see below; bit 0: the numbers may be used", _status),
-    Register(2, "reason_unit", Type.U16, "", "reason code of the whole unit, 0 none", _reason(None)),
-    Register(3, "reason_front", Type.U16, "", "reason code of the front target, 0 none", _reason("front")),
-    Register(4, "reason_rear", Type.U16, "", "reason code of the rear target, 0 none", _reason("rear")),
+    Register(
+        0, "status", Type.U16, "", "status word, see below; bit 0: the numbers may be used", values.status
+    ),
+    Register(2, "reason_unit", Type.U16, "", "reason code of the whole unit, 0 none", values.reason(None)),
+    Register(
+        3, "reason_front", Type.U16, "", "reason code of the front target, 0 none", values.reason("front")
+    ),
+    Register(4, "reason_rear", Type.U16, "", "reason code of the rear target, 0 none", values.reason("rear")),
     Register(
         5,
         "heartbeat",
@@ -178,30 +112,34 @@ HEADER = (
         "counts up with every measurement; 65534 is followed by 0",
         lambda snapshot: snapshot.published % 0xFFFF,
     ),
-    Register(6, "age", Type.U16, "ms", "time since the middle of the measurement's exposures", _age_ms, True),
-    Register(7, "exposures", Type.U16, "", "exposures averaged", _of_measurement("frames")),
-    Register(8, "sequence", Type.U32, "", "number of the last exposure averaged", _sequence),
-    Register(10, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", _utc_s),
-    Register(12, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", _utc_rest_ms),
-    Register(14, "map_version", Type.U16, "", "version of this table", _constant(MAP_VERSION)),
+    Register(
+        6, "age", Type.U16, "ms", "time since the middle of the measurement's exposures", values.age_ms, True
+    ),
+    Register(7, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
+    Register(8, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
+    Register(
+        10, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", values.utc_s
+    ),
+    Register(12, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
+    Register(14, "map_version", Type.U16, "", "version of this table", values.constant(MAP_VERSION)),
 )
 
-_QUANTITIES: tuple[tuple[str, str, str, Callable[[Snapshot], float | None]], ...] = (
-    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", _number("x_mm")),
-    ("y", "mm", "beam at the reference plane, up", _number("y_mm")),
-    ("yaw", "°", "direction of the beam, horizontal", _number("yaw_deg")),
-    ("pitch", "°", "direction of the beam, vertical", _number("pitch_deg")),
-    ("yaw_slope", "mm/m", "yaw as a slope", _number("yaw_mm_per_m")),
-    ("pitch_slope", "mm/m", "pitch as a slope", _number("pitch_mm_per_m")),
-    ("roll", "°", "from an inclinometer; not known without one", _number("roll_deg")),
-    ("sigma_x", "mm", "standard deviation of x", _sigma("x_mm")),
-    ("sigma_y", "mm", "standard deviation of y", _sigma("y_mm")),
-    ("sigma_yaw", "°", "standard deviation of yaw", _sigma("yaw_deg")),
-    ("sigma_pitch", "°", "standard deviation of pitch", _sigma("pitch_deg")),
-    ("front_x", "mm", "spot on the front target", _of_target("front", "x_mm")),
-    ("front_y", "mm", "spot on the front target", _of_target("front", "y_mm")),
-    ("rear_x", "mm", "spot on the rear target", _of_target("rear", "x_mm")),
-    ("rear_y", "mm", "spot on the rear target", _of_target("rear", "y_mm")),
+_QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
+    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", values.number("x_mm")),
+    ("y", "mm", "beam at the reference plane, up", values.number("y_mm")),
+    ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
+    ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
+    ("yaw_slope", "mm/m", "yaw as a slope", values.number("yaw_mm_per_m")),
+    ("pitch_slope", "mm/m", "pitch as a slope", values.number("pitch_mm_per_m")),
+    ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
+    ("sigma_x", "mm", "standard deviation of x", values.sigma("x_mm")),
+    ("sigma_y", "mm", "standard deviation of y", values.sigma("y_mm")),
+    ("sigma_yaw", "°", "standard deviation of yaw", values.sigma("yaw_deg")),
+    ("sigma_pitch", "°", "standard deviation of pitch", values.sigma("pitch_deg")),
+    ("front_x", "mm", "spot on the front target", values.of_target("front", "x_mm")),
+    ("front_y", "mm", "spot on the front target", values.of_target("front", "y_mm")),
+    ("rear_x", "mm", "spot on the rear target", values.of_target("rear", "x_mm")),
+    ("rear_y", "mm", "spot on the rear target", values.of_target("rear", "y_mm")),
 )
 
 FLOAT_BLOCK = tuple(
@@ -213,43 +151,45 @@ SCALED_BLOCK = tuple(
     for row, (name, unit, meaning, value) in enumerate(_QUANTITIES)
 )
 TEST_BLOCK = (
-    Register(TESTS, "test_f32", Type.F32, "", "always 123.456", _constant(123.456)),
-    Register(TESTS + 2, "test_u32", Type.U32, "", "always 0x12345678", _constant(0x1234_5678)),
-    Register(TESTS + 4, "test_s32", Type.S32, "", "always -123456789", _constant(-123_456_789)),
-    Register(TESTS + 6, "test_u16", Type.U16, "", "always 0xABCD", _constant(0xABCD)),
+    Register(TESTS, "test_f32", Type.F32, "", "always 123.456", values.constant(123.456)),
+    Register(TESTS + 2, "test_u32", Type.U32, "", "always 0x12345678", values.constant(0x1234_5678)),
+    Register(TESTS + 4, "test_s32", Type.S32, "", "always -123456789", values.constant(-123_456_789)),
+    Register(TESTS + 6, "test_u16", Type.U16, "", "always 0xABCD", values.constant(0xABCD)),
 )
 
 REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK
 
 
-def image(snapshot: Snapshot) -> list[int]:
-    """All registers, ``SIZE`` words; gaps are 0."""
-    words = [0] * SIZE
-    _fill(words, REGISTERS, snapshot)
+def image(
+    snapshot: Snapshot, rows: Sequence[Register] = REGISTERS, first: int = 0, size: int = SIZE
+) -> list[int]:
+    """All registers of a table, ``size`` words from address ``first`` on; gaps are 0."""
+    words = [0] * size
+    _fill(words, rows, snapshot, first)
     return words
 
 
 class RegisterImage:
     """The image as it is read: made once a measurement; only what ages is made anew for each reading."""
 
-    def __init__(self) -> None:
+    def __init__(self, rows: Sequence[Register] = REGISTERS, first: int = 0, size: int = SIZE) -> None:
+        self._rows, self._first, self._size = rows, first, size
+        self._ageing = tuple(row for row in rows if row.is_ageing)
         self._of: Snapshot | None = None
         self._words: list[int] = []
 
     def at(self, snapshot: Snapshot) -> list[int]:
-        """All registers of a snapshot; not to be changed, and true until the next call."""
+        """All registers of a snapshot; true until the next call."""
         made_of, self._of = self._of, snapshot
         is_same = made_of is not None and made_of.measurement is snapshot.measurement
         if made_of is None or not is_same or made_of.published != snapshot.published:
-            self._words = image(snapshot)
+            self._words = image(snapshot, self._rows, self._first, self._size)
         else:
-            _fill(self._words, _AGEING, snapshot)
+            _fill(self._words, self._ageing, snapshot, self._first)
         return self._words
 
 
-_AGEING = tuple(row for row in REGISTERS if row.is_ageing)
-
-
-def _fill(words: list[int], rows: Sequence[Register], snapshot: Snapshot) -> None:
+def _fill(words: list[int], rows: Sequence[Register], snapshot: Snapshot, first: int) -> None:
     for row in rows:
-        words[row.address : row.address + row.type.words] = row.type.pack(row.value(snapshot))
+        place = row.address - first
+        words[place : place + row.type.words] = row.type.pack(row.value(snapshot))

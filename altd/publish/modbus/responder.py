@@ -7,36 +7,49 @@ servers and its other functions are not used.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import cast
 
 from pymodbus.constants import ExcCodes
 from pymodbus.datastore import ModbusServerContext
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
+from altd.publish.modbus import checked_block
+from altd.publish.modbus.checked_block import CheckedBlock
 from altd.publish.modbus.identification import READ_DEVICE_IDENTIFICATION, identification
-from altd.publish.modbus.registers import SIZE, RegisterImage, Snapshot
+from altd.publish.modbus.registers import SIZE, RegisterImage
+from altd.publish.modbus.values import Snapshot
 from altd.status.board import Board
+from altd.status.cause import StateReport
 from altd.status.health import Component
+from altd.status.proof import Stamps
 
 READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
 """What is served beside the identification (Modbus Application Protocol V1.1b3, 6.3, 6.4); the rest is an
 illegal function."""
 
-_READ_BYTES = 5
+_READ_REQUEST_BYTES = 5
 """Function, address and number of registers; pymodbus would answer a longer one, too."""
 
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it logs a line for every malformed request
 
 
 class Responder:
-    """Answers requests and counts them; each is answered from one reading of the board."""
+    """Answers requests and counts them; each is answered from one reading of the board.
 
-    def __init__(self, board: Board, component: Component) -> None:
+    ``state`` finds out the unit's state; None: nobody does.
+    """
+
+    def __init__(
+        self, board: Board, component: Component, state: Callable[[], StateReport | None] = lambda: None
+    ) -> None:
         self._board = board
+        self._state = state
         self._component = component
         self._decoder = DecodePDU(True)
         self._image = RegisterImage()
+        self._block = CheckedBlock()
+        self._stamps = Stamps(board)
 
     async def answer(self, request: bytes) -> bytes:
         """The response to a request, both from the function code on and not empty."""
@@ -55,7 +68,7 @@ class Responder:
             return identification(request)
         if function not in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
             return ExcCodes.ILLEGAL_FUNCTION
-        decoded = self._decoder.decode(request) if len(request) == _READ_BYTES else None
+        decoded = self._decoder.decode(request) if len(request) == _READ_REQUEST_BYTES else None
         if decoded is None:
             return ExcCodes.ILLEGAL_VALUE
         response: ModbusPDU = await decoded.datastore_update(cast("ModbusServerContext", self), 0)
@@ -67,8 +80,14 @@ class Responder:
         self, device_id: int, function: int, address: int, count: int
     ) -> Sequence[int] | ExcCodes:
         """The registers of a read; holding and input registers are the same."""
-        if address + count > SIZE:
-            return ExcCodes.ILLEGAL_ADDRESS
         board = self._board
-        words = self._image.at(Snapshot(board.read(), board.age_s(), board.published))
-        return words[address : address + count]
+        measurement, age_s, published = board.read(), board.age_s(), board.published
+        if address + count <= SIZE:
+            return self._image.at(Snapshot(measurement, age_s, published))[address : address + count]
+        place = address - checked_block.FIRST
+        if place < 0 or place + count > checked_block.SIZE:
+            return ExcCodes.ILLEGAL_ADDRESS
+        report = self._state()
+        state = None if report is None else report.signal.number
+        words = self._block.at(Snapshot(measurement, age_s, published, self._stamps.next(), state))
+        return words[place : place + count]

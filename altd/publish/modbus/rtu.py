@@ -12,16 +12,17 @@ from collections.abc import Callable
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.bus import LONGEST, Bus
+from altd.publish.modbus.bus import MAX_FRAME_BYTES, Bus
 from altd.publish.modbus.responder import Responder
 from altd.serial_port.port import Port, describe, opened
 from altd.status.board import Board
+from altd.status.cause import StateReport
 from altd.status.health import Component, State
 
 BITS_PER_CHARACTER = 11
 
-KEPT = 1024
-"""Bytes that are kept of what comes without a silence: a busy computer hears some frames at once."""
+MAX_BUFFERED_BYTES = 1024
+"""Of what comes without a silence: a busy computer receives some frames at once."""
 
 
 def silence_s(baud: int) -> float:
@@ -32,38 +33,44 @@ def silence_s(baud: int) -> float:
 class ModbusRtuPublisher:
     """Serves the board over Modbus RTU; is silent to any unit id but its own."""
 
-    def __init__(self, settings: ModbusRtuPortSettings, board: Board, component: Component) -> None:
+    def __init__(
+        self,
+        settings: ModbusRtuPortSettings,
+        board: Board,
+        component: Component,
+        state: Callable[[], StateReport | None] = lambda: None,
+    ) -> None:
         self._settings = settings
-        self._responder = Responder(board, component)
+        self._responder = Responder(board, component, state)
         self._component = component
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be had or is gone."""
-        async with opened(self._settings, limit=LONGEST, fresh=True) as port:
+        async with opened(self._settings, limit=MAX_FRAME_BYTES, fresh=True) as port:
             ready()
             unit = f"unit id {self._settings.unit_id} on {describe(self._settings)}"
-            self._component.say(State.OK, f"Modbus RTU, {unit}")
+            self._component.set_state(State.OK, f"Modbus RTU, {unit}")
             await self._serve(port)
 
     async def _serve(self, port: Port) -> None:
         clock = asyncio.get_running_loop().time
         bus, answered = Bus(self._settings.unit_id), b""
         while True:
-            heard = await port.read() + await self._until_silence(port)
-            request = bus.hear(heard[-KEPT:], clock())
+            received = await port.read() + await self._until_silence(port)
+            request = bus.receive(received[-MAX_BUFFERED_BYTES:], clock())
             if request is not None and self._framed(request) != answered:  # a two-wire adapter hears itself
                 answered = self._framed(await self._responder.answer(request))
                 if not port.write(answered):  # the controller does not listen; it asks again when it does
                     self._component.count("answers_dropped")
 
     async def _until_silence(self, port: Port) -> bytes:
-        """What is heard before the line falls silent."""
-        heard = b""
+        """What is received before the line falls silent."""
+        received = b""
         with contextlib.suppress(TimeoutError):
             while True:
                 async with asyncio.timeout(silence_s(self._settings.baud)):
-                    heard = (heard + await port.read())[-KEPT:]
-        return heard
+                    received = (received + await port.read())[-MAX_BUFFERED_BYTES:]
+        return received
 
     def _framed(self, answer: bytes) -> bytes:
         frame = bytes([self._settings.unit_id]) + answer

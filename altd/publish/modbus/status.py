@@ -22,6 +22,11 @@ class StatusBit:
     target: str | None = None
     """Only the reasons of this target count; None: of any target and of the whole unit."""
 
+    @property
+    def warnings(self) -> tuple[Reason, ...]:
+        """Those of its reasons that a valid measurement may carry."""
+        return tuple(reason for reason in Reason if reason in self.reasons and reason.is_warning)
+
 
 VALID, NOTHING_YET = 0, 1
 """Bits that say something of the measurement itself."""
@@ -35,7 +40,7 @@ STATUS_BITS = (
     StatusBit(VALID, "valid", "the numbers may be used"),
     StatusBit(NOTHING_YET, "nothing yet", "no measurement since the daemon started"),
     StatusBit(2, "stale", "nothing new for too long; the numbers are gone", _of(StatusGroup.STALE)),
-    StatusBit(3, "warming up", "not enough exposures yet", _of(StatusGroup.WARMING_UP)),
+    StatusBit(3, "warming up", "not enough exposures yet, or no self-check", _of(StatusGroup.WARMING_UP)),
     StatusBit(4, "out of range", "a spot lies outside the calibrated area", _of(StatusGroup.OUT_OF_RANGE)),
     StatusBit(5, "out of step", "the cameras' exposures do not fit together", _of(StatusGroup.OUT_OF_STEP)),
     StatusBit(6, "unsteady", "the spots move too much to be averaged", _of(StatusGroup.UNSTEADY)),
@@ -52,11 +57,14 @@ STATUS_BITS = (
     StatusBit(
         15,
         "not trusted",
-        "a camera, its frames or the numbers did not pass a check",
+        "a camera, its frames, the numbers, or where cameras and targets are, did not pass a check",
         _of(StatusGroup.NOT_TRUSTED),
     ),
 )
 """The status word; bits that are not listed are 0."""
+
+WITHOUT_BIT = tuple(reason for reason in Reason if not any(reason in row.reasons for row in STATUS_BITS))
+"""What the status word does not show: warnings of sensors, for all of its bits are taken."""
 
 REASON_CODES = tuple(
     sorted((reason for reason in Reason if reason.modbus_code), key=lambda reason: reason.modbus_code)

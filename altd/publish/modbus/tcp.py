@@ -16,15 +16,18 @@ from dataclasses import dataclass
 from pymodbus.constants import ExcCodes
 
 from altd.config import ModbusTcpSettings
+from altd.publish.modbus.commands import WRITE_SINGLE_REGISTER, command_response
 from altd.publish.modbus.responder import Responder
 from altd.status.board import Board
+from altd.status.cause import StateReport
 from altd.status.health import Component, State
+from altd.status.self_check_desk import SelfCheckDesk
 from altd.tcp_port.accepting import accept, is_among_last, listen
 
 MBAP = struct.Struct(">HHHB")
 """Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
 
-LONGEST = 254
+MAX_LENGTH = 254
 """The largest length field: the unit and a protocol data unit of 253 bytes."""
 
 MAX_CLIENTS = 32
@@ -36,7 +39,7 @@ RESERVED_DESCRIPTORS = 4
 _DIRECT = frozenset({0, 255})
 """Unit ids for the device itself, not for something behind a gateway (Messaging 4.4.1.2)."""
 
-READ_AHEAD = 1024
+READ_AHEAD_BYTES = 1024
 """While more than twice as many bytes wait for their answers, nothing more is read from a client."""
 
 
@@ -50,7 +53,7 @@ class _Client:
     serving: asyncio.Task[None] | None = None
 
 
-def next_to_go(clients: list[_Client]) -> _Client:
+def client_to_displace(clients: list[_Client]) -> _Client:
     """Who makes room: who never asked, then who comes from where most do, then the longest quiet."""
     crowd = Counter((client.asked_s is None, client.address) for client in clients)
 
@@ -62,14 +65,22 @@ def next_to_go(clients: list[_Client]) -> _Client:
 
 
 class ModbusTcpPublisher:
-    """Serves the board over Modbus TCP."""
+    """Serves the board over Modbus TCP. A self-check is asked for at ``desk`` where the settings allow it."""
 
-    def __init__(self, settings: ModbusTcpSettings, board: Board, component: Component) -> None:
+    def __init__(
+        self,
+        settings: ModbusTcpSettings,
+        board: Board,
+        component: Component,
+        desk: SelfCheckDesk | None = None,
+        state: Callable[[], StateReport | None] = lambda: None,
+    ) -> None:
         self._settings = settings
-        self._responder = Responder(board, component)
+        self._desk = desk if settings.allow_self_check else None
+        self._responder = Responder(board, component, state)
         self._component = component
         self._clients: list[_Client] = []
-        self._turn = asyncio.Lock()
+        self._response_turn = asyncio.Lock()
         """One answer a turn of the loop, whoever asks: no crowd of clients holds the rest of the unit up."""
         self.port = settings.port
         """The port that is served; it differs from the setting when that is 0, once it listens."""
@@ -81,7 +92,7 @@ class ModbusTcpPublisher:
             self.port = listener.getsockname()[1]
             async with asyncio.TaskGroup() as clients:
                 ready()
-                self._component.say(State.OK, f"Modbus TCP on port {self.port}")
+                self._component.set_state(State.OK, f"Modbus TCP on port {self.port}")
                 await accept(listener, self._component, lambda connection: self._admit(clients, connection))
 
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
@@ -92,7 +103,7 @@ class ModbusTcpPublisher:
             connection.close()
             return
         if full:
-            self._displace(next_to_go(self._clients))
+            self._displace(client_to_displace(self._clients))
         loop = asyncio.get_running_loop()
         client = _Client(connection.getpeername()[0], loop.time())
 
@@ -102,7 +113,7 @@ class ModbusTcpPublisher:
             self._clients.append(client)
             self._component.count("clients")
 
-        streams = asyncio.StreamReaderProtocol(asyncio.StreamReader(READ_AHEAD), begin)
+        streams = asyncio.StreamReaderProtocol(asyncio.StreamReader(READ_AHEAD_BYTES), begin)
         await loop.connect_accepted_socket(lambda: streams, connection)
 
     def _displace(self, client: _Client) -> None:
@@ -125,19 +136,22 @@ class ModbusTcpPublisher:
         with contextlib.suppress(OSError, asyncio.IncompleteReadError):  # it left
             while True:
                 transaction, protocol, length, unit = MBAP.unpack(await reader.readexactly(MBAP.size))
-                if protocol != 0 or not 2 <= length <= LONGEST:
+                if protocol != 0 or not 2 <= length <= MAX_LENGTH:
                     self._component.count("garbled")  # where the next frame begins cannot be known
                     return
                 request = await reader.readexactly(length - 1)
-                async with self._turn:
+                async with self._response_turn:
                     answer = await self._answer(unit, request)
+                    client.asked_s = clock()
+                    writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                     await asyncio.sleep(0)
-                client.asked_s = clock()
-                writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                 await writer.drain()
 
     async def _answer(self, unit: int, request: bytes) -> bytes:
         if unit == self._settings.unit_id or unit in _DIRECT:
+            if self._desk is not None and request[0] == WRITE_SINGLE_REGISTER:
+                self._component.count("commands")
+                return command_response(request, self._desk)
             return await self._responder.answer(request)
         self._component.count("other_units")
         return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])

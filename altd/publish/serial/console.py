@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Iterable
 
+from altd.publish.serial.commands import Asked, Later, Question, UsageError, Watch, answer_to
 from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
-from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
+from altd.publish.serial.past_text import Past
+from altd.publish.serial.words import WIDTH, watch_line
 from altd.records import Measurement, Quantities
 from altd.status.health import Health
 
 PROMPT = b"> "
 PAGE_LINES = 23
 """A terminal shows 24 lines; the last one is the prompt, or says that there is more."""
-MORE = b"-- more: space goes on, q ends --"
-WATCH_S = (0.1, 3600.0)
-"""The shortest and the longest interval of ``watch``."""
+MORE_PROMPT = b"-- more: space goes on, q ends --"
+QUESTION_PROMPT = b" (y: yes) "
+QUESTION_S = 10.0
+"""A question that is not answered for so long is answered by no."""
 
 _NO_KEYS = (Key.JUNK, Key.JUNK_END)
 _LEAVING = {"e": "exit", "q": "quit"}
@@ -25,14 +27,24 @@ _LEAVING = {"e": "exit", "q": "quit"}
 
 
 class Console:
-    """One console. ``watching_s`` is the interval at which ``tick`` is due, None while nobody watches."""
+    """One console.
+
+    ``watching_s`` is the interval at which ``tick`` is due, None while nobody watches; ``asking_s`` is how
+    long after a question ``give_up`` is due, None while none is open.
+    """
 
     def __init__(
-        self, read: Callable[[], Measurement | None], health: Health, quantities: Quantities
+        self,
+        read: Callable[[], Measurement | None],
+        health: Health,
+        quantities: Quantities,
+        age_s: Callable[[], float | None] = lambda: None,
+        past: Past | None = None,
     ) -> None:
-        self.read = read
         self.health = health
-        self.quantities = quantities
+        self._asked = Asked(read, health, quantities, age_s, past)
+        self._question: Question | None = None
+        self._find: Callable[[], Awaitable[str]] | None = None
         self.watching_s: float | None = None
         self.commands = 0
         """Commands that were carried out."""
@@ -48,8 +60,27 @@ class Console:
         """After how much silence ``rest`` is due, for a key that has not ended; None: none is open."""
         return self._keys.waiting_s
 
-    def greet(self) -> bytes:
-        """What a person sees first."""
+    @property
+    def asking_s(self) -> float | None:
+        """After how long an open question is answered by no; None: none is open."""
+        return None if self._question is None else QUESTION_S
+
+    @property
+    def is_finding(self) -> bool:
+        """Whether ``found`` is due before anything else is typed."""
+        return self._find is not None
+
+    async def found(self) -> bytes:
+        """The answer to a command that had to look for it."""
+        find, self._find = self._find, None
+        return b"" if find is None else self._paged(await find())
+
+    def give_up(self) -> bytes:
+        """Nobody answered the question."""
+        return b"" if self._question is None else self._reply(None)
+
+    def welcome(self) -> bytes:
+        """The welcome message and the first prompt."""
         serial = self.health.facts.get("serial", "of unknown serial number")
         return b"\r\n" + _on_wire(f"Active Laser Target {serial}. Type help and press Enter.") + PROMPT
 
@@ -63,7 +94,7 @@ class Console:
 
     def tick(self) -> bytes:
         """The next line of ``watch``, nothing while nobody watches."""
-        return b"" if self.watching_s is None else _on_wire(watch_line(self.read()))
+        return b"" if self.watching_s is None else _on_wire(watch_line(self._asked.read()))
 
     def _all(self, keys: Iterable[str | Key]) -> Iterable[bytes]:
         for key in keys:
@@ -72,6 +103,8 @@ class Console:
     def _take(self, key: str | Key) -> bytes:
         if self.watching_s is not None:
             return self._end_watch(key)
+        if self._question is not None:
+            return self._reply(key)
         if self._further:
             return self._turn_page(key)
         if key is Key.REDRAW:
@@ -91,11 +124,24 @@ class Console:
         self._swallowed = key.lower() if isinstance(key, str) else ""
         return PROMPT
 
+    def _reply(self, key: str | Key | None) -> bytes:
+        """Do what was asked after a ``y``, and nothing after any other key or noise.
+
+        A character that is neither ``y`` nor ``n`` is typed into the next line.
+        """
+        question, self._question = self._question, None
+        assert question is not None  # noqa: S101  asked before
+        if key in ("y", "Y"):
+            self.commands += 1
+            return b"yes\r\n" + _on_wire(question.do()) + PROMPT
+        typed = self._take(key) if isinstance(key, str) and key not in "nN" else b""
+        return b"no\r\n" + PROMPT + typed
+
     def _turn_page(self, key: str | Key) -> bytes:
         """Go on with space or Enter, else end; a character but q is typed into the next line."""
         if key in _NO_KEYS:
             return b""
-        cleared = b"\r" + b" " * len(MORE) + b"\r"
+        cleared = b"\r" + b" " * len(MORE_PROMPT) + b"\r"
         if key in (" ", Key.ENTER):
             return cleared + self._next_page()
         self._further.clear()
@@ -105,7 +151,7 @@ class Console:
     def _next_page(self) -> bytes:
         fits = len(self._further) <= PAGE_LINES
         page = [self._further.popleft() for _ in range(min(len(self._further), PAGE_LINES))]
-        return b"".join(page) + (PROMPT if fits else MORE)
+        return b"".join(page) + (PROMPT if fits else MORE_PROMPT)
 
     def _answer(self, words: list[str]) -> bytes:
         swallowed, self._swallowed = self._swallowed, ""
@@ -114,94 +160,32 @@ class Console:
         name, *arguments = words
         if (leaving := _LEAVING.get(swallowed)) == swallowed + name.lower():
             name = leaving
-        command = COMMANDS.get(name.lower())
         try:
-            if command is None:
-                raise UsageError(f"no command {name[:24]!r}; type help for what there is")
-            if len(arguments) > bool(command.argument):
-                raise UsageError(f"too much after {name}; it is used as: {command.usage}")
-            text = command.run(self, *arguments)
+            answer = answer_to(self._asked, name, arguments)
         except UsageError as error:
             return _on_wire(str(error)) + PROMPT
+        if isinstance(answer, Question):
+            self._question = answer
+            return _on_wire(answer.text).removesuffix(b"\r\n") + QUESTION_PROMPT
         self.commands += 1
-        if self.watching_s is not None:
-            return _on_wire(text)
+        if isinstance(answer, Watch):
+            self.watching_s = answer.interval_s
+            return _on_wire(answer.text)
+        if isinstance(answer, Later):
+            self._find = answer.find
+            return b""
+        return self._paged(answer)
+
+    def _paged(self, text: str) -> bytes:
         self._further.extend(_on_wire(line) for line in text.split("\n"))
         return self._next_page()
 
 
-class UsageError(Exception):
-    """A line that is no command, in words for the person who typed it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """One command; ``argument`` is what may follow its name."""
-
-    name: str
-    argument: str
-    does: str
-    run: Callable[..., str]
-
-    @property
-    def usage(self) -> str:
-        """The command as it is typed."""
-        return f"{self.name} {self.argument}".rstrip()
-
-
-def _help(_: Console) -> str:
-    return "\n".join(f"{command.usage:<18}{command.does}" for command in COMMANDS.values())
-
-
-def _status(console: Console, whole: str = "") -> str:
-    if whole.lower() not in ("", "all"):
-        raise UsageError(f"status is used as: status [all], not {whole[:24]!r}")
-    return status_text(console.read(), console.health, whole=bool(whole))
-
-
-def _measure(console: Console) -> str:
-    return measurement_text(console.read())
-
-
-def _version(console: Console) -> str:
-    facts = console.health.facts
-    return f"altd {facts.get('version', 'of unknown version')}, unit {facts.get('serial', 'not known')}"
-
-
-def _leave(_: Console) -> str:
-    return (
-        "there is nothing to leave: nobody is logged in, and the unit measures on.\n"
-        "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
-    )
-
-
-def _watch(console: Console, seconds: str = "1") -> str:
-    shortest, longest = WATCH_S
-    try:
-        interval_s = float(seconds)
-    except ValueError:
-        interval_s = -1.0
-    if not shortest <= interval_s <= longest:
-        raise UsageError(f"watch wants seconds from {shortest:g} to {longest:g}, not {seconds!r}")
-    console.watching_s = interval_s
-    return "\n".join(["any key ends it", watch_head(console.quantities), watch_line(console.read())])
-
-
-COMMANDS = {
-    command.name: command
-    for command in (
-        Command("help", "", "what can be typed here", _help),
-        Command("status", "[all]", "how the unit is, what is wrong and what to do; all: more", _status),
-        Command("measure", "", "the latest measurement with its uncertainty (1 sigma)", _measure),
-        Command("watch", "[SECONDS]", "a measurement every second, or every SECONDS, until a key", _watch),
-        Command("version", "", "the software's version and the unit's serial number", _version),
-        Command("exit", "", "how to leave; the port has no session to end", _leave),
-        Command("quit", "", "the same", _leave),
-        Command("?", "", "the same as help", _help),
-    )
-}
-
-
 def _on_wire(text: str) -> bytes:
-    """Lines as terminals want them, none wider than the screen."""
-    return b"".join(line[:WIDTH].encode("ascii", "replace") + b"\r\n" for line in text.split("\n"))
+    """Lines as terminals want them, none wider than the screen; nothing that they would obey."""
+    return b"".join(_plain(line[:WIDTH]) + b"\r\n" for line in text.split("\n"))
+
+
+def _plain(line: str) -> bytes:
+    shown = (letter if letter.isascii() and letter.isprintable() else "?" for letter in line)
+    return "".join(shown).encode("ascii")

@@ -11,7 +11,7 @@ MAX_LINE_CHARACTERS = 70
 MAX_RECALLED_LINES = 16
 """Lines that the up and down keys bring back."""
 
-_MIN_NOISE = 3
+_MIN_NOISE_KEYS = 3
 _BACK = b"\b"
 
 
@@ -50,7 +50,7 @@ class LineEditor:
             case Key.ENTER:
                 return self._end()
             case Key.JUNK_END:
-                self._junk += _MIN_NOISE
+                self._junk += _MIN_NOISE_KEYS
                 return self._end()
             case Key.JUNK:
                 self._junk += 1
@@ -81,7 +81,7 @@ class LineEditor:
     def _end(self) -> str | BadLine:
         line, junk = "".join(self._line), self._junk
         bad = None
-        if junk >= _MIN_NOISE and 2 * junk >= len(line):
+        if junk >= _MIN_NOISE_KEYS and 2 * junk >= len(line):
             bad = BadLine.NO_TEXT
         elif junk:
             bad = BadLine.STRAY

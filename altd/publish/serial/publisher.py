@@ -9,10 +9,13 @@ from collections.abc import Callable
 from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
-from altd.publish.serial.telegram import LINE_END, MAX_TELEGRAM_BYTES, encode
+from altd.publish.serial.past_text import Past
+from altd.publish.serial.proof_sentence import with_proof
+from altd.publish.serial.telegram import LINE_END, MAX_CHECKED_BYTES, encode
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
+from altd.status.proof import Stamps
 
 MAX_WAITING_BYTES = 16384
 """Bytes of console output that may wait for a slow line."""
@@ -35,11 +38,12 @@ class TelegramPublisher:
         self._board = board
         self._component = component
         self._clock = clock
+        self._stamps = Stamps(board)
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
         interval_ns = round(self._settings.interval_s * 1e9)
-        async with opened(self._settings, limit=len(LINE_END) + MAX_TELEGRAM_BYTES, fresh=True) as port:
+        async with opened(self._settings, limit=len(LINE_END) + MAX_CHECKED_BYTES, fresh=True) as port:
             ready()
             due_ns = self._clock.monotonic_ns()
             lead = LINE_END  # ends the line that an unplugged cable or a crash may have torn
@@ -60,22 +64,27 @@ class TelegramPublisher:
 
     def _send(self, port: Port, lead: bytes) -> bool:
         settings = self._settings
-        telegram = encode(self._board.read())
+        measurement = self._board.read()
+        telegram = encode(measurement)
+        if settings.checked:
+            telegram = with_proof(telegram, measurement, self._stamps.next(), self._board.age_s())
         sent = port.write(lead + telegram)
         self._component.count("telegrams_sent" if sent else "telegrams_dropped")
         if sent:
             self._component.gave_data()
         takes_s = seconds_on_line(settings, len(telegram))
         if takes_s > settings.interval_s:
-            self._component.say(
+            self._component.set_state(
                 State.DEGRADED,
                 f"a telegram of {len(telegram)} characters takes {takes_s:.2f} s at {settings.baud} baud "
                 f"but one is due every {settings.interval_s:g} s: some are left out",
             )
         elif not sent:
-            self._component.say(State.DEGRADED, "the line does not take the telegrams: they are left out")
+            self._component.set_state(
+                State.DEGRADED, "the line does not take the telegrams: they are left out"
+            )
         else:
-            self._component.say(State.OK, telegram_message(settings))
+            self._component.set_state(State.OK, telegram_message(settings))
         return sent
 
 
@@ -83,32 +92,48 @@ class ConsolePublisher:
     """Lets one person at a terminal ask the unit."""
 
     def __init__(
-        self, settings: ConsolePortSettings, board: Board, health: Health, component: Component, clock: Clock
+        self,
+        settings: ConsolePortSettings,
+        board: Board,
+        health: Health,
+        component: Component,
+        clock: Clock,
+        past: Past | None = None,
     ) -> None:
         self._settings = settings
         self._board = board
         self._health = health
         self._component = component
         self._clock = clock
+        self._past = past
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
-        console = Console(self._board.read, self._health, self._board.quantities)
+        board = self._board
+        console = Console(board.read, self._health, board.quantities, board.age_s, self._past)
         async with opened(self._settings, limit=MAX_WAITING_BYTES, fresh=False) as port:
             ready()
-            self._component.say(State.OK, console_message(self._settings))
-            self._show(port, console.greet())
+            self._component.set_state(State.OK, console_message(self._settings))
+            self._show(port, console.welcome())
             waiting = b""
-            typed_ns = shown_ns = self._clock.monotonic_ns()
+            typed_ns = shown_ns = asked_ns = self._clock.monotonic_ns()
             while True:
                 rest_ns = _due_ns(typed_ns, console.waiting_s)
                 line_ns = _due_ns(shown_ns, console.watching_s)
-                waiting = waiting or await self._typed(port, min(rest_ns, line_ns))
+                answer_ns = _due_ns(asked_ns, console.asking_s)
+                waiting = waiting or await self._typed(port, min(rest_ns, line_ns, answer_ns))
                 typed, waiting = _first_line(waiting)
                 known, now_ns = console.commands, self._clock.monotonic_ns()
+                if now_ns >= answer_ns:  # before what was typed too late
+                    self._show(port, console.give_up())
                 if typed:
+                    was_asking = console.asking_s is not None
                     self._show(port, console.feed(typed))
                     typed_ns = now_ns
+                    if not was_asking:
+                        asked_ns = now_ns
+                    if console.is_finding:
+                        self._show(port, await console.found())
                 elif now_ns >= rest_ns:
                     self._show(port, console.rest())
                 if console.commands != known:

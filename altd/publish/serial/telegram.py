@@ -93,16 +93,16 @@ NUMBERS = (*SIGMAS, "roll_deg")
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field: the attribute of Telegram that it carries, its form, unit and meaning."""
+    """One field: the attribute that it carries of what is sent, its form, unit and meaning."""
 
     name: str
     form: Form
     unit: str
     meaning: str
 
-    def text(self, telegram: Telegram) -> str:
-        """The field as it travels."""
-        value = getattr(telegram, self.name)
+    def text(self, content: object) -> str:
+        """The field as it travels, of what has an attribute of its name."""
+        value = getattr(content, self.name)
         if value is None:
             return ""
         text = self.form.write(value)
@@ -119,9 +119,9 @@ class Sentence:
     title: str
     fields: tuple[Field, ...]
 
-    def encode(self, telegram: Telegram) -> bytes:
+    def encode(self, content: object) -> bytes:
         """The sentence with checksum and line end; raises TelegramError when a value does not fit."""
-        body = ",".join([self.name, *(field.text(telegram) for field in self.fields)]).encode("ascii")
+        body = ",".join([self.name, *(field.text(content) for field in self.fields)]).encode("ascii")
         return b"$%s*%02X%s" % (body, checksum(body), LINE_END)
 
 
@@ -156,6 +156,8 @@ QUALITY = Sentence(
 
 SENTENCES = (MEASUREMENT, QUALITY)
 MAX_TELEGRAM_BYTES = MAX_SENTENCE_BYTES * len(SENTENCES)
+MAX_CHECKED_BYTES = MAX_TELEGRAM_BYTES + MAX_SENTENCE_BYTES
+"""With the sentence by which a reader checks it."""
 
 
 def checksum(body: Iterable[int]) -> int:

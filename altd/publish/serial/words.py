@@ -6,22 +6,25 @@ from collections.abc import Sequence
 from textwrap import fill
 
 from altd.publish.serial.advice import advice, component_steps
+from altd.publish.serial.state_words import state_facts, state_steps
 from altd.records import Fault, Measurement, Quantities, Quantity, utc_text
 from altd.status.health import MEASURING, Component, Health, State, duration
 
 WIDTH = 79
 """A line of 80 would make some terminals wrap."""
 
-_NO_MEASUREMENT = "no measurement so far: wait some seconds, then see `status`"
+NO_MEASUREMENT = "no measurement so far: wait some seconds, then see `status`"
 
 
-def measurement_text(measurement: Measurement | None) -> str:
-    """One measurement with units and sigma, or why there is none."""
+def measurement_text(measurement: Measurement | None, age_s: float | None = None) -> str:
+    """One measurement with units and sigma, also that of its age where it is known, or why there is none."""
     if measurement is None:
-        return _NO_MEASUREMENT
+        return NO_MEASUREMENT
     time = "time not known" if measurement.time is None else utc_text(measurement.time)
     lines = [f"measurement {measurement.sequence}, {time}, mean of {measurement.frames} exposures"]
-    lines += _value_lines(measurement) if measurement.valid else ["  NOT VALID"]
+    if not measurement.valid:
+        lines.append("  NOT VALID")
+    lines += _value_lines(measurement, age_s)
     return "\n".join([*lines, *_reason_lines(measurement.status)])
 
 
@@ -46,37 +49,72 @@ def watch_line(measurement: Measurement | None) -> str:
     return f"{time:<14}{''.join(numbers)} {codes}"[:WIDTH].rstrip()
 
 
-def status_text(measurement: Measurement | None, health: Health, *, whole: bool = False) -> str:
+def status_text(
+    measurement: Measurement | None, health: Health, age_s: float | None = None, *, whole: bool = False
+) -> str:
     """The unit, whether it measures, what to do about what is wrong, and every component.
 
+    ``age_s``: of the measurement, for the uncertainty that is true now.
     ``whole``: with all that the components say, count and measure of themselves.
     """
     components = list(health)
+    report = health.state()
     facts = {**health.facts, MEASURING: _measuring(measurement, components)}
+    if measurement is not None and measurement.valid:
+        facts["sigma now"] = _uncertainty(measurement, age_s)
+    facts |= {} if report is None else state_facts(report, whole=whole)
     width = max(map(len, facts)) + 2
-    lines = [_hanging(name, text, width) for name, text in facts.items()]
-    lines += ["", *_what_to_do(measurement, components)]
+    lines = [hanging(name, text, width) for name, text in facts.items()]
+    lines += ["", *_what_to_do(measurement, components, [] if report is None else state_steps(report))]
     if components:
-        column = min(max(len(component.name) for component in components), 40) + 2
-        lines += ["", f"{'component':<{column}}{'state':<10}{'for':<11}".rstrip()]
-        for component in components:
-            lines.append(_component_line(component, column))
-            if whole and (remarks := _remarks(component)):
-                lines.append(_hanging("", remarks, 4))
+        lines += ["", *component_lines(components, whole=whole)]
     return "\n".join(lines)
 
 
-def _value_lines(measurement: Measurement) -> list[str]:
-    """A line a quantity, with what it is in another unit behind it."""
+def component_lines(components: Sequence[Component], *, whole: bool) -> list[str]:
+    """A table of the components; ``whole``: with what each says, counts and measures of itself."""
+    if not components:
+        return []
+    column = min(max(len(component.name) for component in components), 40) + 2
+    lines = [f"{'component':<{column}}{'state':<10}{'for':<11}".rstrip()]
+    for component in components:
+        lines.append(_component_line(component, column))
+        if whole and (remarks := _remarks(component)):
+            lines.append(hanging("", remarks, 4))
+    return lines
+
+
+def _uncertainty(measurement: Measurement, age_s: float | None) -> str:
+    """The standard deviations of the values as statements about the beam now."""
+    told = [
+        f"{quantity.label} {sigma:.{quantity.decimals - 1}f} {_unit(quantity)}"
+        for quantity in measurement.quantities.main
+        if (sigma := _sigma_now(measurement, quantity, age_s)) is not None
+    ]
+    return ", ".join(told) or "not known: the unit has not seen yet how the beam moves"
+
+
+def _sigma_now(measurement: Measurement, quantity: Quantity, age_s: float | None) -> float | None:
+    return None if age_s is None else measurement.sigma_at(quantity.key, age_s)
+
+
+def _value_lines(measurement: Measurement, age_s: float | None) -> list[str]:
+    """A line a quantity, with what it is in another unit behind it.
+
+    Of an invalid measurement only what other sensors say.
+    """
     lines = {}
-    for quantity in measurement.quantities.of_unit:
-        value, decimals = measurement.values.get(quantity.key), quantity.decimals - 1
+    of_unit = measurement.quantities.of_unit
+    for quantity in of_unit if measurement.valid else (each for each in of_unit if each.is_from_sensor):
+        value, decimals = measurement.known(quantity.key), quantity.decimals - 1
         if value is None:
             lines[quantity.key] = f"  {quantity.label:<10}not available"
         elif quantity.is_also:
             lines[quantity.is_also] += f"  ={value.value:9.{decimals}f} {_unit(quantity)}"
         else:
             sigma = "" if value.sigma is None else f"+/- {value.sigma:.{decimals}f}"
+            if (now := _sigma_now(measurement, quantity, age_s)) is not None:
+                sigma += f", now {now:.{decimals}f}"
             line = f"  {quantity.label:<7}{value.value:10.{decimals}f} {_unit(quantity):<4}{sigma}"
             lines[quantity.key] = line.rstrip()
     return list(lines.values())
@@ -92,10 +130,10 @@ def _reason_lines(status: Sequence[Fault]) -> list[str]:
     for fault in status:
         means, remedy = advice(fault, status)
         lines.append(
-            _hanging("", f"{_of_targets([fault.target] if fault.target else [])}{means}: {remedy}", 2)
+            hanging("", f"{_of_targets([fault.target] if fault.target else [])}{means}: {remedy}", 2)
         )
         if fault.detail:
-            lines.append(_hanging("", fault.detail, 4))
+            lines.append(hanging("", fault.detail, 4))
     return lines
 
 
@@ -125,7 +163,9 @@ def _remarks(component: Component) -> str:
     return "; ".join(filter(None, [component.message, ", ".join(told)]))
 
 
-def _what_to_do(measurement: Measurement | None, components: Sequence[Component]) -> list[str]:
+def _what_to_do(
+    measurement: Measurement | None, components: Sequence[Component], further: Sequence[str]
+) -> list[str]:
     status = measurement.status if measurement else ()
     targets: dict[tuple[str, str], list[str]] = {}
     for fault in status:
@@ -134,10 +174,10 @@ def _what_to_do(measurement: Measurement | None, components: Sequence[Component]
         told = (f"{means} ({seen})" if seen else means), remedy
         targets.setdefault(told, []).extend(filter(None, [fault.target]))
     steps = [f"{_of_targets(of)}{told}: {remedy}" for (told, remedy), of in targets.items()]
-    steps += component_steps(components, status)
+    steps += [*component_steps(components, status), *further]
     if not steps:
-        return ["nothing is wrong" if measurement else _NO_MEASUREMENT]
-    return ["what is wrong, and what to do:", *(_hanging("  -", step, 4) for step in steps)]
+        return ["nothing is wrong" if measurement else NO_MEASUREMENT]
+    return ["what is wrong, and what to do:", *(hanging("  -", step, 4) for step in steps)]
 
 
 def _of_targets(targets: Sequence[str]) -> str:
@@ -145,7 +185,7 @@ def _of_targets(targets: Sequence[str]) -> str:
     return f"{' and '.join(targets)} target{'s' * (len(targets) > 1)}: " if targets else ""
 
 
-def _hanging(name: str, text: str, indent: int) -> str:
+def hanging(name: str, text: str, indent: int) -> str:
     """The text beside a name, its further lines below its first."""
     return fill(
         _ascii(text),

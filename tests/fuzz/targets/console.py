@@ -32,7 +32,8 @@ _SEQUENCES = rb"""
 
 _LINES = rb"""
 help\r status\r\n status\x20all\r measure\n watch\r watch\x200.1\r watch\x201e400\r watch\x20nan\r
-?\r exit\r version\r \e[A\e[B\eOP \x7f\x08\x08 \x03 \x15 \xff\0\xfe no\x20such\x20thing\r \r\n\n\r
+?\r exit\r version\r selfcheck\r selfcheck\x20now\r selfcheck\x20now\x20now\r
+\e[A\e[B\eOP \x7f\x08\x08 \x03 \x15 \xff\0\xfe no\x20such\x20thing\r \r\n\n\r
 """
 
 
@@ -53,6 +54,7 @@ class _Line:
     """A pseudo terminal whose near end the console opens."""
 
     def __init__(self, faces: Faces) -> None:
+        faces.health.self_check.open(lambda: None)
         serial_publisher.READ_INTERVAL_S = (
             0.0  # the rest after each turn: examples are tried one behind the other
         )
@@ -114,7 +116,7 @@ async def _session(faces: Faces, line: _Line, keys: bytes) -> bytes:
     async with asyncio.timeout(10.0):
         while not answer.endswith(b"not available\r\n> "):
             answer += await _heard(line.far, 0.001)
-    assert b"  x          10.012 mm  +/- 0.004\r\n" in answer, answer
+    assert b"  x          10.012 mm  +/- 0.004, now 0." in answer, answer
     return shown
 
 

@@ -15,7 +15,7 @@ from altd.config import HttpSettings
 from altd.publish.http.publisher import HttpPublisher
 
 NAME = "http"
-STATUSES = {200, 400, 404, 405, 503}
+STATUSES = {200, 400, 401, 403, 404, 405, 409, 413, 414, 415, 429, 431, 503}
 
 _REQUESTS = tuple(
     text.encode("latin-1")
@@ -26,17 +26,28 @@ _REQUESTS = tuple(
         "GET /api/status?x=%00%ff&y HTTP/1.0\r\n\r\n",
         "POST /api/measurement HTTP/1.1\r\nHost: unit\r\nContent-Length: 5\r\n\r\nhello",
         "GET /api/status HTTP/1.1\r\nHost: unit\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nhello\r\n0\r\n\r\n",
+        "POST /api/self-check HTTP/1.1\r\nHost: [::1\r\nX-Altd-Request: 1\r\n\r\n",
+        "POST /api/self-check HTTP/1.1\r\nHost: 127.0.0.1:80\r\nX-Altd-Request: 1\r\n\r\n",
         "PUT /api/stream HTTP/1.1\r\nHost: unit\r\nTransfer-Encoding: chunked\r\n\r\nffffffffff\r\nx",
         "GET /api/status HTTP/1.1\r\nHost: unit\r\nExpect: 100-continue\r\nContent-Length: 3\r\n\r\n",
         "GET /api/status HTTP/1.1\r\nHost: unit\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\r\n",
+        "POST /api/v1/login HTTP/1.1\r\nHost: unit\r\nX-Altd-Request: 1\r\nContent-Type: application/json\r\n"
+        'Content-Length: 32\r\n\r\n{"name": "ana", "password": "x"}',
+        "POST /api/v1/logout HTTP/1.1\r\nHost: unit\r\nX-Altd-Request: 1\r\nAuthorization: Bearer x\r\n\r\n",
+        "GET /api/v1/trend?from=-60&points=3 HTTP/1.1\r\nHost: unit\r\nCookie: altd_80=a; altd_80=b\r\n\r\n",
+        "GET /api/v1/events?kind=state&before=9 HTTP/1.1\r\nHost: unit\r\n\r\n",
+        "GET /api/v1/stream HTTP/1.1\r\nHost: unit\r\nLast-Event-ID: 160-8000000000\r\n\r\n",
+        "GET /metrics HTTP/1.1\r\nHost: unit\r\nAccept: application/openmetrics-text;q=1e9\r\n\r\n",
+        "HEAD /readyz HTTP/1.1\r\nHost: unit\r\nForwarded: for=127.0.0.1\r\n\r\n",
         "OPTIONS * HTTP/1.1\r\nHost: unit\r\n\r\n",
         "CONNECT unit:80 HTTP/1.1\r\nHost: unit\r\n\r\n",
         "GET http://unit/../api//status#%2e%2e HTTP/1.1\r\nHost: unit\r\n\r\n",
         "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
     )
 )
-_STREAMS = st.lists(st.sampled_from(_REQUESTS), min_size=1, max_size=3).map(b"".join)
-EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.sampled_from((1_000_000, 200, 40, 7)))
+_ASKED = st.lists(st.sampled_from(_REQUESTS), min_size=1, max_size=3).map(b"".join)
+STREAMS = _ASKED | spoilt_bytes(_ASKED)
+EXAMPLES = st.tuples(STREAMS, st.sampled_from((1_000_000, 200, 40, 7)))
 """What is sent, and in pieces of how many bytes."""
 
 _face = served(

@@ -11,12 +11,14 @@ import pynmea2
 from fuzz.served import measurements
 from support.measurements import beam_of
 
+from altd.files.documents import line_of
 from altd.publish.http.stream import event
-from altd.publish.modbus.registers import Snapshot, image
+from altd.publish.modbus.registers import image
+from altd.publish.modbus.values import Snapshot
 from altd.publish.serial.telegram import encode
 from altd.publish.serial.words import measurement_text, watch_line
 from altd.records import Measurement
-from altd.status.measurement_json import as_line
+from altd.status.measurement_json import as_object_now
 
 NAME = "measurement"
 EXAMPLES = measurements
@@ -74,8 +76,8 @@ def _check_registers(measurement: Measurement) -> None:
 
 
 def _check_json(measurement: Measurement) -> None:
-    line = as_line(measurement)
-    assert event(measurement) == f"id: {measurement.sequence}\ndata: {line}\n\n"
+    line = line_of(as_object_now(measurement, 0.5))
+    assert event(measurement, line) == f"id: {measurement.sequence}\ndata: {line}\n\n"
     read: dict[str, Any] = json.loads(line, parse_constant=_refuse)
     assert "\n" not in line
     assert read["valid"] == measurement.valid

@@ -97,7 +97,7 @@ def check(example: list[tuple[list[Said], int, float]]) -> None:
             for piece in filter(None, pieces):
                 now_s += WITHIN_S
                 before = (before + piece)[-600:]
-                request = bus.hear(piece, now_s)
+                request = bus.receive(piece, now_s)
                 if request is not None:
                     assert before.endswith(_frame(UNIT, request))
                     faces.do(_answered(silent.responder, request))
@@ -105,7 +105,7 @@ def check(example: list[tuple[list[Said], int, float]]) -> None:
             if is_clear:
                 assert heard == ([] if one.asked is None else [one.asked]), (one, heard)
     read = struct.pack(">BHH", 4, 102, 2)
-    assert bus.hear(_frame(UNIT, read), now_s + 2.0) == read
+    assert bus.receive(_frame(UNIT, read), now_s + 2.0) == read
 
 
 async def _answered(responder: Responder, request: bytes) -> None:

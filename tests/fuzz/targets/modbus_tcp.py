@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import struct
+import zlib
 
-from fuzz.served import read_all, served
+from fuzz.served import Faces, read_all, served
 from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 
@@ -15,13 +16,18 @@ from altd.publish.modbus.tcp import ModbusTcpPublisher
 
 NAME = "modbus_tcp"
 UNIT = 7
-SIZE = 120
+MAPS = (range(120), range(200, 280))
+"""What can be read: a read stays in one of them."""
+CHECK_NOW = bytes.fromhex("0603e80001")
 TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
 TEST_ANSWER = struct.pack(">HHHB", 77, 0, 7, UNIT) + bytes.fromhex("04 04 12345678")
 
 _PDUS = (
     *(struct.pack(">BHH", function, 0, count) for function in (3, 4) for count in (1, 120, 121, 125, 126)),
+    *(struct.pack(">BHH", 4, address, 80) for address in (199, 200, 201)),
     *(bytes.fromhex(text) for text in ("2b0e0100", "2b0e0200", "2b0e0402", "2b0e04ff", "2b0d00", "2b")),
+    *(bytes.fromhex(text) for text in ("0603e80001", "0603e80001", "0603e80002", "0603e90001", "06e8030001")),
+    *(bytes.fromhex(text) for text in ("1003e80001020001", "0503e8ff00", "0403e80001", "0603e8000100")),
     *(bytes.fromhex(text) for text in ("010000 0001", "0600001234", "100000000102 1234", "080000a5a5", "11")),
     *(
         bytes.fromhex(text)
@@ -44,16 +50,33 @@ _STREAMS = st.lists(_FRAMES, min_size=1, max_size=6).map(b"".join)
 EXAMPLES = st.tuples(_STREAMS | spoilt_bytes(_STREAMS), st.integers(1, 300))
 """What is sent, and in pieces of how many bytes."""
 
-_face = served(
-    lambda faces: ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), faces.board, faces.component(NAME)
-    )
-)
+
+class _Asked:
+    """How often a self-check was asked for."""
+
+    times = 0
+
+    @classmethod
+    def once_more(cls) -> None:
+        cls.times += 1
+
+
+def _publisher(faces: Faces) -> ModbusTcpPublisher:
+    faces.health.self_check.open(_Asked.once_more)
+    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
+    return ModbusTcpPublisher(settings, faces.board, faces.component(NAME), faces.health.self_check)
+
+
+_face = served(_publisher)
 
 
 def check(example: tuple[bytes, int]) -> None:
-    """Each whole request has one answer of its own, up to where the bytes make no sense."""
+    """Each whole request has one answer of its own, up to where the bytes make no sense.
+
+    A self-check is asked for by nothing but what asks for one, byte for byte.
+    """
     faces, publisher = _face()
+    before = _Asked.times
     asked, is_garbled = _requests(example[0])
     answers = faces.do(_exchange(publisher.port, *example))
     for transaction, unit, pdu in asked:
@@ -64,6 +87,9 @@ def check(example: tuple[bytes, int]) -> None:
         _judge(pdu, unit, answers[7 : 6 + length])
         answers = answers[6 + length :]
     assert answers == b""
+    for_checks = sum(pdu == CHECK_NOW and unit in (UNIT, 0, 255) for _, unit, pdu in asked)
+    assert _Asked.times - before <= for_checks
+    assert is_garbled or _Asked.times - before == for_checks
 
 
 def _requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bool]:
@@ -88,24 +114,32 @@ def _judge(asked: bytes, unit: int, answer: bytes) -> None:
         address, count = struct.unpack(">HH", asked[1:])
         if not 1 <= count <= 125:
             assert answer == bytes([function | 0x80, 3])
-        elif address + count > SIZE:
+        elif not any(address in map_ and address + count - 1 in map_ for map_ in MAPS):
             assert answer == bytes([function | 0x80, 2])
         else:
             assert answer[:2] == bytes([function, 2 * count])
             assert len(answer) == 2 + 2 * count
+            if (address, count) == (200, 80):
+                assert zlib.crc32(answer[2:-4]) == int.from_bytes(answer[-4:])
     elif function == 43 and answer[0] == 43:
-        assert asked[1] == 14
-        number, rest = answer[6], answer[7:]
-        for _ in range(number):
-            rest = rest[2 + rest[1] :]
-        assert number > 0
-        assert rest == b""
+        _judge_identification(asked, answer)
+    elif function == 6:
+        assert answer in ((asked,) if asked == CHECK_NOW else (b"\x86\x02", b"\x86\x03"))
     elif function not in (3, 4, 43):
         assert answer == bytes([function | 0x80, 1])
     else:
         assert answer[0] == function | 0x80
         assert answer[1] in (1, 2, 3)
         assert len(answer) == 2
+
+
+def _judge_identification(asked: bytes, answer: bytes) -> None:
+    assert asked[1] == 14
+    number, rest = answer[6], answer[7:]
+    for _ in range(number):
+        rest = rest[2 + rest[1] :]
+    assert number > 0
+    assert rest == b""
 
 
 async def _exchange(port: int, stream: bytes, piece: int) -> bytes:

@@ -30,6 +30,7 @@ HEADER: dict[str, Any] = {
     "cameras": {"front": CAMERA, "rear": {**CAMERA, "bits": 12, "mirrored": True}},
     "unit": {"serial": "A-1", "target_distance_mm": 280.0},
     "note": "made by a test",
+    "self_check": {"verdict": "suspect", "reasons": ["rear: it moved"], "notes": []},
     "start": "2026-11-20T08:15:30Z",
     "targets": [
         {"name": "front", "z_mm": 0.0, "camera": "front"},

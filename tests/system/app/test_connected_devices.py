@@ -31,7 +31,7 @@ def test_a_camera_a_chip_and_a_port_are_told_in_the_words_of_the_config(tmp_path
         "/dev/gpiochip0, 3 lines",
         'lines: "LED_A", "1", "DOOR" (used by doorbell)',
     ]
-    ports = section(out, "Serial ports: [[serial]], [stage]")
+    ports = section(out, "Serial ports: [[serial]], [inclinometer], [stage]")
     at = ports.index('device = "/dev/serial/by-id/usb-wires-if00"')
     assert ports[at + 1].endswith("now /dev/ttyACM0")
 

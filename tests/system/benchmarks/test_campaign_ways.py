@@ -16,13 +16,9 @@ from benchmarks.campaign.ways import (
     cameras,
     frame_order,
     grey_values,
-    numbers,
     spots,
     surfaces,
-    times,
 )
-from benchmarks.campaign.ways.numbers import Misnumbered
-from benchmarks.campaign.ways.times import MS, Delivery, Mistimed
 
 ROWS, COLUMNS, PX_PER_MM = 240, 376, 4.0
 RADIUS_PX, PEAK = 20.0, 100.0
@@ -307,42 +303,6 @@ def test_two_ways_at_once_do_what_each_does() -> None:
                 assert part.light is not None
                 expected = part.light(expected, 0)
         assert np.array_equal(pair.light(scene(camera), 0).electrons, expected.electrons)
-
-
-DELIVERIES = [
-    Delivery(camera, k * 50 * MS, k, k * 50 * MS, k * 50 * MS + 5 * MS)
-    for k in range(40)
-    for camera in CAMERAS
-]
-
-
-@pytest.mark.parametrize("way", times.WAYS, ids=lambda way: way.name)
-def test_a_way_of_times_touches_nothing_before_its_onset(way: object) -> None:
-    changed = way.name == "clean_times"  # type: ignore[attr-defined]
-    for seed in range(6):
-        mistimed = way.make(draw(seed))  # type: ignore[attr-defined]
-        assert isinstance(mistimed, Mistimed)
-        after = mistimed.change(DELIVERIES, 500 * MS)
-        assert [one for one in after if one.true_ns < 500 * MS] == DELIVERIES[
-            :20
-        ] or mistimed.note.startswith("of ")
-        changed |= sorted(after, key=str) != sorted(DELIVERIES, key=str)
-    assert changed
-
-
-def test_a_held_process_gets_what_the_drivers_kept_and_then_new_frames() -> None:
-    for seed in range(6):
-        mistimed = times.process_held(draw(seed))
-        after = mistimed.change(DELIVERIES, 500 * MS)
-        during = [one for one in after if 0 <= one.true_ns - 500 * MS < mistimed.held_ns]
-        assert all(one.arrives_ns == 500 * MS + mistimed.held_ns for one in during)
-        assert len(during) <= 2 * int(mistimed.note.split()[2])
-
-
-def test_numbers_that_are_none_are_drawn_for_config_and_calibration() -> None:
-    drawn = [way.make(draw(seed)) for way in numbers.WAYS for seed in range(20)]
-    assert all(isinstance(one, Misnumbered) for one in drawn)
-    assert {one.is_none for one in drawn if isinstance(one, Misnumbered)} == {True, False}
 
 
 def test_noise_belongs_to_the_light_that_is_left() -> None:

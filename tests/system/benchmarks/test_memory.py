@@ -9,7 +9,7 @@ import sys
 import pytest
 from support.places import ROOT
 
-NODES, FRAMES = (20, 80), (20, 200)
+NODES, FRAMES = (20, 56), (20, 92)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from altd.calibration.file import _checksum, load_calibration, save_calibration
+from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
+from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 
 Key = tuple[str | int, ...]
@@ -34,7 +35,7 @@ def complaint(path: Path, document: dict[str, Any], key: Key, value: float) -> s
     for part in key[:-1]:
         place = place[part]
     place[key[-1]] = value
-    spoilt["checksum"] = _checksum(spoilt)
+    spoilt["checksum"] = checksum_of(spoilt)
     path.write_text(json.dumps(spoilt))
     with pytest.raises(BadInputError) as caught:
         load_calibration(path)

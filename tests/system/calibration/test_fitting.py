@@ -7,6 +7,7 @@ import pytest
 from support.lenses import SIZE, TABLE_3_2, LensKind, grid, make_lens, seen
 
 from altd.calibration.fitting import fit_nodes
+from altd.mapping.nodes import Nodes
 
 NODES = grid()
 MOST_DROPPED = 6
@@ -25,7 +26,7 @@ def test_a_node_displaced_by_2_mm_is_found_beside_dark_ones(node: int, kind: Len
     reached[node] += 2 * np.array([np.cos(direction), np.sin(direction)])
     px = seen(lens, reached, rng)
     rows = np.delete(np.arange(30), dark)
-    fitted = fit_nodes(NODES[rows], px[rows], SIZE, None, 3)
+    fitted = fit_nodes(Nodes.ordinary(NODES[rows], px[rows]), SIZE, None, 3)
     assert rows[fitted.dropped].tolist() == [node]
     points = fitted.fit.map.dense_mm()
     assert np.abs(fitted.fit.map.to_px(points) - lens(points)).max() < 0.2
@@ -37,7 +38,7 @@ def test_two_displaced_nodes_are_found() -> None:
     reached = NODES.copy()
     reached[7] += (2.0, 0.0)
     reached[24] += (0.0, 1.5)
-    fitted = fit_nodes(NODES, seen(lens, reached, rng), SIZE, None, MOST_DROPPED)
+    fitted = fit_nodes(Nodes.ordinary(NODES, seen(lens, reached, rng)), SIZE, None, MOST_DROPPED)
     assert fitted.dropped == [7, 24]
 
 
@@ -46,5 +47,8 @@ def test_ordinary_nodes_are_all_kept_however_the_noise_falls() -> None:
         rng = np.random.default_rng(seed)
         kind = TABLE_3_2[seed % 4]
         assert (
-            fit_nodes(NODES, seen(make_lens(kind, rng), NODES, rng), SIZE, None, MOST_DROPPED).dropped == []
+            fit_nodes(
+                Nodes.ordinary(NODES, seen(make_lens(kind, rng), NODES, rng)), SIZE, None, MOST_DROPPED
+            ).dropped
+            == []
         )

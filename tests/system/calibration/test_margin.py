@@ -11,6 +11,7 @@ from altd.calibration.calibrating import calibrate
 from altd.calibration.fitting import fit_nodes
 from altd.calibration.margin import outer_rows
 from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Nodes
 from altd.recording.reader import open_recording
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX
 
@@ -25,7 +26,7 @@ def test_the_outer_rows_of_a_unit_that_this_project_did_not_make_are_where_they_
         for row in outer_rows(seen.nodes_mm):
             others = np.delete(np.arange(len(seen.nodes_mm)), row.rows)
             places, px = seen.nodes_mm[others], seen.nodes_px[others]
-            alone = fit_nodes(places, px, (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
+            alone = fit_nodes(Nodes.ordinary(places, px), (WIDTH_PX, HEIGHT_PX), None, 0).fit.map
             mm, _, covariance = InverseMap.of(replace(alone, margin_mm=26.0)).to_mm(seen.nodes_px[row.rows])
             sigma_mm = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
             normalised.append((mm - seen.nodes_mm[row.rows]) / sigma_mm)

@@ -12,7 +12,6 @@ from support.cli import altd_here, refusal
 from support.plates import FRONT, REAR, View, add_disc, grid_mm, plate_light, tilted, write_plate
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.result import CalibrationResult
 from altd.recording.reader import open_recording
 from altd.records import Spot
 from altd.vision.localise import locate
@@ -20,23 +19,7 @@ from hw_sim.measure import random_poses
 from hw_sim.plate import Plate, record_plate, with_plate
 from hw_sim.unit import Unit, UnitConfig
 
-
-def misses_mm(result: CalibrationResult, name: str, view: View) -> np.ndarray:
-    """How far the map of a target puts points of the plate from where they are."""
-    target = result.calibration.target(name)
-    assert target is not None
-    return view.misses_mm(lambda px: target.inverse.to_mm(px)[0])
-
-
-@pytest.fixture(scope="module")
-def two_dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("plate") / "rec"
-    return write_plate(folder, plate_light(FRONT, [(2, 1), (3, 3)]), plate_light(REAR, [(5, 4), (3, 2)]))
-
-
-@pytest.fixture(scope="module")
-def result(two_dark: Path) -> CalibrationResult:
-    return calibrate([open_recording(two_dark)])
+from .conftest import misses_mm
 
 
 def test_a_dark_corner_takes_its_corner_of_the_area_with_it(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 DEMO = [sys.executable, "-m", "hw_sim", "demo", "--seed", "3"]
 NUMBER = r"([+-]?\d+\.\d+)"
@@ -194,14 +194,15 @@ def rows_of(data: bytes) -> dict[int, str]:
     return {int(row): text for row, text in drawn}
 
 
-def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, str]) -> None:
+def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, str], unit_3: Path) -> None:
     terminal, device = os.openpty()
     try:
         fcntl.ioctl(device, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         before = termios.tcgetattr(device)
         name = os.ttyname(device)
         # the leader of a session gets the first terminal that it opens as its own
-        command = f"exec {shlex.join(DEMO)} <{name} >{name} 2>&1"
+        line = shlex.join([*DEMO, "--calibration", str(unit_3 / "cal.json")])
+        command = f"exec {line} <{name} >{name} 2>&1"
         demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=temporary)
         with ended(demo):
             output = Output(terminal)

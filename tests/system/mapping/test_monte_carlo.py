@@ -11,6 +11,7 @@ from support.lenses import NOISE_PX, SIZE, TABLE_3_2, LensKind, grid, make_lens,
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit, fit_tensor_map
 
 NODES = grid()
@@ -28,11 +29,11 @@ def chosen_tensor(px: np.ndarray) -> Fit:
 
 
 def brown(px: np.ndarray) -> Fit:
-    return fit_lens_map(NODES, px, HULL, SIZE)
+    return fit_lens_map(Nodes.ordinary(NODES, px), HULL, SIZE)
 
 
 def fisheye(px: np.ndarray) -> Fit:
-    return fit_lens_map(NODES, px, HULL, SIZE, "fisheye")
+    return fit_lens_map(Nodes.ordinary(NODES, px), HULL, SIZE, "fisheye")
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from altd.mapping.homography import apply_homography, fit_homography
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 
 UNITS = 8
@@ -53,8 +54,8 @@ def measure(kind: LensKind, columns: int, seed: int) -> dict[str, np.ndarray]:
     optics = "fisheye" if kind.k1 is None else "brown"
     maps = {
         "tensor": fit_tensor_map(nodes, px, hull).map,
-        "lens": fit_lens_map(nodes, px, hull, SIZE, optics).map,
-        "chosen": fit_nodes(nodes, px, SIZE, None, 0).fit.map,
+        "lens": fit_lens_map(Nodes.ordinary(nodes, px), hull, SIZE, optics).map,
+        "chosen": fit_nodes(Nodes.ordinary(nodes, px), SIZE, None, 0).fit.map,
     }
     return {"homography": np.linalg.norm(flat - points, axis=1)} | {
         name: errors_mm(forward, lens, points) for name, forward in maps.items()

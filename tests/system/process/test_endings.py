@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,9 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from support.history import START_S, batch, event, store, write_seconds
 from support.places import ROOT
-from support.played_unit import PlayedUnit
-from support.recordings import write_scan
+from support.played_unit import BEAMS, PlayedUnit
+from support.ports import free_port
+from support.recordings import write_beams, write_scan
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FRAME = "altd.recording.reader:Recording.frame 5"
@@ -30,7 +33,8 @@ class Command:
     """A command line, and the call of a function at which it gets a signal.
 
     ``leaves`` may stand in the working folder after that; ``ends_with`` is the status then, None: 128 and the
-    signal's number; ``says`` is all of standard error.
+    signal's number; ``says`` is all of standard error. ``signals`` are fewer where another command is ended
+    by all of them in the same work.
     """
 
     line: str
@@ -39,6 +43,7 @@ class Command:
     ends_with: int | None = None
     says: str = ""
     module: str = "altd.cli"
+    signals: tuple[signal.Signals, ...] = SIGNALS
 
 
 HW_SIM = "hw_sim"
@@ -55,6 +60,10 @@ COMMANDS = {
         "calibrate {scan} -o cal.json --report rep",
         "altd.files.writing:_opened_beside 3",
         frozenset({"cal.json"}),
+        signals=(signal.SIGTERM,),
+    ),
+    "calibrate's report, at its first drawing": Command(
+        "calibrate {scan} -o cal.json --report rep", "altd.calibration.report.html:svg 1"
     ),
     "replay": Command("replay {beams} --calibration {cal}", FRAME),
     "replay's lines": Command("replay {beams} --calibration {cal} -o t.jsonl", FRAME),
@@ -83,7 +92,7 @@ COMMANDS = {
         "scan --stage -o kept",
         "altd.recording.writer:RecordingWriter.write 5",
         frozenset({"kept.unfinished"}),
-        says="hw_sim: interrupted; the same command goes on from there\n",
+        says="hw_sim: no self-check: .*\nhw_sim: interrupted; the same command goes on from there\n",
         module=HW_SIM,
     ),
     "lamps": Command("lamps off --config {lamps}", "altd.app.lamps_by_hand:LampsByHand.leave_lit 1"),
@@ -100,6 +109,19 @@ COMMANDS = {
     "map": Command(
         "map --calibration {cal} --target rear", "altd.measuring.calibration:TargetCalibration.point 2"
     ),
+    "token": Command("token credentials press", "altd.files.writing:_opened_beside 1"),
+    "selfcheck": Command("selfcheck {check} --calibration {cal}", FRAME),
+    "selfcheck's daemon": Command("selfcheck --config {served}", "http.client:HTTPConnection.request 1"),
+    "status": Command("status --socket none.sock", "http.client:HTTPConnection.request 1"),
+    "export": Command("export --history {history} -o t.csv", "altd.history.reader:Reader.summaries 1"),
+    "export's parquet": Command(
+        "export --history {history} --format parquet -o t.parquet", "altd.tables.parquet:ParquetTable.add 3"
+    ),
+    "export on standard output": Command(
+        "export --history {history} --every measurement", "altd.history.reader:Reader.measurements 1"
+    ),
+    "events": Command("events --history {history}", "altd.history.reader:Reader.events_after 1"),
+    "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
     "check-config": Command("check-config {config}", "altd.config:load_config 1"),
     "devices": Command("devices", "altd.app.connected_devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
@@ -108,7 +130,19 @@ COMMANDS = {
     "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
     "hw_sim measure": Command("measure -o kept --truth truth.json", EXPOSE, module=HW_SIM),
     "studies": Command("averaging", EXPOSE, module="studies"),
-    "hw_sim demo": Command("demo", "altd.measuring.chain:MeasuringChain.add 5", ends_with=0, module=HW_SIM),
+    "hw_sim demo": Command(
+        "demo --seed 3 --calibration {cal_3}",
+        "altd.measuring.chain:MeasuringChain.add 5",
+        ends_with=0,
+        module=HW_SIM,
+    ),
+    "hw_sim demo, calibrated by itself": Command(
+        "demo",
+        "altd.measuring.chain:MeasuringChain.add 5",
+        ends_with=0,
+        module=HW_SIM,
+        signals=(signal.SIGTERM,),
+    ),
 }
 
 DONE = {
@@ -124,6 +158,17 @@ DONE = {
     "locate": (0, "", set()),
     "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
     "map": (0, "", set()),
+    "selfcheck": (1, "", set()),
+    "selfcheck's daemon": (
+        1,
+        r"altd selfcheck: no daemon answers at 127\.0\.0\.1 port \d+: Connection refused\n",
+        set(),
+    ),
+    "status": (1, "altd status: the daemon does not run: there is no socket none.sock\n", set()),
+    "export": (0, "", {"t.csv"}),
+    "export's parquet": (0, "", {"t.parquet"}),
+    "export on standard output": (0, "", set()),
+    "events": (0, "", set()),
     "check-config": (0, "", set()),
     "devices": (0, "", set()),
     "doctor": (0, "", set()),
@@ -140,6 +185,8 @@ FULL_DISK = {
     "replay's csv": (4, "t.csv"),
     "replay's parquet": (4, "t.parquet"),
     "replay's plot": (16, "p.svg"),
+    "export": (4, "t.csv"),
+    "export's parquet": (4, "t.parquet"),
     "hw_sim scan": (1000, "kept"),
     "hw_sim flat": (1000, "kept"),
     "hw_sim plate": (1000, "kept"),
@@ -163,10 +210,35 @@ def small_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scan(tmp_path_factory.mktemp("small") / "scan", columns=4, rows=4)
 
 
+@pytest.fixture(scope="module")
+def check(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording in which every other frame is said to have the frame LEDs on."""
+    folder = write_beams(tmp_path_factory.mktemp("check") / "rec", BEAMS)
+    table = folder / "frames.csv"
+    head, *rows = table.read_text().splitlines()
+    lit = [row.replace(",off,", ",on,") if int(row.split(",")[0]) % 2 else row for row in rows]
+    table.write_text("\n".join([head, *lit]) + "\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of measurements, and more events than fit into a pipe."""
+    folder = tmp_path_factory.mktemp("history")
+    writing = store(folder)
+    write_seconds(writing, START_S, [10.0] * 60)
+    writing.write(batch(START_S + 70, [], [event(number, START_S, text="x" * 200) for number in range(1000)]))
+    writing.end(None)
+    return folder / "history.db"
+
+
 @pytest.fixture
-def folder(tmp_path: Path, small_scan: Path) -> Path:
-    """A working folder; the scan and temporary files lie beside it."""
+def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history: Path) -> Path:
+    """A working folder; recordings, a simulated unit's calibration and temporary files lie beside it."""
+    (tmp_path / "cal-3.json").symlink_to(unit_3 / "cal.json")
     (tmp_path / "scan").symlink_to(small_scan)
+    (tmp_path / "check").symlink_to(check)
+    shutil.copy(history, tmp_path / "history.db")
     for name in ("work", "temporary"):
         (tmp_path / name).mkdir()
     return tmp_path / "work"
@@ -175,8 +247,16 @@ def folder(tmp_path: Path, small_scan: Path) -> Path:
 def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
     lamps = folder.parent / "lamps.toml"
     lamps.write_text(unit.config.read_text() + '[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["L"]\n')
-    scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan"}
-    files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config, "lamps": lamps}
+    served = folder.parent / "served.toml"  # nobody is there
+    served.write_text(unit.config.read_text() + f'[http]\nhost = "127.0.0.1"\nport = {free_port()}\n')
+    scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan", "check": folder.parent / "check"}
+    files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config}
+    files |= {
+        "history": folder.parent / "history.db",
+        "cal_3": folder.parent / "cal-3.json",
+        "lamps": lamps,
+        "served": served,
+    }
     return shlex.split(line.format(**scans, **files))
 
 
@@ -208,8 +288,14 @@ def run(folder: Path, command: list[str]) -> Ended:
     return Ended(done.returncode, done.stdout, done.stderr, left, in_temporary)
 
 
-@pytest.mark.parametrize("number", SIGNALS, ids=lambda number: number.name)
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        pytest.param(name, number, id=f"{name}-{number.name}")
+        for name, command in COMMANDS.items()
+        for number in command.signals
+    ],
+)
 def test_ended_by_a_signal(name: str, number: signal.Signals, played_unit: PlayedUnit, folder: Path) -> None:
     command = COMMANDS[name]
     line = filled(command.line, played_unit, folder)
@@ -238,7 +324,8 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
     "name",
     [
         *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
-        *("map", "map's table", "check-config", "devices", "doctor"),
+        *("map", "map's table", "selfcheck", "check-config", "devices", "doctor"),
+        *("export on standard output", "events"),
     ],
 )
 def test_ended_by_who_reads(name: str, redirected: str, played_unit: PlayedUnit, folder: Path) -> None:

@@ -13,7 +13,7 @@ from support.foreign import need_program
 from support.wire import Wire
 
 from altd.config import Rs485Settings
-from altd.serial_port.opening import open_serial
+from altd.serial_port.opening import LineSettings, open_serial
 from altd.serial_port.port import describe
 
 HERE = Path(__file__).parent
@@ -21,9 +21,10 @@ OPENS = """
 import sys
 from pathlib import Path
 from altd.config import Rs485Settings
-from altd.serial_port.opening import close_serial, open_serial
+from altd.serial_port.opening import LineSettings, close_serial, open_serial
 try:
-    close_serial(open_serial(Path(sys.argv[1]), 9600, rs485=Rs485Settings.model_validate_json(sys.argv[2])))
+    rs485 = Rs485Settings.model_validate_json(sys.argv[2])
+    close_serial(open_serial(Path(sys.argv[1]), LineSettings(9600, rs485=rs485)))
 except OSError as error:
     print(error)
 """
@@ -83,7 +84,7 @@ def test_a_driver_that_does_less_is_refused_and_says_what(
 def test_a_port_without_such_a_mode_is_refused_and_left_free(wire: Wire) -> None:
     for _ in range(2):
         with pytest.raises(OSError, match="has no RS485 mode") as caught:
-            open_serial(wire.device, 9600, rs485=Rs485Settings())
+            open_serial(wire.device, LineSettings(9600, rs485=Rs485Settings()))
         assert caught.value.errno == errno.ENOTTY
 
 

@@ -7,7 +7,7 @@ import pytest
 from support.frames import Blob, frame, light
 
 from altd.acquisition import frame_sets
-from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureControl
+from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
 from altd.acquisition.frame_sets import FrameSets
 from altd.config import ExposureSettings, Measuring
 from altd.ports import CameraEndedError, CameraError, ExposureRange
@@ -105,7 +105,7 @@ async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_
     async with FrameSets((front, rear), Measuring(), Health(SystemClock()), exposure) as cameras:
         taken = await cameras.after(front.start_ns - PERIOD_NS, 3)
     assert asked == [(3.0, 0.0)]
-    assert taken[0].sequence > MARKED_FRAMES
+    assert taken[0].sequence > MAX_MARKED_FRAMES
     assert {pair.items["front"].exposure_ms for pair in taken} == {3.0}
 
 

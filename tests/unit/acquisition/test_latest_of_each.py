@@ -112,6 +112,20 @@ class TestOfEachCamera:
         assert sorted(await taken(both)) == [("front", 5), ("rear", 5)]
         assert both.dropped == {"front": 4, "rear": 0}
 
+    async def test_a_loop_that_comes_late_finds_as_many_as_there_is_room_for(self) -> None:
+        both: LatestOfEach[Frame] = LatestOfEach(BOTH, FakeClock(), keep_mark, room=3)
+        for number in range(6):
+            both.put(shot("front", number, changing=number == 1), wait=False)
+        both.put(shot("rear", 5), wait=False)
+        given = await both.take(wake_for_each=False)
+        assert [(one.camera, one.sequence, one.changing) for one in given] == [
+            ("front", 3, True),
+            ("front", 4, False),
+            ("front", 5, False),
+            ("rear", 5, False),
+        ]
+        assert both.dropped == {"front": 3, "rear": 0}
+
     async def test_the_mark_of_a_change_goes_to_the_newer_frame_from_whichever_was_dropped(self) -> None:
         for marked in range(4):
             both = slots(*BOTH)
@@ -141,7 +155,7 @@ class TestOfEachCamera:
         both.put(shot("front", 1), wait=False)
         assert both.delivered_ns == 5
         clock.now_ns = 9
-        both.hear()
+        both.put(shot("front", 2), wait=False)
         assert both.delivered_ns == 9
 
     @pytest.mark.parametrize("cameras", [("front",), BOTH])

@@ -18,6 +18,7 @@ from support.located import SPOT, located
 from altd.acquisition import locating
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl, ExposureFigures
+from altd.acquisition.buffers import Buffers
 from altd.acquisition.latest_frames import LatestFrames
 from altd.acquisition.latest_of_each import LatestOfEach
 from altd.acquisition.locating import LocatingStalledError, locate_frame, locate_frames
@@ -64,7 +65,7 @@ class Bench:
         self.frames = LatestFrames(["front"])
         self.located: LatestOfEach[Located] = LatestOfEach(["front"], SystemClock())
         self.task = asyncio.create_task(
-            locate_frames(self.frames, locator, self.located, None, waits)  # type: ignore[arg-type]
+            locate_frames(Buffers(self.frames, self.located), locator, None, waits)  # type: ignore[arg-type]
         )
 
     async def take(self) -> list[int]:
@@ -86,16 +87,6 @@ async def test_what_is_located_in_the_thread_wakes_the_loop() -> None:
         bench.frames.put(shot(number), wait=False)
         assert await bench.take() == [number]
     assert threads == {"locate-front"}
-    await stop(bench.task)
-
-
-async def test_a_frame_with_the_leds_on_is_not_located_and_yet_its_camera_is_not_silent() -> None:
-    bench = Bench(Locator())
-    bench.frames.put(replace(shot(1), leds_on=True), wait=False)
-    await until(lambda: bench.located.delivered_ns is not None)
-    bench.frames.put(shot(2), wait=False)
-    assert await bench.take() == [2]
-    assert [frame.sequence for frame in bench.locator.frames] == [2]
     await stop(bench.task)
 
 

@@ -86,7 +86,7 @@ async def test_an_exposure_that_moves_on_is_progress_before_its_mean_is_due() ->
     add = bench.chain.add
 
     def paired(one: Located) -> list[Measurement]:
-        bench.chain.exposures += 1
+        bench.chain.frame_sets += 1
         return add(one)
 
     bench.chain.add = paired  # type: ignore[method-assign]
@@ -135,3 +135,13 @@ async def test_what_waits_to_be_located_and_is_replaced_counts_as_dropped_too() 
     assert bench.frames.dropped["front"] == bench.located.dropped["front"] == 2
     assert (bench.component.counters["dropped_front"], bench.component.counters["dropped_rear"]) == (4, 0)
     await stop(bench.task)
+
+
+async def test_it_is_heard_of_while_nothing_comes_and_not_once_it_is_gone() -> None:
+    bench = Bench()
+    for _ in range(60):
+        await bench.clock.advance(0.5)
+        assert bench.component.silent_s(bench.clock.monotonic_ns()) is None
+    await stop(bench.task)
+    await bench.clock.advance(10)
+    assert bench.component.silent_s(bench.clock.monotonic_ns()) == pytest.approx(10, abs=0.5)

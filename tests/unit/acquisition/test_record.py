@@ -1,16 +1,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.acquisition.auto_exposure.control import MARKED_FRAMES, ExposureControl
+from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
+from altd.acquisition.exposures_writer import RecordingPlan
+from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.record import record
 from altd.config import ExposureSettings, Measuring
-from altd.ports import CameraEndedError, ExposureRange
+from altd.ports import CameraEndedError, CameraError, ExposureRange, LampsError
 from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
@@ -18,6 +22,7 @@ from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 PIXELS = frame(light(Blob(300, 200))).pixels
+UNIT = UnitHeader(serial="A", target_distance_mm=280.0)
 
 
 class Source:
@@ -45,27 +50,20 @@ class Source:
     def close(self) -> None: ...
 
 
+def frame_sets(sources: Sequence[Source], exposure: Mapping[str, ExposureControl] | None = None) -> FrameSets:
+    return FrameSets(sources, Measuring(), Health(SystemClock()), exposure)
+
+
 async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
     sources = [Source(name, 5, end) for name in ("front", "rear")]
-    clock = SystemClock()
-    unit = UnitHeader(serial="A", target_distance_mm=280.0)
-    return await record(sources, path, unit, Measuring(), Health(clock), clock.utc, 60.0, kind)
+    return await record(frame_sets(sources), path, RecordingPlan(60.0, UNIT, kind=kind))
 
 
 async def test_a_recording_says_which_targets_its_cameras_look_at(tmp_path: Path) -> None:
     targets = (TargetHeader(name="exit", z_mm=10.0, camera="left"),)
-    clock = SystemClock()
     sources = [Source(name, 2, CameraEndedError("the end")) for name in ("left", "spare")]
-    await record(
-        sources,
-        tmp_path / "rec",
-        UnitHeader(serial="A"),
-        Measuring(),
-        Health(clock),
-        clock.utc,
-        60.0,
-        targets=targets,
-    )
+    plan = RecordingPlan(60.0, UnitHeader(serial="A"), targets)
+    await record(frame_sets(sources), tmp_path / "rec", plan)
     assert open_recording(tmp_path / "rec").header.targets == targets
 
 
@@ -103,15 +101,10 @@ class SettableSource(Source):
 
 async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
-    clock = SystemClock()
-    unit = UnitHeader(serial="A", target_distance_mm=280.0)
     exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
-    health = Health(clock)
-    kept = await record(
-        sources, tmp_path / "rec", unit, Measuring(), health, clock.utc, 60.0, exposure=exposure
-    )
+    kept = await record(frame_sets(sources, exposure), tmp_path / "rec", RecordingPlan(60.0, UNIT))
     assert [source.asked for source in sources] == [[3.0], []]
-    assert kept == 12 - MARKED_FRAMES
+    assert kept == 12 - MAX_MARKED_FRAMES
 
 
 async def test_a_defect_in_a_driver_is_not_taken_for_the_end(tmp_path: Path) -> None:
@@ -132,8 +125,95 @@ class LyingSource(Source):
 
 async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Path) -> None:
     sources = [LyingSource(name, 20, CameraEndedError("the end")) for name in ("front", "rear")]
-    clock = SystemClock()
-    unit = UnitHeader(serial="A", target_distance_mm=280.0)
-    exposures = await record(sources, tmp_path / "rec", unit, Measuring(), Health(clock), clock.utc, 60.0)
+    exposures = await record(frame_sets(sources), tmp_path / "rec", RecordingPlan(60.0, UNIT))
     recording = open_recording(tmp_path / "rec")
     assert len({row.sequence for row in recording.rows}) == exposures > 10
+
+
+class LitSource:
+    """A camera that exposes every 10 ms; each frame shows whether the lamps were lit while it was exposed."""
+
+    origin = Origin.CAMERA
+    playback = False
+    identity: CameraIdentity | None = None
+    waits = True
+
+    def __init__(self, name: str, lamps: ListedLamps, frames: int = 10_000) -> None:
+        self.name = name
+        self._lamps = lamps
+        self._number = 0
+        self._frames = frames
+        self._start_ns = time.monotonic_ns() // 10_000_000 * 10_000_000
+
+    def open(self) -> None: ...
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        self._number += 1
+        if self._number > self._frames:
+            raise CameraEndedError("the end")
+        t_ns = self._start_ns + self._number * 10_000_000
+        time.sleep(max((t_ns + 4_000_000 - time.monotonic_ns()) * 1e-9, 0.0))  # the exposure takes 8 ms
+        pixels = np.full((24, 32), self._lamps.level(t_ns - 4_000_000, t_ns + 4_000_000), np.uint8)
+        return Frame(self.name, self._number, t_ns, pixels)
+
+    def close(self) -> None: ...
+
+
+class ListedLamps:
+    """Lamps that remember when they were switched, and fail at the given switching."""
+
+    def __init__(self, fails_at: int | None = None) -> None:
+        self.switched: list[tuple[int, bool]] = [(0, False)]
+        self.is_open = False
+        self._fails_at = fails_at
+
+    def open(self) -> None:
+        self.is_open = True
+
+    def switch(self, on: bool) -> None:
+        if len(self.switched) == self._fails_at:
+            raise LampsError("line 3 is taken away")
+        self.switched.append((time.monotonic_ns(), on))
+
+    def close(self) -> None:
+        self.switched.append((time.monotonic_ns(), False))
+        self.is_open = False
+
+    def level(self, begin_ns: int, end_ns: int) -> int:
+        """0 dark throughout, 200 lit throughout, 100 switched meanwhile."""
+        before = [on for t_ns, on in self.switched if t_ns <= begin_ns][-1]
+        if any(begin_ns < t_ns < end_ns and on is not before for t_ns, on in self.switched):
+            return 100
+        return 200 if before else 0
+
+
+async def switched(path: Path, lamps: ListedLamps, frames: int = 10_000) -> int:
+    sources = [LitSource(name, lamps, frames) for name in ("front", "rear")]
+    return await record(frame_sets(sources), path, RecordingPlan(1.0, UNIT, kind="self-check"), lamps=lamps)
+
+
+async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(tmp_path: Path) -> None:
+    lamps = ListedLamps()
+    exposures = await switched(tmp_path / "rec", lamps)
+    opened = open_recording(tmp_path / "rec")
+    levels = [(row.leds_on, int(opened.frame(row).pixels.min())) for row in opened.rows.of("rear")]
+    assert len(levels) == exposures >= 4
+    assert levels == [(bool(index % 2), 200 * (index % 2)) for index in range(exposures)]
+    assert not lamps.is_open
+    assert not lamps.switched[-1][1]
+
+
+async def test_a_self_check_whose_lamps_are_lost_says_so_and_keeps_what_it_has(tmp_path: Path) -> None:
+    lamps = ListedLamps(fails_at=4)
+    with pytest.raises(LampsError, match="line 3 is taken away"):
+        await switched(tmp_path / "rec", lamps)
+    assert not lamps.is_open
+    assert len(open_recording(tmp_path / "rec").rows) == 6
+
+
+async def test_a_self_check_whose_camera_ends_says_so(tmp_path: Path) -> None:
+    lamps = ListedLamps()
+    with pytest.raises(CameraError):
+        await switched(tmp_path / "rec", lamps, frames=30)
+    assert not lamps.is_open
+    assert not lamps.switched[-1][1]

@@ -12,8 +12,9 @@ from support.played_unit import PlayedUnit
 from support.recordings import place_px, write_beams
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import _checksum, check_image_size, load_calibration, save_calibration
+from altd.calibration.file import check_image_size, load_calibration, save_calibration
 from altd.errors import BadInputError
+from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import open_recording
 from altd.vision.flat import Flat
@@ -35,7 +36,7 @@ def tampered(file: Path, resealed: bool = True, **changes: object) -> Path:
     document = json.loads(file.read_text()) | changes
     if resealed:
         document.pop("checksum")
-        document["checksum"] = _checksum(document)
+        document["checksum"] = checksum_of(document)
     file.write_text(json.dumps(document))
     return file
 
@@ -104,7 +105,7 @@ def test_a_file_without_the_map_that_checks_is_refused(file: Path) -> None:
     assert "targets.0.cross_check: Field required" in complaint(tampered(file, targets=targets))
 
 
-def test_one_changed_digit_fails_the_checksum(file: Path) -> None:
+def test_one_changed_digit_fails_thechecksum_of(file: Path) -> None:
     text = file.read_text()
     file.write_text(text.replace('"smoothing_px": 4.0', '"smoothing_px": 5.0', 1))
     assert file.read_text() != text

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from support.played_unit import PlayedUnit
 
-from altd.calibration.file import _checksum, load_calibration, save_calibration
+from altd.calibration.file import load_calibration, save_calibration
 from altd.errors import BadInputError
+from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
 from altd.records import CameraIdentity
 from altd.vision.fingerprint import Fingerprint
@@ -76,7 +77,7 @@ def edited(calibration: Calibration, folder: Path, **changes: object) -> Path:
     for key in [key for key, value in changes.items() if value is None]:
         del document["targets"][0][key]
     document.pop("checksum")
-    document["checksum"] = _checksum(document)
+    document["checksum"] = checksum_of(document)
     (folder / "cal.json").write_text(json.dumps(document))
     return folder / "cal.json"
 

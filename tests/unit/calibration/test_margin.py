@@ -7,6 +7,7 @@ import pytest
 
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.mapping.inverse import InverseMap
+from altd.mapping.nodes import Nodes
 from altd.records import FloatArray
 from hw_sim.assembly import FRONT_FOCAL_MM, REAR_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
@@ -26,7 +27,8 @@ def rippled(px: FloatArray, places_mm: FloatArray) -> FloatArray:
 
 
 def fitted(px: FloatArray, sigma: FloatArray | None = None) -> TargetFit:
-    return fit_nodes(NODES, px, (WIDTH_PX, HEIGHT_PX), None, 0, relative_sigma=sigma)
+    nodes = Nodes.ordinary(NODES, px) if sigma is None else Nodes(NODES, px, sigma)
+    return fit_nodes(nodes, (WIDTH_PX, HEIGHT_PX), None, 0)
 
 
 def around(rng: np.random.Generator, count: int) -> FloatArray:

@@ -38,6 +38,13 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
         ),
         (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),
         (("devices", "\x1b[2J"), "'\\x1b[2J' is an argument too many"),
+        (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to hold"),
+        (("selfcheck", "rec", "--config", "altd.toml"), "altd selfcheck: --config: asks the running"),
+        (("selfcheck", "--calibration", "cal.json"), "altd selfcheck: --calibration: missing: RECORDING,"),
+        (
+            ("selfcheck", "rec", "--calibration", "cal.json", "--config", "altd.toml"),
+            "altd selfcheck: --config: asks the running daemon: it goes with no RECORDING",
+        ),
     ],
 )
 def test_a_wrong_argument_is_one_line(
@@ -48,6 +55,7 @@ def test_a_wrong_argument_is_one_line(
     assert said.out == ""
     assert said.err.count("\n") == 1
     assert line in said.err
+    assert said.err.count("altd selfcheck: ") <= 1
 
 
 @pytest.mark.parametrize(

@@ -5,92 +5,7 @@ A case is (what is replaced, what by, the key that is wrong, words of the compla
 
 from __future__ import annotations
 
-from support.unit_toml import unit_toml
-
-_FRONT_CAMERA = """
-driver = "v4l2"
-device = "/dev/video0"
-width = 752
-fps = 20
-pixel_format = "GREY"
-controls = { gain = 16 }
-"""
-_REAR_CAMERA = """
-driver = "aravis"
-device = "192.168.77.20"
-height = 480
-trigger = "free"
-packet_bytes = 1500
-features = { Gamma = 1.0 }
-
-[cameras.rear.exposure]
-control = "auto"
-exposure_ms = 2.0
-shortest_ms = 0.05
-longest_ms = 20.0
-gain_db = 0.0
-"""
-_MORE = """\
-[measuring]
-window = 20
-every = 1
-pair_by = "time"
-max_skew_ms = 10.0
-silent_after_s = 0.4
-stale_after_s = 1.0
-
-[installation]
-sign_x = -1
-offset_x_mm = 12.5
-offset_yaw_deg = 0.25
-
-[modbus_tcp]
-host = "0.0.0.0"
-port = 502
-unit_id = 1
-
-[http]
-host = "0.0.0.0"
-port = 8080
-
-[[serial]]
-device = "/dev/ttyS0"
-speaks = "telegram"
-baud = 9600
-interval_s = 1.0
-
-[serial.rs485]
-delay_before_ms = 1
-
-[[serial]]
-device = "/dev/ttyS1"
-speaks = "console"
-parity = "none"
-
-[lamps]
-driver = "gpiod"
-chip = "pinctrl-bcm2711"
-lines = ["LED_FRONT", "LED_REAR"]
-
-[indicators]
-driver = "gpiod"
-chip = "pinctrl-bcm2711"
-error = "GPIO6"
-ok = "GPIO19"
-active_low = false
-
-[stage]
-driver = "grbl"
-device = "/dev/ttyUSB0"
-start = "home"
-feed_mm_per_min = 1000.0
-
-[scan]
-columns = 6
-pitch_mm = 25.0
-order = "serpentine"
-"""
-BASE = unit_toml("TEST-1", "cal.json", _FRONT_CAMERA, _REAR_CAMERA, _MORE)
+from .whole_config import BASE
 
 _CAMERA_LAMPS = '[lamps]\ndriver = "camera"\n'
 _GPIOD_LAMPS = '[lamps]\ndriver = "gpiod"\nchip = "pinctrl-bcm2711"\nlines = ["LED_FRONT", "LED_REAR"]'
@@ -258,6 +173,23 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "an address that no computer has",
     ),
     ('[http]\nhost = "0.0.0.0"', '[http]\nhost = «"::ffff:10.0.0.1"', "http.host", "write 10.0.0.1"),
+    ('allow = ["10.0.0.0/8"', 'allow = [«"10.0.0.1/8"', "http.allow.0", "possible: 10.0.0.0/8"),
+    ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is no network"),
+    ('allow = ["10.0.0.0/8"', 'allow = [«"::ffff:10.0.0.0/104"', "http.allow.0", "write it as IPv4"),
+    ('allow = ["10.0.0.0/8", "fd00::/8"]', 'allow = «"10.0.0.0/8"', "http.allow", "is no list"),
+    (
+        'certificate = "unit.pem"\nkey = "unit.key"',
+        'key = «"unit.key"',
+        "http.key",
+        "with certificate beside it",
+    ),
+    (
+        'certificate = "unit.pem"\nkey = "unit.key"',
+        'certificate = «"unit.pem"',
+        "http.certificate",
+        "with key beside it",
+    ),
+    ('credentials = "credentials"', "credentials = «7", "http.credentials", "is no path"),
     ("port = 8080", "port = «502", "http.port", "502 is the port of [modbus_tcp] too"),
     (
         "port = 8080",
@@ -270,6 +202,25 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "unit_id = «248",
         "modbus_tcp.unit_id",
         "248 is too large; possible: whole number from 1 to 247",
+    ),
+    # [local]
+    (
+        'socket = "/run/altd/altd.sock"',
+        'socket = «"altd.sock"',
+        "local.socket",
+        '"altd.sock" is no path from the root',
+    ),
+    (
+        'socket = "/run/altd/altd.sock"',
+        r'socket = «"/run/\u0007x"',
+        "local.socket",
+        "is no path from the root",
+    ),
+    (
+        'socket = "/run/altd/altd.sock"',
+        f'socket = «"/run/{"x" * 103}"',
+        "local.socket",
+        "108 bytes are too long for a socket; possible: up to 107",
     ),
     # [[serial]]
     ('device = "/dev/ttyS1"', 'device = «"/dev/ttyS0"', "serial.1.device", "is the port of serial.0 too"),
@@ -312,6 +263,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "serial.0.interval_s",
         "0.1 is too short at 9600 baud; possible: from 0.18",
     ),
+    (
+        "interval_s = 1.0",
+        "interval_s = «0.2\nchecked = true",
+        "serial.0.interval_s",
+        "0.2 is too short at 9600 baud; possible: from 0.26",
+    ),
     ("delay_before_ms = 1", "delay_before_ms = «101", "serial.0.rs485.delay_before_ms", "101 is too large"),
     ('parity = "none"', 'parity = «"mark"', "serial.1.parity", 'possible: "none" or "even" or "odd"'),
     # [lamps], [indicators]
@@ -327,6 +284,32 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ("active_low = false", "active_low = «2", "indicators.active_low", "2 is neither true nor false"),
     (_GPIOD_LAMPS, _CAMERA_LAMPS + 'cameras = [«"front"]', "lamps.cameras.0", '"front" has no output'),
     (_GPIOD_LAMPS, _CAMERA_LAMPS + 'cameras = [«"raer"]', "lamps.cameras.0", "did you mean `rear`?"),
+    # [inclinometer]
+    (
+        '[inclinometer]\ndriver = "balluff_bsi_r11a0"',
+        '[inclinometer]\ndriver = «"balluff"',
+        "inclinometer.driver",
+        'possible: "balluff_bsi_r11a0" or "witm',
+    ),
+    ('"/dev/ttyUSB1"', '«"/dev/ttyS1"', "inclinometer.device", "is the port of serial.1 too"),
+    ("max_age_s = 0.8", "max_age_s = «0.3", "inclinometer.max_age_s", "possible: from 0.45"),
+    ("max_roll_deg = 30.0", "max_roll_deg = «180.0", "inclinometer.max_roll_deg", "number above 0 to 90"),
+    # [[thermometers]], [maintenance]
+    (
+        "min_celsius = -5.0",
+        "min_celsius = -5.0\nmax_celsius = «-6.0",
+        "cameras.rear.max_celsius",
+        "possible: above -5",
+    ),
+    ('name = "outside"', 'name = «"housing"', "thermometers.1.name", "is the name of thermometers.0 too"),
+    ("max_celsius = 55.0", "max_celsius = «-10.0", "thermometers.0.max_celsius", "possible: above -10"),
+    ("channel = 2", "channel = «0", "thermometers.1.channel", "0 is too small"),
+    (
+        "calibration_due_days = 180.0",
+        "calibration_due_days = «0",
+        "maintenance.calibration_due_days",
+        "above 0",
+    ),
     # [stage], [scan]
     ('device = "/dev/ttyUSB0"', 'device = «"/dev/ttyS1"', "stage.device", "is the port of serial.1 too"),
     ('start = "home"', 'start = «"homing"', "stage.start", "did you mean `home`?"),
@@ -334,17 +317,3 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ("columns = 6", "columns = «3", "scan.columns", "3 is too small; possible: whole number from 4 to 64"),
     ('order = "serpentine"', 'order = «"spiral"', "scan.order", 'possible: "serpentine" or "rows"'),
 )
-
-NO_TOML: tuple[tuple[str, str, str], ...] = (
-    ("[unit]", "[unit«", "the ] after the name of a table is missing"),
-    ('serial = "TEST-1"', 'serial = "TEST-1«', "the text in quotes does not end on its line"),
-    ('serial = "TEST-1"', "serial = «TEST-1", "no value: text stands in quotes"),
-    ("window = 20", "window = 20 «exposures", "the line should end here"),
-    ("window = 20", "window «20", "the = after a key is missing"),
-    ("window = 20\nevery = 1", "window = 20\n«window = 21", "this key stands twice"),
-    ("[http]", "«[modbus_tcp]", "this table stands twice"),
-    ('["LED_FRONT", "LED_REAR"]', '["LED_FRONT" «"LED_REAR"]', "a comma or ] is missing in a list"),
-    ("{ gain = 16 }", "{ gain = 16«", "a comma or } is missing in a table"),
-    ("active_low = false", "active_low = «False", "true and false in small letters"),
-)
-"""What is no TOML: what is replaced, what by, words of the complaint."""

@@ -9,9 +9,21 @@ import pytest
 
 from altd.app.settings import load_settings
 from altd.cli.main import main
+from altd.config import (
+    HwmonThermometerSettings,
+    InclinometerSettings,
+    Maintenance,
+    SelfCheckSettings,
+    Table,
+)
 from altd.errors import BadInputError
 
-from .spoilt import BASE, CASES, NO_TOML
+from . import spoilt as spoilt_cases
+from . import spoilt_checks
+from .no_toml import NO_TOML
+from .whole_config import BASE
+
+CASES = spoilt_cases.CASES + spoilt_checks.CASES
 
 
 def spoilt(old: str, new: str) -> tuple[str, str]:
@@ -39,6 +51,20 @@ def test_the_base_is_good(tmp_path: Path) -> None:
 
 def test_there_are_enough_of_them() -> None:
     assert len({(old, new) for old, new, _, _ in CASES}) == len(CASES) >= 60
+
+
+@pytest.mark.parametrize(
+    ("table", "model"),
+    [
+        ("self_check.", SelfCheckSettings),
+        ("inclinometer.", InclinometerSettings),
+        ("thermometers.", HwmonThermometerSettings),
+        ("maintenance.", Maintenance),
+    ],
+)
+def test_every_key_of_the_tables_that_watch_is_wrong_in_some_case(table: str, model: type[Table]) -> None:
+    spoilt_keys = {key.rpartition(".")[2] for _, _, key, _ in CASES if key.startswith(table)}
+    assert set(model.model_fields) <= spoilt_keys
 
 
 @pytest.mark.parametrize(
@@ -77,7 +103,7 @@ def test_all_faults_are_said_at_once_in_the_order_of_the_file(tmp_path: Path) ->
     """One case a line: none of them hides another."""
     text = BASE
     keys: list[str] = []
-    for old, new, key, words in CASES:
+    for old, new, key, words in spoilt_cases.CASES:
         alone = new.count("«") == 1 and "\n" not in old + new and key.count(".") == 1
         if alone and not words.endswith("too") and text.count(old) == 1 and not key.startswith("targets"):
             keys.append(key)

@@ -12,7 +12,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from altd.config import Config
 from altd.config.wording import WHY, faults_of
 
-from .spoilt import BASE
+from .whole_config import BASE
 
 RAISED_BY = {
     "str": {"string_type", "string_unicode"},

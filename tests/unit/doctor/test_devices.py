@@ -186,9 +186,10 @@ def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: 
     findings = list(devices.serial_ports(configured(serial=entries), tree.machine))
     finding = says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
     assert finding.subject == "serial /dev/ttyUSB0"
-    stage = {"driver": "grbl", "device": "/dev/ttyUSB0"}
-    findings = list(devices.serial_ports(configured(serial=entries[:1], stage=stage), tree.machine))
-    assert says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
+    for table, driver in (("stage", "grbl"), ("inclinometer", "balluff_bsi_r11a0")):
+        more = {table: {"driver": driver, "device": "/dev/ttyUSB0"}}
+        findings = list(devices.serial_ports(configured(serial=entries[:1], **more), tree.machine))
+        assert says(findings, Verdict.WRONG, f"is the same device as {BY_ID}")
     assert all("same device" not in finding.text for finding in found(tree, configured))
 
 

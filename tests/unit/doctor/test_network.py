@@ -133,6 +133,21 @@ class TestListening:
     ) -> list[Finding]:
         return list(network.listening(configured(http={"host": host, "port": port}), machine))
 
+    def test_a_unit_that_is_open_is_advised_and_not_at_fault(self, configured: Configured) -> None:
+        def said(**http: object) -> list[Finding]:
+            settings = {"host": "0.0.0.0", "port": 0, **http}
+            return list(network.listening(configured(http=settings), Machine()))
+
+        known, tls = {"credentials": "c"}, {"certificate": "c.pem", "key": "c.key"}
+        (finding,) = said()
+        assert finding.verdict is Verdict.BETTER
+        assert "without allow, credentials, TLS" in finding.text
+        assert "without allow, TLS" in said(**known)[0].text
+        assert "as they are, without TLS" in said(allow=["10.0.0.0/8"], **known)[0].text
+        assert said(allow=["10.0.0.0/8"]) == said(allow=["10.0.0.0/8"], **known, **tls) == []
+        for own in ("127.0.0.1", "localhost", "::1"):
+            assert said(host=own) == []
+
     @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "::", "localhost"])
     def test_an_address_that_another_program_listens_on(self, configured: Configured, host: str) -> None:
         with socket.create_server(("127.0.0.1", 0)) as server:

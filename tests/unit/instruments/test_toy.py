@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import dataclass, replace
 
 import pytest
@@ -96,9 +97,15 @@ def test_the_console_writes_a_line_a_quantity(measurement: Measurement) -> None:
 
 def test_the_page_has_a_row_for_what_is_always_there() -> None:
     page = page_of(Board(FakeClock(), 1.0, QUANTITIES).quantities)
-    assert '<tr><th>along<td class="value" id="along_px">–<td class="unit">px<td class="sigma"' in page
-    assert 'const DECIMALS = {"along_px": 1};' in page
-    assert "heat" not in page.split("<script>")[0]
+    facts = re.search(r'<script type="application/json" id="quantities">(.*)</script>', page)
+    assert facts is not None
+    assert [
+        (each["key"], each["label"], each["unit"], each["decimals"], each["is_shown"])
+        for each in json.loads(facts[1])
+    ] == [
+        ("along_px", "along", "px", 1, True),
+        ("heat_deg", "heat", "°", 2, False),
+    ]
 
 
 def test_tables_have_its_columns() -> None:

@@ -11,6 +11,7 @@ from altd.mapping.camera_model import Camera
 from altd.mapping.fiducials import Fiducials
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.scan import Grid
@@ -73,7 +74,10 @@ def test_marks_make_a_map_between_noisy_nodes_better() -> None:
         fiducials = Fiducials(seen(lens, NODES_MM), regular_mm, 0.003)
         for given in (None, fiducials):
             fit = fit_lens_map(
-                NODES_MM, nodes_px, convex_hull_mm(NODES_MM), (WIDTH_PX, HEIGHT_PX), fiducials=given
+                Nodes.ordinary(NODES_MM, nodes_px),
+                convex_hull_mm(NODES_MM),
+                (WIDTH_PX, HEIGHT_PX),
+                fiducials=given,
             )
             off_px = fit.map.to_px(PLACES_MM) - seen(lens, PLACES_MM)
             misses[given is not None].append(float(np.square(off_px).mean()))
@@ -92,7 +96,10 @@ def test_a_fit_through_two_thousand_nodes_and_marks_takes_memory_in_proportion()
     tracemalloc.start()
     try:
         fit = fit_lens_map(
-            nodes_mm, nodes_px, convex_hull_mm(nodes_mm), (WIDTH_PX, HEIGHT_PX), fiducials=fiducials
+            Nodes.ordinary(nodes_mm, nodes_px),
+            convex_hull_mm(nodes_mm),
+            (WIDTH_PX, HEIGHT_PX),
+            fiducials=fiducials,
         )
         assert tracemalloc.get_traced_memory()[1] < 30e6
     finally:

@@ -12,6 +12,7 @@ from support.lenses import TABLE_3_2, grid, make_lens
 from altd.mapping.hull import convex_hull_mm, edge_lines
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 
 NODES = grid()
@@ -86,11 +87,24 @@ def test_maps_of_nonsense_never_give_a_place_that_has_not_the_pixel() -> None:
             assert wild.to_px(found[known]) == pytest.approx(px[known], abs=1e-5)
 
 
-def test_a_map_of_not_a_number_gives_none() -> None:
+@pytest.mark.parametrize("px", [(math.nan, 240.0), (376.0, math.nan), (math.inf, 240.0), (376.0, -math.inf)])
+def test_what_is_not_a_number_is_at_no_place(px: tuple[float, float]) -> None:
+    found, _, covariance = InverseMap.of(ordinary()).to_mm(np.array([px]))
+    assert np.isnan(found).all()
+    assert np.isnan(covariance).all()
+
+
+def test_a_map_of_not_a_number_has_no_inverse() -> None:
     forward = ordinary()
-    broken = InverseMap.of(forward)
-    nothing = tuple((math.nan,) * len(row) for row in broken._u)
-    found, _, _ = replace(broken, _u=nothing).to_mm(np.array([[376.0, 240.0]]))
+    with pytest.raises(np.linalg.LinAlgError):
+        InverseMap.of(replace(forward, spectra=forward.spectra * math.nan))
+
+
+def test_a_map_that_overflows_gives_none() -> None:
+    forward = ordinary()
+    found, _, _ = InverseMap.of(replace(forward, spectra=forward.spectra * 1e150)).to_mm(
+        np.array([[376.0, 240.0]])
+    )
     assert np.isnan(found).all()
 
 
@@ -103,7 +117,7 @@ def test_a_flat_map_has_no_inverse() -> None:
 
 
 def test_the_jacobian_is_the_derivative_of_the_map() -> None:
-    forward = fit_lens_map(NODES, LENS(NODES), HULL, (752, 480)).map
+    forward = fit_lens_map(Nodes.ordinary(NODES, LENS(NODES)), HULL, (752, 480)).map
     points = np.random.default_rng(7).uniform((-60, -48), (60, 48), (50, 2))
     step = 1e-4
     for axis in range(2):

@@ -11,6 +11,7 @@ from support.plates import View, tilted
 from altd.mapping.camera_model import Camera, Optics
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit, fit_tensor_map
 
 SIZE = (752, 480)
@@ -31,7 +32,7 @@ def camera(points_mm: np.ndarray, focal_px: float = 1000.0, mirrored: bool = Fal
 
 
 def fit(px: np.ndarray, nodes: np.ndarray = NODES) -> Fit:
-    return fit_lens_map(nodes, px, convex_hull_mm(nodes), SIZE)
+    return fit_lens_map(Nodes.ordinary(nodes, px), convex_hull_mm(nodes), SIZE)
 
 
 def inside(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -75,7 +76,9 @@ def test_a_fisheye_is_found_from_either_side(mirrored: bool) -> None:
     lens = make_lens(TABLE_3_2[3], np.random.default_rng(6))
     side = np.array([-1.0 if mirrored else 1.0, 1.0])
     points = inside(100, np.random.default_rng(1))
-    fitted = fit_lens_map(NODES, lens(NODES * side), convex_hull_mm(NODES), SIZE, "fisheye").map
+    fitted = fit_lens_map(
+        Nodes.ordinary(NODES, lens(NODES * side)), convex_hull_mm(NODES), SIZE, "fisheye"
+    ).map
     assert (fitted.model, fitted.folds) == ("fisheye", False)
     assert fitted.to_px(points) == pytest.approx(lens(points * side), abs=0.005)
 
@@ -87,7 +90,8 @@ def test_a_fisheye_is_better_by_the_fisheye_model() -> None:
         lens = make_lens(LensKind(3.6, 110.0, None), rng)  # 36° off its axis
         px = lens(NODES) + rng.normal(0, 0.02, NODES.shape)
         brown, fisheye = (
-            fit_lens_map(NODES, px, convex_hull_mm(NODES), SIZE, optics) for optics in ("brown", "fisheye")
+            fit_lens_map(Nodes.ordinary(NODES, px), convex_hull_mm(NODES), SIZE, optics)
+            for optics in ("brown", "fisheye")
         )
         ratios.append(fisheye.leave_one_out_px / brown.leave_one_out_px)
     assert np.mean(ratios) < 0.7
@@ -103,7 +107,7 @@ def test_a_lens_behind_a_bent_window_is_found_with_a_polynomial_on_top() -> None
     rng = np.random.default_rng(8)
     px = through_window(NODES) + rng.normal(0, 0.02, NODES.shape)
     points = inside(200, rng)
-    fits = fit_lens_maps(NODES, px, convex_hull_mm(NODES), SIZE)
+    fits = fit_lens_maps(Nodes.ordinary(NODES, px), convex_hull_mm(NODES), SIZE)
     assert [fit.map.model for fit in fits] == [
         "lens",
         "lens+tensor",
@@ -132,7 +136,7 @@ def test_nodes_that_cannot_carry_a_lens_are_refused() -> None:
         fit(camera(NODES[:10]), NODES[:10])
     line = np.column_stack([np.linspace(-60, 60, 20), np.zeros(20)])
     with pytest.raises(ValueError, match="the nodes lie on a line"):
-        fit_lens_map(line, camera(line), convex_hull_mm(NODES), SIZE)
+        fit_lens_map(Nodes.ordinary(line, camera(line)), convex_hull_mm(NODES), SIZE)
 
 
 def by_opencv(optics: Optics, p: np.ndarray, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from support.lenses import SIZE, TABLE_3_2, grid, make_lens, seen
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
+from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit
 
 NODES = grid()
@@ -16,7 +17,7 @@ HULL = convex_hull_mm(NODES)
 
 
 def brown(px: np.ndarray) -> Fit:
-    return fit_lens_map(NODES, px, HULL, SIZE)
+    return fit_lens_map(Nodes.ordinary(NODES, px), HULL, SIZE)
 
 
 def test_what_the_nodes_leave_in_the_map_is_that_of_monte_carlo_at_every_place() -> None:

@@ -1,55 +1,25 @@
+"""The chain from frames to a measurement: what is measured, mapped, corrected, refused and told."""
+
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.measurements import beam_of, points_of
-from support.played_unit import PlayedUnit
-from support.recordings import picture
+from support.recordings import PX_PER_MM
 
-from altd.calibration.file import load_calibration
-from altd.config import Installation, Measuring
+from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.calibration import Calibration, TargetCalibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain, Provenance
 from altd.reasons import Reason
-from altd.records import CameraIdentity, Fault, Frame, Measurement, NoSpot, Spot
+from altd.records import CameraIdentity, Frame, NoSpot, Spot
 
-VIEWS = (View("front", "left"), View("rear", "right"))  # a camera need not be named after its target
-
-
-@pytest.fixture(scope="module")
-def calibration(played_unit: PlayedUnit) -> Calibration:
-    return load_calibration(played_unit.calibration)
-
-
-def chain(calibration: Calibration, *origins: Reason, **installation: float) -> MeasuringChain:
-    measuring = Measuring(window=4)
-    return MeasuringChain(
-        VIEWS,
-        calibration,
-        measuring,
-        BeamInstrument(calibration, measuring, Installation.model_validate(installation)),
-        lambda: map(Fault, origins),
-    )
-
-
-def shots(places_mm: Sequence[tuple[float, float]], leds_on: bool = False, seed: int = 1) -> list[Frame]:
-    rng = np.random.default_rng(seed)
-    return [
-        Frame(camera, number, number * 50_000_000, picture(target, x, y, rng), 8, leds_on)
-        for number, (x, y) in enumerate(places_mm)
-        for target, camera in (("front", "left"), ("rear", "right"))
-    ]
-
-
-def last(measured: MeasuringChain, frames: Sequence[Frame]) -> Measurement:
-    return [measurement for frame in frames for measurement in measured.push(frame)][-1]
+from .chains import VIEWS, chain, last, shots
 
 
 def test_signs_and_offsets_are_applied_to_the_published_beam_only(calibration: Calibration) -> None:
@@ -95,47 +65,14 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     assert rear == "rear: spot_missing, nothing stands out of the background"
 
 
-@pytest.mark.parametrize("camera", ["left", "right"])
-@pytest.mark.parametrize("marked", [1, 2, 4])
-def test_no_mean_holds_exposures_from_before_and_after_a_change(
-    calibration: Calibration, camera: str, marked: int
-) -> None:
-    """Where the spot lies tells which exposure a frame had: x 10 mm before the change, 10.3 mm after it."""
-    measured = chain(calibration)
-    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
-    frames = [replace(f, changing=f.camera == camera and 6 <= f.sequence < 6 + marked) for f in frames]
-    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
-    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
-    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
-    assert set(means) == {1, 2, 3, 4, 5, *range(6 + marked + 1, 16)}  # two of four exposures make a mean
-    invalid = {str(fault) for _, m in after[1:] if beam_of(m) is None for fault in m.status}
-    assert invalid == {"front_exposure_changing" if camera == "left" else "rear_exposure_changing"}
-
-
-def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibration: Calibration) -> None:
-    measured = chain(calibration)
-    frames = shots([(10.0, 5.0)] * 4 + [(10.3, 5.0)] * 6)
-    frames = [
-        replace(f, changing=f.sequence == 4, t_ns=f.t_ns + (f.sequence == 4) * 20_000_000)
-        if f.camera == "left"
-        else f
-        for f in frames
-    ]
-    after = [(frame.sequence, m) for frame in frames for m in measured.push(frame)]
-    means = [beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None and sequence > 4]
-    assert means
-    assert all(abs(x_mm - 10.3) < 0.05 for x_mm in means), means
-
-
 def test_what_is_found_is_told_of_each_new_frame_also_of_another_camera(calibration: Calibration) -> None:
     """Who sets the exposure wants to know of a spot whether it may be measured or not."""
     measured = MeasuringChain(
-        VIEWS,
+        (VIEWS[0], replace(VIEWS[1], expected=CameraIdentity(serial="another"))),
         calibration,
         Measuring(window=4),
         BeamInstrument(calibration, Measuring()),
-        identity=lambda camera: CameraIdentity(serial=camera),
-        expected={"right": CameraIdentity(serial="another")},
+        Provenance(identity=lambda camera: CameraIdentity(serial=camera)),
     )
     *frames, third, _ = shots([(10.0, 5.0)] * 3)
     again = replace(frames[0], sequence=4)
@@ -175,23 +112,13 @@ def test_what_threads_of_their_own_have_located_is_measured_alike(calibration: C
     assert (apart.seen(), apart.views(), apart.step()) == (alone.seen(), alone.views(), alone.step())
 
 
-def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart(
-    calibration: Calibration,
-) -> None:
-    """What the slot drops, the chain never sees: the change itself, and the frames about it."""
-    measured = chain(calibration)
-    frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
-    frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]
-    located = [measured.locators[f.camera].locate(f) for f in frames]
-    after = [(one.sequence, m) for one in located if not 5 <= one.sequence <= 7 for m in measured.add(one)]
-    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
-    assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
-    assert set(means) == {1, 2, 3, 4, *range(9, 16)}
-
-
-def test_exposures_with_the_leds_on_are_not_measured(calibration: Calibration) -> None:
-    measured = chain(calibration)
-    assert [m for frame in shots([(10.0, 5.0)] * 4, leds_on=True) for m in measured.push(frame)] == []
+def test_mean_spots_are_corrected_before_they_are_mapped(calibration: Calibration) -> None:
+    plain, corrected = chain(calibration), chain(calibration)
+    corrected.correct = lambda mean: replace(mean, px=mean.px + np.array([[0.5, 0.0], [0.5, 0.0]]))
+    frames = shots([(10.0, 5.0)] * 4)
+    targets = [last(measured, frames).targets["rear"] for measured in (plain, corrected)]
+    moved_mm = targets[1]["x_mm"].value - targets[0]["x_mm"].value  # type: ignore[index]
+    assert abs(moved_mm) == pytest.approx(0.5 / PX_PER_MM, rel=0.05)
 
 
 def test_a_beam_that_wanders_more_than_is_asked_for_is_unsteady(calibration: Calibration) -> None:
@@ -233,50 +160,6 @@ def test_maps_that_contradict_each_other_are_implausible(
     assert [str(fault) for fault in measurement.status] == [f"{target}_implausible"]
     assert (beam_of(measurement), set(points_of(measurement).values())) == (None, {None})
     assert " px apart at x " in measurement.status[0].detail
-
-
-def test_what_was_seen_before_a_gap_does_not_count(calibration: Calibration) -> None:
-    measured = chain(calibration)
-    frames = shots([(10.0, 5.0)] * 4)
-    last(measured, frames)
-    later = [
-        Frame(f.camera, f.sequence + 100, f.t_ns + 5_000_000_000, f.pixels)
-        for f in shots([(20.0, 5.0)] * 4, seed=2)
-    ]
-    measurements = [m for frame in later for m in measured.push(frame)]
-    assert [str(f) for f in measurements[0].status] == ["warming_up"]
-    assert beam_of(measurements[1]) is not None
-    assert beam_of(measurements[1]).x_mm == pytest.approx(20.0, abs=0.05)
-
-
-@pytest.mark.parametrize("silent", ["left", "right"])
-@pytest.mark.parametrize("pair_by", ["sequence", "time"])
-def test_one_silent_camera_makes_it_invalid_within_0_4_s(
-    calibration: Calibration, silent: str, pair_by: str
-) -> None:
-    measuring = Measuring.model_validate({"window": 20, "pair_by": pair_by})
-    measured = MeasuringChain(VIEWS, calibration, measuring, BeamInstrument(calibration, measuring))
-    frames = shots([(10.0, 5.0)] * 40)
-    heard_ns = 0
-    validity: list[tuple[float, bool]] = []
-    for taken in frames:
-        if taken.camera == silent and taken.sequence >= 20:
-            continue
-        if taken.camera == silent:
-            heard_ns = taken.t_ns
-        validity += [((taken.t_ns - heard_ns) * 1e-9, m.valid) for m in measured.push(taken)]
-    last_valid_s = max(since_s for since_s, valid in validity if valid)
-    first_invalid_s = min(since_s for since_s, valid in validity if not valid and since_s > last_valid_s)
-    assert first_invalid_s <= 0.4
-    assert last_valid_s < first_invalid_s
-
-
-def test_silence_is_invalid_names_every_target_and_forgets_the_window(calibration: Calibration) -> None:
-    measured = chain(calibration)
-    last(measured, shots([(10.0, 5.0)] * 4))
-    silent = measured.silence(9_000_000_000)
-    assert [str(f) for f in silent.status] == ["front_camera_silent", "rear_camera_silent"]
-    assert (silent.sequence, silent.t_ns, beam_of(silent)) == (3, 9_000_000_000, None)
 
 
 def test_what_is_known_of_the_step_and_of_a_silent_camera_is_of_now(calibration: Calibration) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
 
-from altd.measuring.freshness import REMEMBERED, FreshnessCheck
+from altd.measuring.freshness import MAX_COMPARED_FRAMES, FreshnessCheck
 from altd.records import Frame
 
 SPOT = light(Blob(300.0, 200.0))
@@ -46,7 +46,7 @@ def test_a_frozen_camera_is_seen_in_its_first_frame_that_is_not_new(bits: int) -
     assert repeats(frames + frozen) == list(range(10, 40))
 
 
-@pytest.mark.parametrize("length", [1, 2, 3, 7, 60, REMEMBERED])
+@pytest.mark.parametrize("length", [1, 2, 3, 7, 60, MAX_COMPARED_FRAMES])
 def test_a_loop_of_frames_is_seen_from_its_second_turn_on(length: int) -> None:
     loop = live(length)
     played = [again(loop[n % length], n) for n in range(2 * length)]

@@ -11,6 +11,7 @@ from altd.instruments.beam.solver import Beam
 from altd.measuring.gate import Gate
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
+from altd.records.motion import Motion
 
 NUMBERS = list(Beam.__dataclass_fields__)
 
@@ -42,6 +43,21 @@ def test_no_number_that_is_none_leaves(field: str, value: float) -> None:
 @pytest.mark.parametrize("field", [name for name in NUMBERS if name.startswith("sigma_")])
 def test_a_sigma_is_positive(field: str, sigma: float) -> None:
     assert admitted(measured(replace(BEAM, **{field: sigma}))) == [f"{field} is {sigma:g}"]
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        (Motion(math.nan, 0.1, 0.1, 0.0, 0.5, 0.1, 0.1, 0.1), "the rate of y_mm is nan"),
+        (Motion(0.1, math.inf, 0.1, 0.0, 0.5, 0.1, 0.1, 0.1), "how y_mm moves is not known"),
+        (Motion(0.1, 0.1, math.nan, 0.0, 0.5, 0.1, 0.1, 0.1), "how y_mm moves is not known"),
+        (Motion(0.1, 0.1, 0.1, 0.0, 0.5, 0.1, 0.1, math.inf), "how y_mm moves is not known"),
+        (Motion(0.1, 0.1, 0.1, math.nan, 0.5, 0.1, 0.1, 0.1), "how y_mm moves is not known"),
+        (Motion(0.1, 0.1, 0.1, 0.0, 0.5, 0.1, math.nan, 0.1), "how y_mm moves is not known"),
+    ],
+)
+def test_a_motion_that_is_none_takes_its_value_along(motion: Motion, said: str) -> None:
+    assert admitted(measured(motions={"y_mm": motion})) == [said]
 
 
 @pytest.mark.parametrize(

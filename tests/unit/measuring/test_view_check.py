@@ -26,6 +26,7 @@ PERIOD_NS = 50_000_000
 
 GOOD = ViewVerdict(ViewOutcome.VERIFIED, shift_px=0.04)
 DOUBT = ViewVerdict.undecided("nothing is known of the target under the spot")
+NOTHING_KNOWN = Fingerprint(HotPixels(places_of([]), places_of([])), None, None)
 WRONG = ViewVerdict.refuted("another print is seen")
 OTHER_SENSOR = replace(ViewVerdict.refuted("0 of 20 hot pixels are in their places"), is_other_sensor=True)
 SAME_SENSOR = replace(ViewVerdict.undecided("no spot to see it by"), is_same_sensor=True)
@@ -81,7 +82,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
                 residual_max_mm=0.02,
                 repeatability_px=np.zeros(2),
                 leds_px=np.empty((0, 2)),
-                fingerprint=Fingerprint(HotPixels(places_of([]), places_of([])), None, None),
+                fingerprint=NOTHING_KNOWN,
             ),
             (CameraIdentity("F-1", driver="aravis"),),
         )
@@ -176,6 +177,23 @@ def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> N
     assert bench.push(2, camera=other) == [False, False]
     assert bench.push(2, camera=right) == [True, True]
     assert bench.examined == [1, 5]  # the camera that is back is looked at anew
+
+
+def test_another_place_of_the_picture_is_looked_for_in_the_next_frame(bench: Bench) -> None:
+    bench.push(3, replace(GOOD, displaced_px=0.3))
+    bench.check.compare_with(replace(NOTHING_KNOWN, moved=np.eye(2, 3)))
+    assert bench.check.displaced_px == 0.3  # until it is seen
+    assert bench.push(1, replace(GOOD, displaced_px=0.0)) == [True]
+    assert bench.examined == [1, 4]
+    assert bench.check.displaced_px == 0.0
+
+
+def test_a_wrong_view_is_no_more_once_it_is_verified_where_it_is_known_to_lie(bench: Bench) -> None:
+    assert bench.push(5, WRONG) == [False] * 5
+    bench.check.compare_with(replace(NOTHING_KNOWN, moved=np.eye(2, 3)))
+    assert bench.push(1, DOUBT) == [False]
+    bench.check.compare_with(NOTHING_KNOWN)
+    assert bench.push(1, GOOD) == [True]
 
 
 def test_health_says_whether_the_view_is_verified(bench: Bench) -> None:

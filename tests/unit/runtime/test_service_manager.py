@@ -10,7 +10,7 @@ from support.measurements import measurement
 
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.reasons import Reason
-from altd.runtime.service_manager import ServiceManager
+from altd.runtime.service_manager import ServiceManager, state_folder
 from altd.status.board import Board
 
 
@@ -99,3 +99,20 @@ async def test_the_journal_gets_a_line_when_something_changes_not_more_than_one_
     assert caplog.messages[0] == "unit A: http"
     assert len(caplog.messages) <= 52
     assert {"measuring", "not measuring: unsteady"} == set(caplog.messages[1:])
+
+
+@pytest.mark.parametrize(
+    ("told", "folder"),
+    [
+        ("/var/lib/altd", Path("/var/lib/altd")),
+        ("/var/lib/altd:/var/lib/more", Path("/var/lib/altd")),
+        ("", None),
+    ],
+)
+def test_the_state_folder_is_the_first_that_the_manager_names(
+    told: str, folder: Path | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", told)
+    assert state_folder() == folder
+    monkeypatch.delenv("STATE_DIRECTORY")
+    assert state_folder() is None

@@ -18,7 +18,7 @@ from support.wire import Wire
 
 from altd.config import SerialPortSettings
 from altd.serial_port import port
-from altd.serial_port.opening import close_serial, open_serial
+from altd.serial_port.opening import LineSettings, close_serial, open_serial
 from altd.serial_port.port import describe, opened, seconds_on_line
 
 GONE = "the port is gone"
@@ -109,7 +109,7 @@ def exclusive(wire: Wire) -> bool:
 async def test_a_second_program_is_kept_out_until_the_port_is_closed(wire: Wire) -> None:
     async with opened(wire.settings(), limit=100, fresh=True):
         with pytest.raises(OSError, match="another program uses the port") as caught:
-            open_serial(wire.device, 9600)
+            open_serial(wire.device, LineSettings(9600))
         assert caught.value.errno == errno.EBUSY
         with pytest.raises(serial.SerialException):
             serial.Serial(str(wire.device), exclusive=True)
@@ -124,7 +124,7 @@ async def test_a_second_program_is_kept_out_until_the_port_is_closed(wire: Wire)
 )
 async def test_a_port_that_cannot_be_opened_is_named(device: str, number: int) -> None:
     with pytest.raises(OSError, match=device) as caught:
-        open_serial(Path(device), 9600)
+        open_serial(Path(device), LineSettings(9600))
     assert caught.value.errno == number
     assert type(caught.value) is not serial.SerialException
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+
 import pytest
 from support.clock import FakeClock
 
@@ -12,7 +15,7 @@ def test_a_message_that_holds_a_time_counts() -> None:
     clock = FakeClock(5_000_000_000)
     health = Health(clock)
     component = health.component("camera front")
-    component.say(State.DEGRADED, lambda now_ns: f"no frame for {(now_ns - 4_750_000_000) * 1e-9:g} s")
+    component.set_state(State.DEGRADED, lambda now_ns: f"no frame for {(now_ns - 4_750_000_000) * 1e-9:g} s")
     assert component.message == "no frame for 0.25 s"
     clock.now_ns += 5_750_000_000
     assert component.message == "no frame for 6 s"
@@ -34,6 +37,14 @@ def test_a_figure_that_is_too_old_is_not_known_and_keeps_its_key() -> None:
     assert component.figures == {"level": 0.5, "exposure_ms": 2.0}
     clock.now_ns += 1
     assert component.figures == {"level": 0.5, "exposure_ms": None}
+
+
+def test_a_figure_that_is_no_number_is_not_known_and_hides_no_other() -> None:
+    health = Health(FakeClock())
+    health.component("camera front").observe({"a": math.nan, "b": math.inf, "c": -math.inf, "level": 0.5})
+    document = json.loads(json.dumps(health.as_object(), allow_nan=False))
+    front = document["components"]["camera front"]
+    assert [front[key] for key in ("a", "b", "c", "level")] == [None, None, None, 0.5]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from pathlib import Path
 
@@ -40,6 +41,11 @@ LINES = """
     for n in range(5)
 )
 LINE_REGISTERS = range(0x4000, 0x4014, 4)
+TEMPERATURE = 0x4020
+THERMOMETER = (
+    f'<FloatReg Name="DeviceTemperature"><Address>{TEMPERATURE}</Address><Length>4</Length>'
+    "<AccessMode>RO</AccessMode><pPort>Device</pPort><Endianess>BigEndian</Endianess></FloatReg>"
+)
 
 
 class TestFrames:
@@ -288,3 +294,54 @@ class TestOutputLine:
             grabbed.await_frames(1)
             with pytest.raises(CameraRefusedError, match="no UserOutputValue"):
                 grabbed.camera.switch_output("Line1", True)
+
+
+class TestTemperature:
+    @staticmethod
+    def warm(celsius: float) -> None:
+        register(HOME, TEMPERATURE, int.from_bytes(struct.pack(">f", celsius)))
+
+    def test_is_told_beside_the_frames(self, cameras: Cameras, tmp_path: Path) -> None:
+        cameras.start_with(THERMOMETER, tmp_path)
+        for celsius in (-12.5, 61.25):
+            self.warm(celsius)
+            with Grabbed(driver()) as grabbed:
+                grabbed.await_frames(3)
+                assert grabbed.camera.celsius() == celsius
+
+    def test_asked_without_end_costs_no_frame(self, cameras: Cameras, tmp_path: Path) -> None:
+        cameras.start_with(THERMOMETER, tmp_path)
+        with Grabbed(driver(fps=50)) as grabbed:
+            grabbed.await_frames(3)
+            began, asked = len(grabbed.frames), 0
+            until = time.monotonic() + 2
+            while time.monotonic() < until:
+                assert grabbed.camera.celsius() is not None
+                asked += 1
+            sequences = [frame.sequence for _, frame in grabbed.frames[began:]]
+            assert not grabbed.errors
+        assert asked > 100
+        assert len(sequences) > 80
+        assert len(sequences) > 0.95 * (sequences[-1] - sequences[0] + 1)  # a busy machine may be late
+
+    def test_that_the_camera_does_not_measure_is_none_and_no_error(self, cameras: Cameras) -> None:
+        cameras.start()
+        with Grabbed(driver()) as grabbed:
+            grabbed.await_frames(1)
+            assert grabbed.camera.celsius() is None
+            grabbed.await_frames(2)
+            assert not grabbed.errors
+
+    def test_of_a_camera_that_went_away_is_not_waited_for(self, cameras: Cameras, tmp_path: Path) -> None:
+        cameras.start_with(THERMOMETER, tmp_path)
+        with Grabbed(driver()) as grabbed:
+            grabbed.await_frames(3)
+            cameras.stop()
+            time.sleep(0.5)
+            asked_s = time.monotonic()
+            with pytest.raises(CameraLostError):
+                grabbed.camera.celsius()
+            assert time.monotonic() - asked_s < 0.1
+            cameras.go_on()
+        with pytest.raises(CameraLostError, match="not open"):
+            grabbed.camera.celsius()

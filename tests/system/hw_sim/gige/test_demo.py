@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import socket
+from pathlib import Path
 
 from support.cli import altd
 from support.foreign import need
@@ -19,8 +20,9 @@ def options() -> list[str]:
     return [part for name, address in new_addresses().items() for part in (f"--{name}", address)]
 
 
-def test_the_daemon_measures_over_the_wire_what_the_truth_is() -> None:
-    shown = altd("demo", "--gige", *options(), "--seed", "3", "--seconds", "10", module="hw_sim")
+def test_the_daemon_measures_over_the_wire_what_the_truth_is(unit_3: Path) -> None:
+    unit = ("--seed", "3", "--calibration", unit_3 / "cal.json")
+    shown = altd("demo", "--gige", *options(), *unit, "--seconds", "10", module="hw_sim")
     assert shown.status == 0, shown.err
     lines = [line for line in shown.out.splitlines() if re.search(r" s  valid ", line)]
     assert len(lines) >= 5
@@ -45,11 +47,12 @@ def test_the_daemon_measures_over_the_wire_what_the_truth_is() -> None:
         assert float(rms[1]) < limit
 
 
-def test_a_camera_that_cannot_be_served_ends_the_demo_and_says_why() -> None:
+def test_a_camera_that_cannot_be_served_ends_the_demo_and_says_why(unit_3: Path) -> None:
+    unit = ("--seed", "3", "--calibration", unit_3 / "cal.json")
     where = options()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind((where[1], GVCP_PORT))
-        shown = altd("demo", "--gige", *where, "--seconds", "5", module="hw_sim")
+        shown = altd("demo", "--gige", *where, *unit, "--seconds", "5", module="hw_sim")
     assert shown.status == 2
     assert shown.err.splitlines() == [
         f"hw_sim: {where[1]}:{GVCP_PORT}: another camera is served there",

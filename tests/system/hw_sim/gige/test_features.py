@@ -47,6 +47,7 @@ def test_the_features_have_the_standard_names(unit_at_rest: Served) -> None:
     for line in (
         "'DeviceManufacturerInfo' = 'simulated: nothing here is live'",
         "'DeviceUserID' = 'front'",
+        "'DeviceTemperature' = 38 C",
         "'Width' = 752",
         "'Height' = 480",
         "'PixelFormat' = 'Mono8'",

@@ -112,6 +112,7 @@ def test_a_cameras_output_lights_the_leds_around_its_own_target_in_the_next_expo
 ) -> None:
     (other,) = set(CAMERAS) - {camera}
     with client(getattr(unit_at_rest, camera)) as own, client(getattr(unit_at_rest, other)) as others:
+        others.set(UserOutputValue=False)  # whatever the test before this one left
         own.start()
         for on in (True, False, True):
             assert leds_after(driven_unit, own, camera, UserOutputValue=on) == (6 if on else 0)

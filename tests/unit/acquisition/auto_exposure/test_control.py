@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from altd.acquisition.auto_exposure.control import (
-    MARKED_FRAMES,
+    MAX_MARKED_FRAMES,
     Applied,
     ExposureControl,
     ExposureFigures,
@@ -101,7 +101,7 @@ def test_no_frame_passes_for_what_it_was_not_exposed_with(lag: int, tells: str, 
                 assert (taken.exposure_ms, taken.gain_db) == (used.exposure_ms, used.gain_db)
     assert marks[8]  # a window must see where the change lies
     assert sum(marks[8:]) == (
-        max(lag, 1) if "gain" in tells or (tells and not changed.gain_db) else MARKED_FRAMES
+        max(lag, 1) if "gain" in tells or (tells and not changed.gain_db) else MAX_MARKED_FRAMES
     )
 
 
@@ -155,7 +155,7 @@ def test_a_camera_that_goes_away_while_it_is_set_is_lost() -> None:
 def test_a_spot_too_bright_is_exposed_less_and_the_figures_show_with_what() -> None:
     camera, control = Camera(), control_of(window=4)
     opened(control, camera)
-    for _ in range(MARKED_FRAMES + 3):
+    for _ in range(MAX_MARKED_FRAMES + 3):
         control.sample(control.mark(camera.frame(BRIGHT)[0]), SPOT)
     assert control.figures == ExposureFigures("auto", 0.9, 2.0, 0.0, 1)
     assert control.setpoint.exposure_ms == pytest.approx(2.0 * (0.35 * 0.8) ** 0.5 / (230 / 255))

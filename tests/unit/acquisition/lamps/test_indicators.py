@@ -13,14 +13,17 @@ from altd.acquisition.lamps.indicators import (
     IndicatorPanel,
     Light,
     error_light,
-    standing_of,
+    validity_of,
 )
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.ports import Indicator
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
+from altd.status.cause import Cause
+from altd.status.conditions import Condition
 from altd.status.health import Health, State
+from altd.status.state import UnitState
 
 DARK, BLINKS, STEADY = Light.DARK, Light.BLINKS, Light.STEADY
 
@@ -53,8 +56,8 @@ def after(*reasons: Reason) -> Measurement:
 def test_ok_and_error_tell_how_the_measurement_is(
     latest: Measurement | None, running_s: float, failed: bool, ok: Light, error: Light
 ) -> None:
-    standing = standing_of(latest, running_s)
-    assert (OK_LIGHT[standing], error_light(standing, failed)) == (ok, error)
+    validity = validity_of(latest, running_s)
+    assert (OK_LIGHT[validity], error_light(validity, failed)) == (ok, error)
 
 
 def test_what_blinks_does_so_once_a_second() -> None:
@@ -134,13 +137,27 @@ class TestPanel:
         board.publish(after())
         await self.seen(row, clock, Indicator.POWER, Indicator.OK)
         publisher = health.component("modbus_tcp")
-        publisher.say(State.FAILED)
+        publisher.set_state(State.FAILED)
         await self.seen(row, clock, Indicator.POWER, Indicator.OK, Indicator.ERROR)
-        publisher.say(State.OK)
+        publisher.set_state(State.OK)
         await self.seen(row, clock, Indicator.POWER, Indicator.OK)
         publisher.gave_data()
         await self.seen(row, clock, Indicator.POWER, Indicator.OK, Indicator.DATA)
         await self.seen(row, clock, Indicator.POWER, Indicator.OK)
+
+    async def test_error_blinks_for_a_cause_of_the_unit_state_while_it_measures(
+        self, row: Row, board: Board, health: Health, clock: FakeClock
+    ) -> None:
+        causes = [Cause(Condition.TOO_HOT, "housing", "61.0 C")]
+        health.state = UnitState(board, health, clock, [lambda now_ns: causes]).read
+        board.publish(after())
+        await self.seen(row, clock, Indicator.POWER, Indicator.OK, Indicator.ERROR)
+        await self.seen(row, clock, Indicator.POWER, Indicator.OK)  # it blinks
+        causes.clear()
+        await clock.advance(2.5)
+        looks = len(row.looks)
+        await clock.advance(5)
+        assert not any(Indicator.ERROR in lit for lit in row.looks[looks + 1 :])
 
     async def test_sets_the_lamps_only_when_something_changes(
         self, row: Row, board: Board, clock: FakeClock

@@ -1,4 +1,4 @@
-"""The scan's order, its judgement of a node, and its folder; the whole: ``tests/system/test_scan.py``."""
+"""The scan's order, its judgement of a node, and its folder; whole: ``tests/system/scan/test_scan.py``."""
 
 from __future__ import annotations
 

@@ -61,8 +61,12 @@ class Unit:
             with contextlib.suppress(ConnectionError):
                 await writer.wait_closed()
 
-    async def ask(self, path: str, method: str = "GET") -> Answer:
-        answer = await self.send(f"{method} {path} HTTP/1.1\r\nHost: unit\r\n\r\n".encode())
+    async def ask(
+        self, path: str, method: str = "GET", headers: dict[str, str] | None = None, body: bytes = b""
+    ) -> Answer:
+        lines = {"Host": "unit", **({"Content-Length": str(len(body))} if body else {}), **(headers or {})}
+        head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+        answer = await self.send(f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode("latin-1") + body)
         head, _, body = answer.partition(b"\r\n\r\n")
         first, *lines = head.decode("latin-1").split("\r\n")
         headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
@@ -109,7 +113,8 @@ class Events:
         return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
 
 
-Served = Callable[[], AbstractAsyncContextManager[Unit]]
+Served = Callable[..., AbstractAsyncContextManager[Unit]]
+"""Served with these settings of ``[http]``."""
 
 
 @pytest.fixture
@@ -120,8 +125,9 @@ def component(health: Health) -> Component:
 @pytest.fixture
 def served(board: Board, health: Health, component: Component) -> Served:
     @contextlib.asynccontextmanager
-    async def serving() -> AsyncIterator[Unit]:
-        publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), board, health, component)
+    async def serving(**more: Any) -> AsyncIterator[Unit]:
+        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, **more})
+        publisher = HttpPublisher(settings, board, health, component)
         ready = asyncio.Event()
         task = asyncio.ensure_future(publisher.run(ready.set))
         await ready.wait()

@@ -1,26 +1,15 @@
-// The page's script in a document of its own, driven from outside: a line of JSON on standard input is an
-// order, a line on standard output what the page then shows. Time and network are the driver's.
-import { readFileSync } from "node:fs";
+// The page's link to the unit in a world of its own, driven from outside: a line of JSON on standard input is
+// an order, a line on standard output what is then known. Time and network are the driver's.
 import { createInterface } from "node:readline";
-import vm from "node:vm";
+import { pathToFileURL } from "node:url";
 
-const script = readFileSync(process.argv[2], "utf-8").match(/<script>([\s\S]*)<\/script>/)[1];
-const elements = {};
-const element = () => ({
-  className: "", textContent: "", children: [],
-  append(child) { this.children.push(child); },
-  replaceChildren(...children) { this.children = children; },
-});
-const document = {
-  title: "",
-  getElementById: id => (elements[id] ??= element()),
-  createElement: element,
-  addEventListener() {},
-};
+const folder = pathToFileURL(`${process.argv[2]}/`);
+const { Link } = await import(new URL("link.mjs", folder));
+const { fixed, sigmaOf, verdictOf } = await import(new URL("words.mjs", folder));
+const X = { key: "x_mm", decimals: 3 };
 
-let now = 1_000_000, tick, answers = {}, asked = [], waiting = [];
+let now = 1_000_000, tick, answers = {}, asked = [], waiting = [], known;
 class Stream {
-  static CLOSED = 2;
   constructor() { Stream.last = this; this.readyState = 0; Stream.opened = (Stream.opened ?? 0) + 1; }
   close() { this.readyState = 2; }
 }
@@ -32,12 +21,11 @@ const fetch = async path => {
   return { json: async () => answer };
 };
 const settle = () => new Promise(done => setImmediate(done));
-vm.runInNewContext(script, {
-  document, fetch, EventSource: Stream, AbortSignal: { timeout: () => null },
+new Link(shown => { known = shown; }, {
+  document: { addEventListener() {} }, fetch, EventSource: Stream, AbortSignal: { timeout: () => null },
   Date: { now: () => now }, setInterval: work => { tick = work; },
-});
+}).start();
 
-const text = part => [part.textContent, ...part.children.map(text)].filter(Boolean).join("; ");
 for await (const line of createInterface({ input: process.stdin })) {
   const order = JSON.parse(line);
   asked = [];
@@ -49,10 +37,10 @@ for await (const line of createInterface({ input: process.stdin })) {
   if (order.tick) tick();
   await settle();
   if (order.give_up) { waiting.splice(0).forEach(reject => reject(new Error("timeout"))); await settle(); }
+  const verdict = verdictOf(known);
   console.log(JSON.stringify({
-    verdict: text(elements.verdict), kind: elements.verdict.className,
-    x_mm: elements.x_mm.textContent, sigma_x_mm: elements.sigma_x_mm.textContent,
-    when: elements.when.textContent.trim(), components: text(elements.components),
-    asked, streams: Stream.opened, title: document.title,
+    verdict: verdict.text, kind: verdict.kind, sequence: known.measurement?.sequence ?? null,
+    x_mm: fixed(known.measurement?.x_mm, X.decimals), sigma_x_mm: sigmaOf(known.measurement, X),
+    components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened,
   }));
 }

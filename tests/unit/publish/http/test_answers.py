@@ -3,42 +3,63 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
+import re
 import urllib.request
+import zlib
+from pathlib import Path
 
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
 
-from altd.publish.http.publisher import PATHS
+from altd.publish.http import page
+from altd.publish.http.page import page_files
+from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
+from altd.status.checked_json import PROOF_KEYS
 from altd.status.health import Component, Health, State
-from altd.status.measurement_json import as_object
+from altd.status.measurement_json import as_object_now
 
 from .conftest import Served
 
+WITH_HISTORY = ("/api/v1/trend", "/api/v1/events")
+"""What ``test_past.py`` asks a unit that has one."""
 
-async def test_the_measurement_is_the_object_of_replay(
-    served: Served, board: Board, measured: Measurement
+
+async def test_the_measurement_is_the_object_of_replay_with_its_proof_behind(
+    served: Served, board: Board, clock: FakeClock, measured: Measurement
 ) -> None:
     board.publish(measured)
+    clock.now_ns += 520_000_000
     async with served() as unit:
         answer = await unit.ask("/api/measurement")
+        again = await unit.ask("/api/measurement")
     assert answer.status == 200
-    assert answer.json == as_object(measured)
+    assert answer.body.startswith(
+        json.dumps(as_object_now(measured, board.age_s())).removesuffix("}").encode() + b", "
+    )
+    assert list(answer.json) == [*as_object_now(measured, board.age_s()), *PROOF_KEYS]
+    line, crc = answer.body.rsplit(b', "crc32": ', 1)
+    assert crc == b'"%08X"}' % zlib.crc32(line)
+    assert answer.json["unit"] == f"{zlib.crc32(b'ALT-0007'):08X}"
+    assert (answer.json["message"], again.json["message"]) == (1, 2)
+    assert answer.json["session"] == again.json["session"]
+    assert (answer.json["published"], answer.json["age_s"], answer.json["clock_ms"]) == (1, 0.52, 520)
 
 
 async def test_a_foreign_client_reads_it(served: Served, board: Board, measured: Measurement) -> None:
     board.publish(measured)
     async with served() as unit:
 
-        def fetch() -> object:
+        def fetch() -> dict[str, object]:
             with urllib.request.urlopen(f"http://127.0.0.1:{unit.port}/api/measurement", timeout=3) as answer:
                 return json.load(answer)
 
-        assert await asyncio.to_thread(fetch) == as_object(measured)
+        assert (await asyncio.to_thread(fetch)).items() >= as_object_now(measured, board.age_s()).items()
 
 
 async def test_before_the_first_measurement_it_says_why_there_is_none(served: Served) -> None:
@@ -71,7 +92,7 @@ async def test_an_old_measurement_is_stale(
 
 
 async def test_the_status_is_the_health_of_the_unit(served: Served, health: Health) -> None:
-    health.component("camera front").say(State.FAILED, "no such device")
+    health.component("camera front").set_state(State.FAILED, "no such device")
     async with served() as unit:
         answer = await unit.ask("/api/status")
     assert answer.status == 200
@@ -83,13 +104,48 @@ async def test_the_status_is_the_health_of_the_unit(served: Served, health: Heal
 async def test_the_page_needs_nothing_from_elsewhere(served: Served) -> None:
     async with served() as unit:
         answer = await unit.ask("/")
-    page = answer.body.decode()
-    assert answer.headers["content-type"] == "text/html; charset=utf-8"
-    assert "default-src 'none'" in answer.headers["content-security-policy"]
-    assert "://" not in page
-    assert "src=" not in page
-    for path in PATHS[1:]:
-        assert f'href="{path.path}"' in page
+        text = answer.body.decode()
+        assert answer.headers["content-type"] == "text/html; charset=utf-8"
+        policy = answer.headers["content-security-policy"]
+        assert policy.startswith("default-src 'none'; script-src 'self'; style-src 'self';")
+        assert "unsafe" not in policy
+        assert "://" not in text
+        named = set(re.findall(r'(?:src|href)="(/page/[^"]*)"', text))
+        assert len(named) == 4
+        for path in named:
+            assert (await unit.ask(path)).status == 200
+        linked = set(re.findall(r'href="(/api[^"]*)"', text))
+        assert linked <= {path.path for path in PATHS}
+
+
+async def test_every_file_of_the_page_is_served_as_what_it_is(served: Served) -> None:
+    async with served() as unit:
+        for name, file in page_files().items():
+            answer = await unit.ask(f"/page/{name}")
+            assert (answer.status, answer.body) == (200, file.content)
+            kind = "text/javascript" if name.endswith(".js") else "text/css"
+            assert answer.headers["content-type"] == f"{kind}; charset=utf-8"
+            assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+NO_FILES = (
+    "", "nothing.js", "index.html", "vendor/uPlot.LICENSE", "../page.py", "..%2fpage.py", "%2e%2e/page.py",
+    "/etc/passwd", "vendor", "main.js/", "main.js%00", "vendor/../main.js", "MAIN.JS",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NO_FILES)
+async def test_nothing_else_is_served_of_it(served: Served, name: str) -> None:
+    async with served() as unit:
+        assert (await unit.ask(f"/page/{name}")).status == 404
+
+
+def test_vendored_files_are_those_of_their_releases() -> None:
+    folder = Path(page.__file__).with_name("page_files") / "vendor"
+    listed = re.findall(r"^([0-9a-f]{64})  (\S+)$", (folder / "README.md").read_text(), re.M)
+    assert {name for _, name in listed} == {path.name for path in folder.iterdir()} - {"README.md"}
+    for digest, name in listed:
+        assert hashlib.sha256((folder / name).read_bytes()).hexdigest() == digest
 
 
 @pytest.mark.parametrize(
@@ -111,7 +167,14 @@ async def test_refusals_are_json(served: Served, method: str, path: str, status:
     assert set(answer.json) == {"error"}
 
 
-@pytest.mark.parametrize("path", [path.path for path in PATHS])
+@pytest.mark.parametrize(
+    "path",
+    [
+        path.path
+        for path in PATHS
+        if "GET" in path.operations and path.path not in WITH_HISTORY and "{" not in path.path
+    ],
+)
 async def test_head_has_the_headers_and_no_body(
     served: Served, board: Board, measured: Measurement, path: str
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from support.places import DOCS
 
-from altd.publish.http.publisher import PATHS
+from altd.publish.http.paths import PATHS
 from tools.pages.http import page
 
 

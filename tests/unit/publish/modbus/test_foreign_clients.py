@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import re
 import subprocess
+import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +67,19 @@ async def test_over_tcp_mbpoll_reads_what_the_page_shows(
         "[102]: \t0x1234",
         "[103]: \t0x5678",
     ]
+
+
+async def test_the_checked_block_as_mbpoll_reads_it_passes_its_crc(
+    tcp: ModbusTcpPublisher, board: Board, measured: Measured
+) -> None:
+    board.publish(measured())
+    read = await mbpoll(
+        *("-t", "4:hex", "-r", 200, "-c", 80, "-m", "tcp", "-p", tcp.port, "-a", UNIT, "127.0.0.1")
+    )
+    assert [int(line[1:4]) for line in read] == list(range(200, 280))
+    block = b"".join(int(line.split()[1], 16).to_bytes(2) for line in read)
+    assert zlib.crc32(block[:-4]) == int.from_bytes(block[-4:])
+    assert block[4:8] == zlib.crc32(b"ALT-0007").to_bytes(4)
 
 
 async def test_over_rtu_mbpoll_reads_the_same(

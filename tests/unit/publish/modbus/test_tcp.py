@@ -194,7 +194,7 @@ async def test_the_registers_are_made_once_a_measurement_and_age_for_each_reques
     """Staleness, which comes with time alone, is seen at the first request after it and made once, too."""
     made: list[int] = []
     image = registers.image
-    monkeypatch.setattr(registers, "image", lambda snapshot: made.append(1) or image(snapshot))
+    monkeypatch.setattr(registers, "image", lambda *of: made.append(1) or image(*of))
     seen = []
     for published in range(3):
         board.publish(measured(sequence=160 + published))

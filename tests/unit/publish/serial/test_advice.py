@@ -126,8 +126,8 @@ def test_a_silent_camera_is_mended_by_what_its_health_says(
     state: State, message: str, remedy: str | None
 ) -> None:
     health = Health(FakeClock())
-    health.component("camera rear").say(state, message)
-    health.component(MEASURING).say(State.DEGRADED, "front: spot at u 1 v 2 px; rear: camera_silent")
+    health.component("camera rear").set_state(state, message)
+    health.component(MEASURING).set_state(State.DEGRADED, "front: spot at u 1 v 2 px; rear: camera_silent")
     status = [Fault(Reason.CAMERA_SILENT, "rear", "no frame comes")]
     assert advice(status[0], status, health).remedy == "see the camera below"
     (step,) = component_steps(health, status)

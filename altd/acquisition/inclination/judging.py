@@ -1,0 +1,122 @@
+"""Whether an inclinometer's readings can be believed, and how far. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from itertools import pairwise
+
+from altd.config import InclinometerSettings
+from altd.ports import InclinometerAccuracy, InclinometerReading
+from altd.records.sensors import Quality, SensorValue, within_half_turn
+
+_MIN_READINGS = 4
+_MAX_READINGS = 10
+"""What noise is estimated from: the last two seconds."""
+_MIN_SAME = 3
+"""Readings like the one before them; fewer say nothing, whatever time lies between."""
+_MAX_STILL_S = 60.0
+"""So long the angle alone may stand on one digit while the rest moves: its axis may have died alone."""
+_POSSIBLE_C = (-40.0, 85.0)
+"""Temperatures at which such sensors work; the unit is for -10 to +60 °C."""
+
+
+class InclinationJudge:
+    """Judges one reading after the other; remembers the last seconds.
+
+    ``noise_deg`` is the scatter of a reading, None before there are enough; ``longest_still_s`` the longest
+    time for which nothing of what was read moved.
+    """
+
+    def __init__(self, settings: InclinometerSettings, accuracy: InclinometerAccuracy) -> None:
+        self._settings = settings
+        self._accuracy = accuracy
+        self.noise_deg: float | None = None
+        self.longest_still_s = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the readings: another sensor may have come."""
+        self._rolls_deg: deque[float] = deque(maxlen=_MAX_READINGS)
+        self._last: InclinometerReading | None = None
+        self._moved_ns = self._roll_moved_ns = self._same = 0
+        self._has_moved = False
+
+    def roll(self, reading: InclinometerReading) -> SensorValue:
+        """Roll as the unit publishes it, or why it cannot be believed."""
+        roll_deg = within_half_turn(
+            self._settings.sign_roll * reading.roll_deg + self._settings.offset_roll_deg
+        )
+        still = self._stillness(reading)
+        self._rolls_deg.append(roll_deg)
+        self.noise_deg = _noise(self._rolls_deg)
+        if not _POSSIBLE_C[0] <= reading.temperature_c <= _POSSIBLE_C[1]:
+            text = f"its temperature cannot be: {reading.temperature_c:.1f} degC"
+            return SensorValue(Quality.OUT_OF_RANGE, text)
+        if abs(roll_deg) > self._settings.max_roll_deg:
+            text = f"roll is {roll_deg:.1f} deg, max_roll_deg is {self._settings.max_roll_deg:g}"
+            return SensorValue(Quality.OUT_OF_RANGE, text)
+        if still:
+            return SensorValue(Quality.FROZEN, still)
+        if self.noise_deg is None:
+            return SensorValue(Quality.STARTING, "too few readings so far")
+        if not self._has_moved:
+            return SensorValue(Quality.STARTING, "nothing of what it says has moved so far")
+        newest_deg = _noise(list(self._rolls_deg)[-_MIN_READINGS:]) or 0.0
+        if (noise_deg := max(newest_deg, self.noise_deg)) > self._settings.max_noise_deg:
+            text = f"its readings scatter by {noise_deg:.2f} deg"
+            return SensorValue(Quality.NOISY, text)
+        return SensorValue(
+            Quality.GOOD if self._is_at_its_best(reading) else Quality.REDUCED,
+            value=roll_deg,
+            sigma=self._sigma_deg(reading, self.noise_deg),
+            t_ns=reading.t_ns,
+            expires_ns=reading.t_ns + round(self._settings.max_age_s * 1e9),
+        )
+
+    def gravity_pitch_deg(self, reading: InclinometerReading) -> float | None:
+        """How the unit is pitched against gravity; None: the sensor has one axis."""
+        if reading.pitch_deg is None:
+            return None
+        settings = self._settings
+        return within_half_turn(settings.sign_pitch * reading.pitch_deg + settings.offset_pitch_deg)
+
+    def _stillness(self, reading: InclinometerReading) -> str:
+        """What has stood still for too long, in words; empty: nothing."""
+        last, self._last = self._last, reading
+        self._same += 1
+        self._has_moved |= last is not None and reading.words != last.words
+        if last is None or reading.words != last.words:
+            self._moved_ns, self._same = reading.t_ns, 0
+        if last is None or reading.roll_deg != last.roll_deg:
+            self._roll_moved_ns = reading.t_ns
+        still_s = (reading.t_ns - self._moved_ns) * 1e-9
+        roll_still_s = (reading.t_ns - self._roll_moved_ns) * 1e-9
+        self.longest_still_s = max(self.longest_still_s, still_s)
+        if still_s >= self._settings.frozen_after_s and self._same >= _MIN_SAME:
+            return f"it has frozen: the same to the last digit for {still_s:.1f} s"
+        if roll_still_s >= _MAX_STILL_S:
+            return f"its angle has frozen: the same to the last digit for {roll_still_s:.0f} s"
+        return ""
+
+    def _is_at_its_best(self, reading: InclinometerReading) -> bool:
+        return self._accuracy.from_c <= reading.temperature_c <= self._accuracy.to_c
+
+    def _sigma_deg(self, reading: InclinometerReading, noise_deg: float) -> float:
+        """One sigma: limits of error count as evenly spread between them, a/√3 (GUM 4.3.7)."""
+        known = self._accuracy
+        limit_deg = known.limit_deg if self._is_at_its_best(reading) else known.limit_elsewhere_deg
+        return math.sqrt((limit_deg**2 + known.cross_axis_deg**2) / 3 + known.step_deg**2 / 12 + noise_deg**2)
+
+
+def _noise(angles_deg: Sequence[float]) -> float | None:
+    """The standard deviation of a reading, from second differences: steady turning is no noise.
+
+    Of independent readings with standard deviation s they have √6 · s.
+    """
+    if len(angles_deg) < _MIN_READINGS:
+        return None
+    steps = [within_half_turn(after - before) for before, after in pairwise(angles_deg)]
+    squares = [(after - before) ** 2 for before, after in pairwise(steps)]
+    return math.sqrt(sum(squares) / (6 * len(squares)))

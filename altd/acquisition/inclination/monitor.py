@@ -1,0 +1,193 @@
+"""The inclinometer's task: reads it for ever, and adds its newest roll to each measurement.
+
+What the sensor does ends nothing else: its calls block in a thread of their own, and a measurement gets what
+was read last, without waiting.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from dataclasses import replace
+
+from altd.acquisition.inclination.divergence import PitchDivergence
+from altd.acquisition.inclination.judging import InclinationJudge
+from altd.config import InclinometerSettings, Installation
+from altd.ports import (
+    Clock,
+    Inclinometer,
+    InclinometerDisturbedError,
+    InclinometerError,
+    InclinometerReading,
+    InclinometerTimeoutError,
+)
+from altd.reasons import Reason
+from altd.records import Fault, Measurement, Quantities
+from altd.records.sensors import Quality, SensorValue
+from altd.runtime.threads import DeviceThread
+from altd.status.health import Component, State
+
+log = logging.getLogger("altd")
+
+ROLL = "roll_deg"
+"""The quantity that an inclinometer measures."""
+
+_CALL_TIMEOUT_S = 1.0
+"""A reading takes a tenth of a second, a failed one half a second; after this long the port hangs."""
+_OPEN_TIMEOUT_S = 10.0
+"""A USB adapter is asked for everything over its bus."""
+_CLOSE_TIMEOUT_S = 1.0
+_MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 1.0
+"""Somebody who plugs a cable in stands beside it and waits."""
+_MAX_FAILURES = 3
+"""In a row; then the port is opened anew."""
+
+
+class InclinationMonitor:
+    """Reads one inclinometer. ``complete`` adds to a measurement what it says.
+
+    ``installation`` turned the beam's pitch into what the controller wants, and is undone here.
+    """
+
+    def __init__(
+        self,
+        driver: Inclinometer,
+        settings: InclinometerSettings,
+        quantities: Quantities,
+        installation: Installation,
+        component: Component,
+        clock: Clock,
+    ) -> None:
+        self.quantities = quantities.with_sensor(ROLL)
+        """Those of the unit's instrument, with roll from this sensor."""
+        self._driver = driver
+        self._settings = settings
+        self._installation = installation
+        self._component = component
+        self._clock = clock
+        self._judge = InclinationJudge(settings, driver.accuracy)
+        self._said = SensorValue(Quality.STARTING, "the inclinometer was not read so far")
+        self._failure: SensorValue | None = None
+        """Why nothing follows what was said last; None: something does."""
+        self._logged: Quality | None = None
+        self._divergence = PitchDivergence()
+        self._gravity_pitch_deg: float | None = None
+        """Of the newest reading that can be believed."""
+
+    def complete(self, measurement: Measurement) -> Measurement:
+        """The measurement with roll as it is known now."""
+        now_ns = self._clock.monotonic_ns()
+        said = self._said.at(now_ns)
+        if said.value is not None:
+            said = replace(said, age_s=(now_ns - said.t_ns) * 1e-9)
+        elif self._failure is not None:
+            said = self._failure
+        whole = replace(measurement, quantities=self.quantities).with_sensors({ROLL: said})
+        if said.value is not None and self._gravity_pitch_deg is not None:
+            self._compare_pitch(measurement, self._gravity_pitch_deg, now_ns)
+        divergence_deg = self._divergence.divergence_deg(now_ns)
+        if divergence_deg is None or abs(divergence_deg) <= self._settings.max_divergence_deg:
+            return whole
+        detail = f"the beam's inclination against gravity has changed by {divergence_deg:+.2f} deg"
+        return replace(whole, status=(*whole.status, Fault(Reason.PITCH_DIVERGES, detail=detail)))
+
+    async def run(self) -> None:
+        """Read until cancelled."""
+        thread = DeviceThread(self._component.name)
+        backoff_s = _MIN_BACKOFF_S
+        try:
+            while True:
+                try:
+                    await thread.call(self._driver.open, within_s=_OPEN_TIMEOUT_S)
+                    self._judge.restart()
+                    backoff_s = _MIN_BACKOFF_S
+                    await self._read_on(thread)
+                except Exception as error:
+                    self._fail(error)
+                with contextlib.suppress(Exception):
+                    await thread.call(self._driver.close, within_s=_CLOSE_TIMEOUT_S)
+                await self._clock.sleep(backoff_s)
+                backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
+        finally:
+            await thread.end(self._driver.close, _CLOSE_TIMEOUT_S)
+
+    async def _read_on(self, thread: DeviceThread) -> None:
+        """Read again and again; raises what makes it worth opening the port anew."""
+        failures = 0
+        due_ns = self._clock.monotonic_ns()
+        while True:
+            try:
+                reading = await thread.call(self._driver.read, within_s=_CALL_TIMEOUT_S)
+            except (InclinometerTimeoutError, InclinometerDisturbedError) as error:
+                failures += 1
+                if failures == _MAX_FAILURES:
+                    raise
+                self._fail(error)
+            else:
+                failures = 0
+                self._take(reading)
+            now_ns = self._clock.monotonic_ns()
+            due_ns = max(due_ns + round(self._settings.interval_s * 1e9), now_ns)
+            await self._clock.sleep((due_ns - now_ns) * 1e-9)
+
+    def _compare_pitch(self, measurement: Measurement, gravity_pitch_deg: float, now_ns: int) -> None:
+        """The beam's own inclination is its pitch in the unit and the unit's against gravity together."""
+        if not measurement.valid or (pitch_deg := measurement.number("pitch_deg")) is None:
+            return
+        optical_deg = self._installation.sign_pitch * (pitch_deg - self._installation.offset_pitch_deg)
+        self._divergence.add(now_ns, optical_deg + gravity_pitch_deg)
+
+    def _take(self, reading: InclinometerReading) -> None:
+        said = self._judge.roll(reading)
+        self._said, self._failure = said, None
+        pitch_deg = self._judge.gravity_pitch_deg(reading)
+        self._gravity_pitch_deg = None if said.value is None else pitch_deg
+        self._component.count("readings")
+        figures = {
+            "roll_deg": _rounded(said.value, 3),
+            "sigma_deg": _rounded(said.sigma, 3),
+            "noise_deg": _rounded(self._judge.noise_deg, 4),
+            "temperature_c": round(reading.temperature_c, 1),
+            "longest_still_s": round(self._judge.longest_still_s, 1),
+        }
+        if pitch_deg is not None:
+            divergence_deg = self._divergence.divergence_deg(self._clock.monotonic_ns())
+            figures["gravity_pitch_deg"] = round(pitch_deg, 3)
+            figures["pitch_divergence_deg"] = _rounded(divergence_deg, 3)
+        self._component.observe(figures)
+        self._report(said)
+
+    def _fail(self, error: Exception) -> None:
+        """A single answer that is lost leaves what was said until that is too old; all else ends it now."""
+        said = _in_words(error)
+        self._component.count("failures")
+        self._failure = said
+        is_passing = isinstance(error, InclinometerTimeoutError | InclinometerDisturbedError)
+        if not (is_passing and self._said.at(self._clock.monotonic_ns()).value is not None):
+            self._said = said
+            self._report(said)
+
+    def _report(self, said: SensorValue) -> None:
+        """Health, and a line in the log when it changes."""
+        known = said.value is not None
+        starting = said.quality is Quality.STARTING
+        state = State.OK if known else State.STARTING if starting else State.FAILED
+        self._component.set_state(state, self._driver.name if known else said.detail)
+        quality = None if known or starting else said.quality
+        if quality not in (None, self._logged):
+            log.warning("%s: %s", self._component.name, said.detail)
+        self._logged = quality
+
+
+def _in_words(error: Exception) -> SensorValue:
+    match error:
+        case InclinometerError():
+            return SensorValue(error.quality, str(error))
+        case TimeoutError():
+            return SensorValue(Quality.NO_PORT, "the port hangs: unplug it and plug it in again")
+    log.error("inclinometer", exc_info=error)
+    return SensorValue(Quality.DEFECT, f"{type(error).__name__}: {error}")
+
+
+def _rounded(value: float | None, decimals: int) -> float | None:
+    return None if value is None else round(value, decimals)

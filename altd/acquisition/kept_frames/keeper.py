@@ -1,0 +1,232 @@
+"""Writes the frames of the last seconds as a recording: after a fault, or when somebody asks."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from altd.acquisition.exposures_writer import ExposuresWriter, RecordingPlan
+from altd.acquisition.kept_frames.ring import FrameRing
+from altd.acquisition.kept_frames.store import RecordingStore, Written
+from altd.config import KeptFrames, Measuring
+from altd.measuring.pairing import Pair, Pairer
+from altd.ports import Camera, Clock
+from altd.reasons import Signal
+from altd.records import Frame
+from altd.runtime.threads import DeviceThread
+from altd.status.cause import ShownCause, StateReport
+from altd.status.health import Component, State
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+log = logging.getLogger("altd")
+
+Result = TypeVar("Result")
+
+_LOOK_INTERVAL_S = 0.25
+_GRAVE = (Signal.FAILURE, Signal.OUT_OF_SPECIFICATION)
+"""What is done on purpose, as a self-check, is no fault; nor is what only asks for maintenance."""
+_MAX_PAUSE_S = 0.1
+_DISK_TIMEOUT_S = 120.0
+"""A recording is written at half a core's pace: seconds."""
+_END_TIMEOUT_S = 1.0
+_MAX_WAITING = 4
+"""Recordings that are asked for or under way at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What is recorded: the cameras' newest frames, how they make exposures, and of which unit they are."""
+
+    ring: FrameRing
+    cameras: Mapping[str, Camera]
+    measuring: Measuring
+    plan: RecordingPlan
+
+
+class FrameKeeper:
+    """Keeps recordings of one unit. ``state`` tells what is wrong now."""
+
+    def __init__(
+        self,
+        source: Source,
+        settings: KeptFrames,
+        store: RecordingStore,
+        state: Callable[[], StateReport],
+        component: Component,
+    ) -> None:
+        self._source = source
+        self._settings = settings
+        self._store = store
+        self._state = state
+        self._component = component
+        self._clock: Clock = component.clock
+        self._stop = threading.Event()
+        self.note: Callable[[str, KeptRecording | None], None] = lambda text, kept: None
+        """Is told of each recording that was kept, and in words of one that was not."""
+        self._disk: DeviceThread | None = None
+        self._waiting = 0
+        self._recordings: tuple[KeptRecording, ...] = ()
+        self._known: set[str] = set()
+        """Grave causes that were there at the last look."""
+        self._kept_ns: dict[str, int] = {}
+        """When a recording of a cause was begun last."""
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def recordings(self) -> Sequence[KeptRecording]:
+        """What there is, the newest first."""
+        return self._recordings
+
+    async def run(self) -> None:
+        """Look for faults until cancelled."""
+        self._disk = disk = DeviceThread("kept-frames")
+        try:
+            await self._open()
+            while True:
+                if self._settings.on_fault and (why := self._new_fault()):
+                    task = asyncio.create_task(self._keep_after_fault(why), name=f"keep frames of {why}")
+                    self._tasks.add(task)
+                    task.add_done_callback(self._tasks.discard)
+                await self._clock.sleep(_LOOK_INTERVAL_S)
+        finally:
+            self._stop.set()
+            for task in self._tasks:
+                task.cancel()
+            await asyncio.gather(*self._tasks, return_exceptions=True)
+            await disk.end(lambda: None, _END_TIMEOUT_S)
+
+    async def keep(self, why: str) -> KeptRecording:
+        """Write the last seconds, up to now; raises NotKeptError."""
+        now_ns = self._clock.monotonic_ns()
+        return await self._keep(why, now_ns - self._before_ns, now_ns)
+
+    async def mark(self, name: str, is_marked: bool) -> KeptRecording:
+        """Mark a recording, so that it stays, or take its mark away; raises NotKeptError."""
+        kept = await self._on_disk(partial(self._store.mark, name, is_marked))
+        self._recordings = tuple(kept if each.name == name else each for each in self._recordings)
+        return kept
+
+    def folder_of(self, name: str) -> Path:
+        """Where a recording lies; raises NotKeptError."""
+        return self._store.folder_of(name)
+
+    @property
+    def _before_ns(self) -> int:
+        return round(self._settings.before_s * 1e9)
+
+    async def _open(self) -> None:
+        try:
+            self._recordings = await self._on_disk(self._store.open)
+        except NotKeptError as error:
+            self._component.set_state(State.DEGRADED, f"recordings cannot be kept: {error}")
+        else:
+            self._say()
+
+    def _new_fault(self) -> str:
+        """The worst cause that was not there at the last look and is not recorded yet; empty: none."""
+        causes = [shown for shown in self._state().causes if shown.is_active and shown.signal in _GRAVE]
+        before, self._known = self._known, {_key(shown) for shown in causes}
+        now_ns = self._clock.monotonic_ns()
+        again_ns = round(self._settings.again_after_s * 1e9)
+        for why in map(_key, causes):
+            last_ns = self._kept_ns.get(why)
+            if why not in before and (last_ns is None or now_ns - last_ns >= again_ns):
+                # one recording shows all that went wrong at that moment
+                self._kept_ns |= dict.fromkeys(self._known, now_ns)
+                return why
+        return ""
+
+    async def _keep_after_fault(self, why: str) -> None:
+        fault_ns = self._clock.monotonic_ns()
+        await self._clock.sleep(self._settings.after_s)
+        until_ns = fault_ns + round(self._settings.after_s * 1e9)
+        try:
+            kept = await self._keep(why, fault_ns - self._before_ns, until_ns)
+        except NotKeptError as error:
+            log.warning("the frames before %s are not kept: %s", why, error)
+        else:
+            log.info("the frames before %s are kept as %s", why, kept.name)
+
+    async def _keep(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
+        if self._waiting >= _MAX_WAITING:
+            raise NotKeptError(f"{self._waiting} recordings are being written already")
+        frames = self._source.ring.between(since_ns, until_ns)  # now: the ring goes on
+        self._waiting += 1
+        try:
+            kept = await self._on_disk(partial(self._write, why, frames))
+            self._recordings = await self._on_disk(self._store.recordings)
+        except NotKeptError as error:
+            self._component.count("not_kept")
+            self._component.set_state(State.DEGRADED, f"{why} was not recorded: {error}")
+            self.note(f"{why} was not recorded: {error}", None)
+            raise
+        finally:
+            self._waiting -= 1
+        self._component.count("kept")
+        self._say()
+        self.note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
+        return kept
+
+    def _write(self, why: str, frames: deque[Frame]) -> KeptRecording:
+        """In a thread: pair the frames and write them."""
+        if not frames:
+            raise NotKeptError("no frame came in the last seconds")
+        start = self._clock.utc(frames[0].t_ns)
+        nbytes = sum(frame.pixels.nbytes for frame in frames)
+        return self._store.add(why, start, nbytes, partial(self._write_into, frames))
+
+    def _write_into(self, frames: deque[Frame], folder: Path) -> Written:
+        source = self._source
+        writer = ExposuresWriter(folder, source.plan, source.cameras, self._clock.utc)
+        try:
+            for pair in self._pairs(frames):
+                if self._stop.is_set():
+                    raise NotKeptError("the daemon ends")
+                began_s = time.monotonic()
+                writer.write(pair)
+                # half of one core at most: the frames of now come first
+                self._stop.wait(min(time.monotonic() - began_s, _MAX_PAUSE_S))
+        finally:
+            writer.close()
+        return Written(writer.exposures, writer.length_s)
+
+    def _pairs(self, frames: deque[Frame]) -> Iterator[Pair[Frame]]:
+        """The exposures; a frame is let go once it was given. Those of a change of exposure are left out."""
+        measuring = self._source.measuring
+        pairer: Pairer[Frame] = Pairer(
+            tuple(self._source.cameras), measuring.pair_by, measuring.max_skew_ns, measuring.max_lag_ns
+        )
+        while frames:
+            frame = frames.popleft()
+            if not frame.changing:
+                yield from pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
+        yield from pairer.flush()
+
+    async def _on_disk(self, call: Callable[[], Result]) -> Result:
+        """Have the disk's thread do something; NotKeptError when a disk that hangs holds it."""
+        if self._disk is None:
+            raise NotKeptError("the unit starts")
+        try:
+            return await self._disk.call(call, within_s=_DISK_TIMEOUT_S)
+        except TimeoutError:
+            raise NotKeptError(f"the disk does not answer within {_DISK_TIMEOUT_S:g} s") from None
+
+    def _say(self) -> None:
+        taken = sum(kept.bytes for kept in self._recordings)
+        count = len(self._recordings)
+        self._component.set_state(
+            State.OK, f"{count} recording{'s' * (count != 1)}, {taken >> 20} of {self._settings.disk_mb} MB"
+        )
+
+
+def _key(shown: ShownCause) -> str:
+    of = f" {shown.cause.of}" if shown.cause.of else ""
+    return f"{shown.cause.kind}{of}"

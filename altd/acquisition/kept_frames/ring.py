@@ -1,0 +1,86 @@
+"""The newest frames of all cameras in memory, as many as a bound allows."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from altd.acquisition.acquiring import FrameSink
+from altd.records import CameraIdentity, Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kept:
+    frame: Frame
+    identity: CameraIdentity | None
+
+
+class FrameRing:
+    """Stands before a sink: what is put is handed on, and kept for a while.
+
+    Nothing is copied: a frame is frozen and owns its pixels. ``max_bytes`` bounds the pixels that are kept,
+    ``length_ns`` how far they reach back; ``identity`` tells which camera delivers now.
+    """
+
+    def __init__(
+        self,
+        sink: FrameSink,
+        max_bytes: int,
+        length_ns: int,
+        identity: Callable[[str], CameraIdentity | None],
+    ) -> None:
+        self._sink = sink
+        self._max_bytes = max_bytes
+        self._length_ns = length_ns
+        self._identity = identity
+        self._lock = threading.Lock()
+        self._kept: deque[_Kept] = deque()
+        self._bytes = 0
+
+    @property
+    def nbytes(self) -> int:
+        """What the kept pixels take."""
+        return self._bytes
+
+    def put(self, frame: Frame, wait: bool) -> None:
+        """Keep a frame and hand it on, from the thread of its camera."""
+        kept = _Kept(frame, self._identity(frame.camera))
+        with self._lock:
+            if self._kept and frame.t_ns < self._kept[-1].frame.t_ns - self._length_ns:
+                self._clear()  # a recording that is played again: what was before is not what came before
+            self._kept.append(kept)
+            self._bytes += frame.pixels.nbytes
+            while self._kept and (
+                self._bytes > self._max_bytes or frame.t_ns - self._kept[0].frame.t_ns > self._length_ns
+            ):
+                self._bytes -= self._kept.popleft().frame.pixels.nbytes
+        self._sink.put(frame, wait)
+
+    def close(self) -> None:
+        """Let a thread go that waits."""
+        self._sink.close()
+
+    def between(self, since_ns: int, until_ns: int) -> deque[Frame]:
+        """The kept frames of these instants, in the order in which they came.
+
+        Of each camera those that the newest of them shows to be of one camera: one that was exchanged
+        meanwhile is not told from the other in a recording.
+        """
+        with self._lock:
+            kept = [each for each in self._kept if since_ns <= each.frame.t_ns <= until_ns]
+        last: dict[str, CameraIdentity | None] = {}
+        changed: set[str] = set()
+        frames: deque[Frame] = deque()
+        for each in reversed(kept):
+            camera = each.frame.camera
+            if each.identity != last.setdefault(camera, each.identity):
+                changed.add(camera)
+            if camera not in changed:
+                frames.appendleft(each.frame)
+        return frames
+
+    def _clear(self) -> None:
+        self._kept.clear()
+        self._bytes = 0

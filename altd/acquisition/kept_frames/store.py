@@ -1,0 +1,169 @@
+"""Recordings on the unit's disk, in a bounded space: the oldest go first, marked ones stay."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+
+from altd.errors import BadInputError
+from altd.files.documents import parse_json
+from altd.files.reading import read_file
+from altd.files.writing import replace_file
+from altd.records import utc_text
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+_ABOUT_FILE = "kept.json"
+_MAX_ABOUT_BYTES = 4096
+_UNDER_WAY = ".under-way-"
+_NAME = re.compile(r"[0-9A-Za-z_-]{1,120}")
+_MIN_FREE_BYTES = 200 << 20
+"""Left free on the disk, for the history and whatever else the unit writes."""
+_MAX_SAME_NAME = 100
+_BLOCK_BYTES = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What a recording holds, once it is written."""
+
+    exposures: int
+    seconds: float
+
+
+class RecordingStore:
+    """The recordings in ``folder``, which may take ``max_bytes`` together. Its calls block.
+
+    A recording is written beside the others and gets its name when it is whole.
+    """
+
+    def __init__(self, folder: Path, max_bytes: int) -> None:
+        self._folder = folder
+        self._max_bytes = max_bytes
+
+    def open(self) -> tuple[KeptRecording, ...]:
+        """Make the folder, remove what a daemon that was killed left half done; the recordings there are."""
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            for left in self._folder.glob(f"{_UNDER_WAY}*"):
+                shutil.rmtree(left, ignore_errors=True)
+            return self.recordings()
+        except OSError as error:
+            raise self._refused(error) from error
+
+    def recordings(self) -> tuple[KeptRecording, ...]:
+        """What there is, the newest first; what altd did not put there is passed over."""
+        found = [self._read(path) for path in self._folder.iterdir() if _NAME.fullmatch(path.name)]
+        return tuple(sorted(filter(None, found), key=lambda kept: kept.name, reverse=True))
+
+    def folder_of(self, name: str) -> Path:
+        """Where a recording lies; raises NotKeptError when there is none of that name."""
+        path = self._folder / name
+        if not _NAME.fullmatch(name) or not (path / _ABOUT_FILE).is_file():
+            raise NotKeptError("there is no such recording")
+        return path
+
+    def mark(self, name: str, is_marked: bool) -> KeptRecording:
+        """Mark a recording, or take its mark away."""
+        path = self.folder_of(name)
+        kept = self._read(path)
+        if kept is None:
+            raise NotKeptError(f"{path / _ABOUT_FILE} is damaged")
+        kept = replace(kept, is_marked=is_marked)
+        try:
+            _write_about(path, kept)
+        except OSError as error:
+            raise self._refused(error) from error
+        return kept
+
+    def add(
+        self, why: str, start: datetime | None, max_bytes: int, write: Callable[[Path], Written]
+    ) -> KeptRecording:
+        """Have a recording of up to ``max_bytes`` written, after room was made for it.
+
+        Raises NotKeptError where there is no room or the disk refuses, and then there is nothing of it.
+        """
+        under_way = self._folder / f"{_UNDER_WAY}{os.getpid()}"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            self._make_room(max_bytes)
+            shutil.rmtree(under_way, ignore_errors=True)
+            written = write(under_way)
+            if not written.exposures:
+                raise NotKeptError("there is no exposure of all cameras in the last seconds")
+            kept = KeptRecording(
+                self._new_name(why, start),
+                why,
+                "" if start is None else utc_text(start),
+                written.seconds,
+                written.exposures,
+                _bytes_of(under_way) + _BLOCK_BYTES,
+                is_marked=False,
+            )
+            _write_about(under_way, kept)
+            under_way.rename(self._folder / kept.name)
+        except (BadInputError, OSError) as error:
+            raise self._refused(error) from error
+        finally:
+            shutil.rmtree(under_way, ignore_errors=True)
+        return kept
+
+    def _make_room(self, max_bytes: int) -> None:
+        """Remove the oldest recordings that nobody marked until there is room."""
+        there = list(self.recordings())
+        free = shutil.disk_usage(self._folder).free - _MIN_FREE_BYTES
+        taken = sum(kept.bytes for kept in there)
+        while taken + max_bytes > self._max_bytes or free < max_bytes:
+            oldest = next((kept for kept in reversed(there) if not kept.is_marked), None)
+            if oldest is None:
+                held = f"recordings that are marked take {taken >> 20} MB of {self._max_bytes >> 20} MB"
+                raise NotKeptError("the disk is nearly full" if free < max_bytes else held)
+            shutil.rmtree(self._folder / oldest.name)
+            there.remove(oldest)
+            taken -= oldest.bytes
+            free += oldest.bytes
+
+    def _new_name(self, why: str, start: datetime | None) -> str:
+        day = "unknown-time" if start is None else f"{start:%Y%m%dT%H%M%SZ}"
+        base = f"{day}-{re.sub('[^0-9A-Za-z_]+', '-', why)}"[:100]
+        names = (base, *(f"{base}-{number}" for number in range(2, _MAX_SAME_NAME)))
+        for name in names:
+            if not (self._folder / name).exists():
+                return name
+        raise NotKeptError(f"there are {_MAX_SAME_NAME} recordings of the name {base}")
+
+    def _read(self, path: Path) -> KeptRecording | None:
+        try:
+            about = parse_json(read_file(path / _ABOUT_FILE, _MAX_ABOUT_BYTES))
+            if not isinstance(about, dict):
+                return None
+            return KeptRecording(
+                path.name,
+                str(about["why"]),
+                str(about["start"] or ""),
+                float(about["seconds"]),
+                int(about["exposures"]),
+                int(about["bytes"]),
+                about["marked"] is True,
+            )
+        except (BadInputError, OSError, KeyError, TypeError, ValueError, OverflowError):
+            return None
+
+    def _refused(self, error: BadInputError | OSError) -> NotKeptError:
+        why = f"{self._folder}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
+        return NotKeptError(why)
+
+
+def _write_about(path: Path, kept: KeptRecording) -> None:
+    replace_file(path / _ABOUT_FILE, (json.dumps(kept.as_object()) + "\n").encode())
+
+
+def _bytes_of(folder: Path) -> int:
+    """What a folder takes on the disk, in whole blocks: some file systems count them only later."""
+    sizes = [path.stat().st_size for path in folder.rglob("*")]
+    return sum(_BLOCK_BYTES * -(-size // _BLOCK_BYTES) for size in sizes)

@@ -1,0 +1,149 @@
+"""Lamps of any kind held open and at their setpoint; opened again when they are lost."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from altd.ports import Clock, LampsError
+from altd.runtime.threads import DeviceThread
+from altd.status.health import Component, State
+
+log = logging.getLogger("altd")
+
+Setpoint = TypeVar("Setpoint")
+
+CALL_TIMEOUT_S = 1.0
+"""A driver's call takes microseconds on a chip, milliseconds in a camera; one that takes longer hangs."""
+
+REFRESH_INTERVAL_S = 1.0
+"""The setpoint is applied again so often: a chip that went away is noticed while nothing changes."""
+
+MIN_BACKOFF_S = 0.2
+MAX_BACKOFF_S = 5.0
+_HEARTBEAT_S = MAX_BACKOFF_S + 5 * CALL_TIMEOUT_S
+"""Lamps are heard of after each try, which takes three calls at most, and each pause."""
+
+
+class Openable(Protocol):
+    """What lamps of all kinds have."""
+
+    def open(self) -> None:
+        """Open them, dark; raises LampsError."""
+
+    def close(self) -> None:
+        """Darken and release them."""
+
+
+class LampController(Generic[Setpoint]):
+    """Controls one driver's lamps. ``show`` applies a setpoint; ``dark`` is the one that they open with.
+
+    Whatever the driver does, it ends nothing else: a failure is reported in health, the lamps are closed and
+    opened again, more and more rarely, for ever. After a failure the setpoint is ``dark`` again.
+    """
+
+    def __init__(
+        self,
+        driver: Openable,
+        show: Callable[[Setpoint], None],
+        dark: Setpoint,
+        component: Component,
+        clock: Clock,
+    ) -> None:
+        self._driver = driver
+        self._show = show
+        self._dark = self._setpoint = dark
+        self._component = component
+        self._clock = clock
+        self._changed = asyncio.Event()
+        self._waiting: list[asyncio.Future[None]] = []
+        self._backoff_s = MIN_BACKOFF_S
+
+    def request(self, setpoint: Setpoint) -> None:
+        """Change the setpoint; health says when it cannot be applied."""
+        if setpoint != self._setpoint:
+            self._setpoint = setpoint
+            self._changed.set()
+
+    @property
+    def complaint(self) -> str:
+        """Why the lamps cannot be switched now; empty: they can."""
+        if self._component.state is State.OK:
+            return ""
+        return self._component.message or "the lamps are not open yet"
+
+    async def apply(self, setpoint: Setpoint) -> None:
+        """Change the setpoint; returns once it is applied, raises LampsError when it cannot be.
+
+        Who waits when the lamps are given up because the daemon ends is cancelled: no lamp has failed.
+        """
+        if complaint := self.complaint:
+            raise LampsError(complaint)
+        self._setpoint = setpoint
+        self._changed.set()
+        applied = asyncio.get_running_loop().create_future()
+        self._waiting.append(applied)
+        await applied
+
+    async def run(self) -> None:
+        """Control the lamps until cancelled; then they are dark."""
+        self._component.expect(_HEARTBEAT_S)
+        thread = DeviceThread(self._component.name)
+        try:
+            while True:
+                try:
+                    await thread.call(self._driver.open, within_s=CALL_TIMEOUT_S)
+                    await self._apply_setpoints(thread)
+                except Exception as error:
+                    self._fail(_complaint_of(error))
+                with contextlib.suppress(Exception):
+                    await thread.call(self._driver.close, within_s=CALL_TIMEOUT_S)
+                await self._clock.sleep(self._backoff_s)
+                self._backoff_s = min(2 * self._backoff_s, MAX_BACKOFF_S)
+        finally:
+            for applied in self._waiting:
+                applied.cancel()
+            if not await thread.end(self._driver.close, CALL_TIMEOUT_S):
+                log.warning("%s: the driver does not come back; they may stay lit", self._component.name)
+
+    async def _apply_setpoints(self, thread: DeviceThread) -> None:
+        """Apply the setpoint when it changes, and at intervals, until that fails."""
+        while True:
+            self._changed.clear()
+            count = len(self._waiting)
+            await thread.call(self._show, self._setpoint, within_s=CALL_TIMEOUT_S)
+            self._backoff_s = MIN_BACKOFF_S
+            self._component.set_state(State.OK)
+            for applied in self._waiting[:count]:
+                if not applied.done():
+                    applied.set_result(None)
+            del self._waiting[:count]
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(REFRESH_INTERVAL_S):
+                    await self._changed.wait()
+
+    def _fail(self, complaint: str) -> None:
+        if self._component.message != (message := f"{complaint}; trying again"):
+            log.warning("%s: %s", self._component.name, message)
+        self._component.set_state(State.FAILED, message)
+        self._component.count("failures")
+        self._setpoint = self._dark
+        self._refuse_waiting(complaint)
+
+    def _refuse_waiting(self, complaint: str) -> None:
+        for applied in self._waiting:
+            if not applied.done():
+                applied.set_exception(LampsError(complaint))
+        self._waiting.clear()
+
+
+def _complaint_of(error: Exception) -> str:
+    match error:
+        case LampsError():
+            return str(error)
+        case TimeoutError():
+            return f"the driver does not answer within {CALL_TIMEOUT_S:g} s"
+    return f"{type(error).__name__}: {error}"

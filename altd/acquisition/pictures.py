@@ -1,0 +1,206 @@
+"""The newest frame of each camera, and what was found in it, as a picture for people.
+
+Nothing is done unless somebody looks; then each frame is encoded once, however many look, and no more often
+than ``MAX_RATE_HZ``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+
+from altd.measuring.calibration import TargetCalibration
+from altd.ports import Clock
+from altd.records import Frame, NoSpot, Spot, SpotShape
+from altd.runtime.threads import DeviceThread
+from altd.status.picture_desk import NoPictureError, Picture, Points, SpotContour, TargetView
+
+MAX_RATE_HZ = 10.0
+"""Pictures of one camera a second."""
+MAX_WIDTH_PX = 800
+_JPEG_QUALITY = 75
+_ENCODE_TIMEOUT_S = 2.0
+_END_TIMEOUT_S = 1.0
+_POINTS_PER_EDGE = 8
+"""Of the outline: lenses bend straight edges."""
+_SHADES = np.round(255 * np.sqrt(np.arange(256) / 255)).astype(np.uint8)
+"""Brightness is shown by its square root: the target's print and frame are far darker than the spot."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    number: int
+    frame: Frame
+    spot: Spot | NoSpot
+
+
+class Pictures:
+    """Shows each camera's frames. ``targets`` has its target's calibration for each, in beam order."""
+
+    def __init__(self, targets: Mapping[str, TargetCalibration], clock: Clock) -> None:
+        self._clock = clock
+        self._targets = {camera: target.name for camera, target in targets.items()}
+        self._views = tuple(_view(camera, target) for camera, target in targets.items())
+        self._newest: dict[str, _Seen] = {}
+        self._made: dict[str, asyncio.Task[Picture]] = {}
+        """The last picture of each camera, made or being made."""
+        self._made_of: dict[str, tuple[int, int]] = {}
+        """Of which frame, by its number, and when it was begun, ns."""
+        self._loop = asyncio.get_running_loop()
+        self._arrived = asyncio.Event()
+        self._looking = threading.Event()
+        """Somebody waits for a frame."""
+        self._thread: DeviceThread | None = None
+
+    @property
+    def views(self) -> Sequence[TargetView]:
+        """The targets, in beam order."""
+        return self._views
+
+    def put(self, frame: Frame, spot: Spot | NoSpot) -> None:
+        """Take a frame and what was found in it, from the thread that located it."""
+        last = self._newest.get(frame.camera)
+        self._newest[frame.camera] = _Seen(last.number + 1 if last else 1, frame, spot)
+        if self._looking.is_set():
+            self._looking.clear()
+            try:
+                self._loop.call_soon_threadsafe(self._arrived.set)
+            except RuntimeError:
+                return  # the loop is closed: the process is going down
+
+    async def newer(self, seen: dict[str, int]) -> Sequence[Picture]:
+        """The newest picture of each target that is newer than the number that was ``seen`` of it."""
+        while True:
+            self._arrived.clear()
+            self._looking.set()
+            ready = [each for each in self._newest.values() if each.number > self._seen_of(each, seen)]
+            if ready and (wait_s := self._wait_s(ready)) <= 0:
+                return await asyncio.gather(*(self._picture(each) for each in ready))
+            if ready:
+                await self._clock.sleep(wait_s)
+            else:
+                await self._arrived.wait()
+
+    async def run(self) -> None:
+        """Hold the thread until cancelled."""
+        self._thread = thread = DeviceThread("pictures")
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self._thread = None
+            for made in self._made.values():
+                made.cancel()
+            await asyncio.gather(*self._made.values(), return_exceptions=True)
+            await thread.end(lambda: None, _END_TIMEOUT_S)
+
+    def _seen_of(self, newest: _Seen, seen: dict[str, int]) -> int:
+        return seen.get(self._targets[newest.frame.camera], 0)
+
+    def _wait_s(self, ready: Sequence[_Seen]) -> float:
+        """How long to wait before these may be encoded; what is encoded already may be had now."""
+        now_ns = self._clock.monotonic_ns()
+        begun = [
+            begun_ns
+            for each in ready
+            for number, begun_ns in [self._made_of.get(each.frame.camera, (0, 0))]
+            if number and number < each.number
+        ]
+        return max(begun, default=now_ns - 10**10) * 1e-9 + 1 / MAX_RATE_HZ - now_ns * 1e-9
+
+    async def _picture(self, seen: _Seen) -> Picture:
+        camera = seen.frame.camera
+        if self._made_of.get(camera, (0, 0))[0] != seen.number:
+            self._made_of[camera] = seen.number, self._clock.monotonic_ns()
+            self._made[camera] = made = asyncio.create_task(self._encoded(seen), name=f"picture {camera}")
+            made.add_done_callback(lambda _: made.cancelled() or made.exception())  # who asked may be gone
+        return await asyncio.shield(self._made[camera])
+
+    async def _encoded(self, seen: _Seen) -> Picture:
+        target = self._targets[seen.frame.camera]
+        if self._thread is None:
+            raise NoPictureError("the unit starts or ends")
+        try:
+            return await self._thread.call(partial(_picture_of, target, seen), within_s=_ENCODE_TIMEOUT_S)
+        except (TimeoutError, cv2.error) as error:
+            raise NoPictureError(f"the frame of {target} cannot be encoded") from error
+
+
+def _picture_of(target: str, seen: _Seen) -> Picture:
+    frame, found = seen.frame, seen.spot
+    image = _image(frame)
+    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    if not done:
+        raise NoPictureError(f"the frame of {target} cannot be encoded")
+    return Picture(
+        target,
+        seen.number,
+        frame.sequence,
+        frame.t_ns,
+        image.shape[1],
+        image.shape[0],
+        contour_of(found) if isinstance(found, Spot) else None,
+        str(found.fault(target)) if isinstance(found, NoSpot) else "",
+        frame.leds_on,
+        data.tobytes(),
+    )
+
+
+def _image(frame: Frame) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    """The frame in 8 bits, at most ``MAX_WIDTH_PX`` wide."""
+    rows, columns = frame.pixels.shape
+    pixels = np.asarray(frame.pixels)
+    if columns > MAX_WIDTH_PX:
+        size = MAX_WIDTH_PX, max(round(rows * MAX_WIDTH_PX / columns), 1)
+        pixels = np.asarray(cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA))
+    dark = np.right_shift(pixels, frame.bits - 8).astype(np.uint8)
+    return np.asarray(cv2.LUT(dark, _SHADES), dtype=np.uint8)
+
+
+def contour_of(spot: Spot) -> SpotContour:
+    """Where a spot's light has fallen to 1/e² of its peak; a circle where its shape was not fitted."""
+    semi_px = spot.diameter_px / 2
+    axes = (semi_px, semi_px, 0.0) if spot.shape is None else _axes(spot.shape)
+    return SpotContour(spot.u_px, spot.v_px, *axes)
+
+
+def _axes(shape: SpotShape) -> tuple[float, float, float]:
+    """Half the axes, px, and the turn of the major one, degrees, of q = 2^(1/order) (``SpotShape``)."""
+    mean, half = (shape.a + shape.c) / 2, math.hypot((shape.a - shape.c) / 2, shape.b)
+    twice_q = 2 * 2 ** (1 / shape.order)
+    turn_deg = math.degrees(math.atan2(-2 * shape.b, shape.c - shape.a)) / 2
+    return math.sqrt(twice_q / (mean - half)), math.sqrt(twice_q / (mean + half)), turn_deg
+
+
+def _view(camera: str, target: TargetCalibration) -> TargetView:
+    hull_mm = target.map.hull_mm
+    share = (np.arange(_POINTS_PER_EDGE) / _POINTS_PER_EDGE)[:, None]
+    edges = [
+        here + share * (there - here)
+        for here, there in zip(hull_mm, np.roll(hull_mm, -1, axis=0), strict=True)
+    ]
+    outline = target.map.to_px(np.concatenate(edges))
+    about_mm = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    middle, right, up = target.map.to_px(about_mm)
+    (middle_px,), (x_axis, y_axis) = _points(middle[None]), _points(np.array([right, up]) - middle)
+    return TargetView(
+        target.name,
+        camera,
+        target.width,
+        target.height,
+        _points(outline),
+        _points(target.leds_px),
+        middle_px,
+        x_axis,
+        y_axis,
+    )
+
+
+def _points(points_px: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Points:
+    return tuple((round(float(u_px), 2), round(float(v_px), 2)) for u_px, v_px in points_px)

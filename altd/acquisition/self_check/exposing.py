@@ -1,0 +1,99 @@
+"""The frames of one check: with the LEDs off, on, and off again."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+
+from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.self_check.frames import MarkedFrames, Taken
+from altd.acquisition.self_check.light import LedLog, Light
+from altd.ports import Clock, LampsError
+
+_PATIENCE = 3.0
+"""A check may take so many times as long as its exposures and their switching."""
+_SWITCHING_S = 2.0
+"""For the lamps to answer, and a camera that is late."""
+_FIRST_STAGE = "off, before they were lit"
+
+
+class CheckFailedError(Exception):
+    """A check that came to no frames; the sentence says why.
+
+    ``has_begun``: the LEDs were to be lit. Before that it is the cameras that do not deliver.
+    """
+
+    def __init__(self, sentence: str, has_begun: bool = True) -> None:
+        super().__init__(sentence)
+        self.has_begun = has_begun
+
+
+@dataclass(frozen=True, slots=True)
+class CheckFrames:
+    """By camera: frames with the LEDs off, then on, then off again."""
+
+    before: Taken
+    lit: Taken
+    after: Taken
+
+
+class CheckExposer:
+    """Lights the LEDs for ``exposures`` exposures of every camera, ``fps`` a second."""
+
+    def __init__(
+        self, lamps: FrameLamps, leds: LedLog, frames: MarkedFrames, clock: Clock, exposures: int, fps: float
+    ) -> None:
+        self._lamps = lamps
+        self._leds = leds
+        self._frames = frames
+        self._clock = clock
+        self._exposures = exposures
+        self._timeout_s = _SWITCHING_S + _PATIENCE * (3 * exposures + 4) / fps
+
+    async def expose(self) -> CheckFrames:
+        """The frames of a check; however it ends, the LEDs are dark or about to be.
+
+        Raises CheckFailedError.
+        """
+        if complaint := self._lamps.complaint:  # nothing is lit: no exposure is to be left out for it
+            raise CheckFailedError(f"the frame LEDs could not be switched: {complaint}")
+        stage = _FIRST_STAGE
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                before = await self._take(Light.OFF)
+                stage = "on"
+                await self._switch(True)
+                try:
+                    lit = await self._take(Light.ON)
+                except BaseException:
+                    self._give_up()
+                    raise
+                await self._switch(False)
+                stage = "off, after they were lit"
+                after = await self._take(Light.OFF)
+        except LampsError as error:
+            raise CheckFailedError(f"the frame LEDs could not be switched: {error}") from error
+        except TimeoutError as error:
+            raise CheckFailedError(
+                f"within {self._timeout_s:.1f} s not every camera had {self._exposures} steady exposures "
+                f"with the LEDs {stage}",
+                has_begun=stage != _FIRST_STAGE,
+            ) from error
+        return CheckFrames(before, lit, after)
+
+    async def _take(self, light: Light) -> Taken:
+        return await self._frames.take(light, self._exposures, self._clock.monotonic_ns())
+
+    async def _switch(self, on: bool) -> None:
+        self._leds.begin(on)
+        try:
+            await self._lamps.switch(on)
+        except BaseException:
+            self._give_up()
+            raise
+        self._leds.done()
+
+    def _give_up(self) -> None:
+        """Darken the LEDs without waiting for it: the daemon may be ending."""
+        self._lamps.darken()
+        self._leds.lost()

@@ -1,0 +1,82 @@
+"""From the frames of a check to its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from altd.acquisition.self_check.exposing import CheckFrames
+from altd.config import SelfCheckSettings
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import View
+from altd.selfcheck.lighting import findings
+from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
+from altd.selfcheck.verdict import judge
+
+SpotPx = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A check's verdict, and what else was seen, in words."""
+
+    check: SelfCheck
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """The verdict, and why, for a person."""
+        because = "; ".join((*self.check.reasons, *self.notes))
+        return f"{self.check.verdict}{f': {because}' if because else ''}"
+
+
+def unknown(*reasons: str) -> SelfCheck:
+    """A check without a verdict."""
+    return SelfCheck(Verdict.UNKNOWN, {}, {}, reasons)
+
+
+def limits_of(settings: SelfCheckSettings) -> Limits:
+    """The limits that the settings ask for."""
+    return Limits(
+        suspect_mm=settings.suspect_mm,
+        suspect_deg=settings.suspect_deg,
+        bad_mm=settings.bad_mm,
+        bad_deg=settings.bad_deg,
+        compensate_mm=settings.compensate_mm,
+    )
+
+
+class CheckJudge:
+    """Judges the frames of ``views``' cameras; holds nothing between two checks."""
+
+    def __init__(
+        self, views: Sequence[View], calibration: Calibration, limits: Limits, reference_plane_mm: float
+    ) -> None:
+        self._views = views
+        self._calibration = calibration
+        self._limits = limits
+        self._reference_plane_mm = reference_plane_mm
+
+    def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
+        """The verdict; ``at`` is where the spots stand by target, ``previous`` the one before."""
+        notes: list[str] = []
+        spoilt: list[str] = []
+        seen: dict[str, LedView] = {}
+        for view in self._views:
+            before, lit, after = (of[view.camera] for of in (frames.before, frames.lit, frames.after))
+            target = self._calibration.target(view.target)
+            assert target is not None  # noqa: S101  the daemon was refused without it
+            for finding in findings(before, lit, after, target.leds_px):
+                (spoilt if finding.spoils else notes).append(f"{view.target}: {finding.sentence}")
+            seen[view.target] = LedView(lit, (*before, *after))
+        if spoilt:
+            return Judged(unknown(*spoilt), tuple(notes))
+        check = judge(
+            seen,
+            self._calibration,
+            at,
+            self._limits,
+            previous=previous,
+            reference_plane_mm=self._reference_plane_mm,
+        )
+        return Judged(check, tuple(notes))

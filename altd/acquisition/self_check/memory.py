@@ -1,0 +1,203 @@
+"""The history of the checks, kept in a file so that a unit which starts anew every day finds a slow drift."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from altd.errors import BadInputError
+from altd.files.documents import checksum_of, parse_json
+from altd.files.reading import read_file
+from altd.files.writing import write_file
+from altd.measuring.calibration import Calibration
+from altd.ports import Clock
+from altd.runtime.threads import DeviceThread
+from altd.selfcheck.history import History
+from altd.selfcheck.history_document import document_of, history_of
+from altd.selfcheck.records import SelfCheck, Verdict
+from altd.status.health import Component, State
+
+log = logging.getLogger("altd")
+
+Result = TypeVar("Result")
+
+FORMAT = "altd-self-check-history/1"
+SAVE_INTERVAL_S = 300.0
+"""A unit may check itself every ten seconds, and a memory card is worn by writing."""
+
+_MAX_BYTES = 1 << 20
+_DISK_TIMEOUT_S = 2.0
+"""The first verdict waits for so long at most, and the end of the daemon."""
+_NO_ANSWER = f"the disk does not answer within {_DISK_TIMEOUT_S:g} s"
+_MAX_CLOCK_ERROR = timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryFile:
+    """The file of one unit. ``path`` names it; a history is of one calibration and of no other."""
+
+    path: Path
+    calibration: Calibration
+
+    def load(self) -> History:
+        """What it holds; nothing where it is not there yet or belongs to another calibration.
+
+        Raises BadInputError.
+        """
+        if not os.path.lexists(self.path):
+            return History.empty()
+        try:
+            document = parse_json(read_file(self.path, _MAX_BYTES))
+            if not isinstance(document, dict) or document.get("format") != FORMAT:
+                raise ValueError(f"is no {FORMAT}")
+            checksum = document.pop("checksum", None)
+            if checksum != checksum_of(document):
+                raise ValueError("checksum does not fit: the file is damaged or was edited")
+            del document["format"]
+            if document.pop("references", None) != _references_of(self.calibration):
+                return History.empty()
+            return history_of(document, self.calibration.target_names)
+        except ValueError as error:
+            raise BadInputError(self.path, str(error)) from error
+
+    def save(self, history: History) -> None:
+        """Write the file whole or not at all; raises BadInputError."""
+        references = _references_of(self.calibration)
+        document = {"format": FORMAT, "references": references, **document_of(history)}
+        document["checksum"] = checksum_of(document)
+        write_file(self.path, (json.dumps(document, allow_nan=False) + "\n").encode())
+
+
+def _references_of(calibration: Calibration) -> str:
+    """What the checks are held against: which calibration, and where it saw the LEDs."""
+    return checksum_of(
+        {
+            "serial": calibration.unit_serial,
+            "created": calibration.created.isoformat(),
+            "recording": calibration.recording_sha256,
+            "leds_px": {target.name: target.leds_px.tolist() for target in calibration.targets},
+        }
+    )
+
+
+class CheckMemory:
+    """What one daemon remembers of its checks. The disk is waited for in a thread of its own."""
+
+    def __init__(self, calibration: Calibration, clock: Clock) -> None:
+        self._calibration = calibration
+        self._clock = clock
+        created = calibration.created
+        self._earliest = (created if created.tzinfo else created.replace(tzinfo=UTC)) - _MAX_CLOCK_ERROR
+        self._history = History.empty()
+        self._kept: _Kept | None = None
+        self._is_loaded = True
+        self._saved_ns: int | None = None
+
+    def keep_in(self, path: Path, component: Component) -> None:
+        """Keep the history in a file from the first check on; ``component`` says how that does."""
+        self._kept, self._is_loaded = _Kept(HistoryFile(path, self._calibration), component), False
+
+    async def add(self, check: SelfCheck, time: datetime | None) -> None:
+        """Take a check that ended at ``time``; one without a verdict, or at a time that cannot be, is none.
+
+        Before the calibration was made nothing was checked against it: then the clock was not set yet.
+        """
+        if check.verdict is Verdict.UNKNOWN or time is None or time < self._earliest:
+            return
+        if not self._is_loaded and not await self._load():
+            return
+        time_s = time.timestamp()
+        if self._history.is_ahead_of(time_s):
+            log.warning("self-check history: holds days that have not come yet; it begins anew")
+            self._history = History.empty()
+        self._history = self._history.with_check(check, time_s)
+
+    @property
+    def slow_drift(self) -> str:
+        """What all checks together show, in words; empty: nothing."""
+        return "; ".join(
+            f"{drift.target} drifts by {drift.px_per_day:.3f} px a day, "
+            f"{drift.shift_px[0]:+.2f} {drift.shift_px[1]:+.2f} px so far"
+            for drift in self._history.slow_drifts
+        )
+
+    async def save(self) -> None:
+        """Write the history when that is due; a disk that refuses is told, and tried at the next check."""
+        kept, now_ns = self._kept, self._clock.monotonic_ns()
+        if kept is None or not self._history.targets:
+            return
+        if self._saved_ns is not None and now_ns - self._saved_ns < SAVE_INTERVAL_S * 1e9:
+            return
+        if await kept.save(self._history):
+            self._saved_ns = now_ns
+
+    async def end(self) -> None:
+        """Let what is being written get to the disk."""
+        if self._kept is not None:
+            await self._kept.end()
+
+    async def _load(self) -> bool:
+        """Whether it is known what was there: a disk that hangs is asked again at the next check."""
+        assert self._kept is not None  # noqa: S101  without a file there is nothing to load
+        history = await self._kept.load()
+        if history is None:
+            return False
+        self._history, self._is_loaded = history, True
+        return True
+
+
+class _Kept:
+    """A history's file, asked within a time that a disk has to answer in."""
+
+    def __init__(self, file: HistoryFile, component: Component) -> None:
+        self._file = file
+        self._component = component
+        self._thread: DeviceThread | None = None
+        component.set_state(State.OK, "no check yet")
+
+    async def load(self) -> History | None:
+        """What the file holds, nothing where it cannot be used; None: the disk does not answer."""
+        try:
+            return await self._on_disk(self._file.load)
+        except BadInputError as error:
+            self._tell(f"begins anew: {error}")
+            return History.empty()
+        except TimeoutError:
+            self._tell(f"not read: {_NO_ANSWER}")
+            return None
+
+    async def save(self, history: History) -> bool:
+        """Whether the history is in the file now."""
+        try:
+            await self._on_disk(partial(self._file.save, history))
+        except BadInputError as error:
+            self._tell(f"not kept: {error}")
+            return False
+        except TimeoutError:
+            self._tell(f"not kept: {_NO_ANSWER}")
+            return False
+        days = max(1 + len(target.days) for target in history.targets.values())
+        self._component.set_state(State.OK, f"{days} {'day' if days == 1 else 'days'} in {self._file.path}")
+        return True
+
+    async def end(self) -> None:
+        """Let what is being written get to the disk."""
+        if self._thread is not None:
+            await self._thread.end(lambda: None, _DISK_TIMEOUT_S)
+
+    async def _on_disk(self, call: Callable[[], Result]) -> Result:
+        if self._thread is None:
+            self._thread = DeviceThread("self-check history")
+        return await self._thread.call(call, within_s=_DISK_TIMEOUT_S)
+
+    def _tell(self, sentence: str) -> None:
+        if (self._component.state, self._component.message) != (State.DEGRADED, sentence):
+            log.warning("self-check history: %s", sentence)
+        self._component.set_state(State.DEGRADED, sentence)

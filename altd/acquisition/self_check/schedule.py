@@ -1,0 +1,89 @@
+"""When the next check is due, and why."""
+
+from __future__ import annotations
+
+import asyncio
+from enum import StrEnum
+
+from altd.ports import Clock
+
+REST_S = 5.0
+"""Between two checks, whoever asks for them how often: each takes exposures from the measurement."""
+FIRST_REPEAT_S = 10.0
+"""A check that did not end well is made again after this long, then more and more rarely."""
+
+
+class Cause(StrEnum):
+    """What a check was made for."""
+
+    START = "start"
+    SCHEDULE = "schedule"
+    REQUEST = "request"
+    SHOCK = "shock"
+    REPEAT = "repeat"
+
+
+class Schedule:
+    """At the start, every ``interval_s``, and soon after something asked for it.
+
+    Not ``automatic``: only when asked.
+    """
+
+    def __init__(self, clock: Clock, interval_s: float, automatic: bool) -> None:
+        self._clock = clock
+        self._interval_s = interval_s
+        self._automatic = automatic
+        self._ended_ns: int | None = None
+        """When the last check ended; None: there was none."""
+        self._repeat_s: float | None = None
+        self._asked: Cause | None = None
+        self._changed = asyncio.Event()
+
+    def ask(self, cause: Cause) -> None:
+        """A check is wanted as soon as may be. A shock asks for none where nothing is automatic."""
+        if cause is Cause.SHOCK and not self._automatic:
+            return
+        if self._asked is None or (cause is Cause.REQUEST and self._asked is not cause):
+            self._asked = cause
+            self._changed.set()  # once: a flood of requests wakes nobody
+
+    def ended(self, is_good: bool) -> None:
+        """A check has ended now; one that is not good is repeated."""
+        self._ended_ns = self._clock.monotonic_ns()
+        if is_good:
+            self._repeat_s = None
+        else:
+            self._repeat_s = min(2 * self._repeat_s if self._repeat_s else FIRST_REPEAT_S, self._interval_s)
+
+    async def next(self) -> Cause:
+        """Wait until a check is due; returns what for."""
+        while True:
+            self._changed.clear()
+            cause, in_s = self._earliest()
+            if cause is not None and in_s <= 0:
+                self._asked = None
+                return cause
+            waiting: list[asyncio.Future[object]] = [asyncio.ensure_future(self._changed.wait())]
+            if cause is not None:
+                waiting.append(asyncio.ensure_future(self._clock.sleep(in_s)))
+            try:
+                await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                for each in waiting:
+                    each.cancel()
+                await asyncio.gather(*waiting, return_exceptions=True)
+
+    def _earliest(self) -> tuple[Cause | None, float]:
+        """The cause of the next check, and in how many seconds it is due."""
+        if self._ended_ns is None:
+            if self._asked is not None or self._automatic:
+                return self._asked or Cause.START, 0.0
+            return None, 0.0
+        since_s = (self._clock.monotonic_ns() - self._ended_ns) * 1e-9
+        if self._asked is not None:
+            return self._asked, REST_S - since_s
+        if not self._automatic:
+            return None, 0.0
+        if self._repeat_s is not None:
+            return Cause.REPEAT, self._repeat_s - since_s
+        return Cause.SCHEDULE, self._interval_s - since_s

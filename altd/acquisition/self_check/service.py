@@ -1,0 +1,195 @@
+"""The self-check of a running daemon: one after the other, for ever, and what the pipeline asks of it."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.self_check.correction import Correction
+from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
+from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.judging import CheckJudge, Judged, SpotPx, unknown
+from altd.acquisition.self_check.light import LedLog, Light
+from altd.acquisition.self_check.memory import CheckMemory
+from altd.acquisition.self_check.report import Occasion, report_of
+from altd.acquisition.self_check.schedule import Cause, Schedule
+from altd.acquisition.self_check.standing import Standing
+from altd.measuring.shock import ShockWatch
+from altd.measuring.spot_locator import Located
+from altd.ports import Clock
+from altd.reasons import Reason
+from altd.records import Measurement, Spot
+from altd.runtime.threads import call_in_thread
+from altd.selfcheck.records import Verdict
+from altd.status.health import Component, State
+from altd.status.self_check_desk import SelfCheckDesk
+
+log = logging.getLogger("altd")
+
+HELD_BACK_NS = 2_000_000_000
+"""So long after the LEDs were lit a window may lack exposures because of them."""
+_LAPSED = "nothing is corrected any more: no check has confirmed the drift for too long"
+_LAMPS_WITHIN_S = 3.0
+_LAMPS_ASKED_EVERY_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class CheckParts:
+    """What a check is made with."""
+
+    leds: LedLog
+    schedule: Schedule
+    judge: CheckJudge
+    standing: Standing
+    correction: Correction
+    memory: CheckMemory
+
+
+class SelfChecks:
+    """Runs the checks of one daemon. ``targets`` names the target of each camera."""
+
+    def __init__(
+        self,
+        parts: CheckParts,
+        targets: Mapping[str, str],
+        desk: SelfCheckDesk,
+        component: Component,
+        clock: Clock,
+    ) -> None:
+        self.leds = parts.leds
+        self._schedule = parts.schedule
+        self._judge = parts.judge
+        self._standing = parts.standing
+        self._correction = parts.correction
+        self._memory = parts.memory
+        self._desk = desk
+        self._component = component
+        self._clock = clock
+        self._shocks = ShockWatch(targets)
+        self._targets = targets
+        self._at: dict[str, SpotPx] = {}
+        self._is_valid = False
+        """What was passed on last was valid."""
+        self._logged = ""
+        desk.open(partial(parts.schedule.ask, Cause.REQUEST))
+
+    def keep_history_in(self, path: Path, component: Component) -> None:
+        """Keep the history of the checks in this file; ``component`` says how that does. Before ``run``."""
+        self._memory.keep_in(path, component)
+
+    def look(self, located: Located) -> None:
+        """A frame was located: where the spot stands, and whether all have jumped."""
+        target = self._targets[located.camera]
+        if isinstance(located.spot, Spot):
+            self._at[target] = (located.spot.u_px, located.spot.v_px)
+        elif not located.leds_on:
+            self._at.pop(target, None)
+        if self._shocks.is_shock(located):
+            self._component.count("shocks")
+            self._schedule.ask(Cause.SHOCK)
+
+    def pass_on(self, measurement: Measurement) -> Measurement | None:
+        """A measurement as the geometry lets it be.
+
+        None: the window lacks but exposures that a check took; what is on the board holds, and ages.
+        """
+        if self._is_valid and self._lacks_exposures(measurement):
+            return None
+        passed = self._standing.applied_to(measurement)
+        self._is_valid = measurement.valid
+        if self._standing.lapse():  # this one was still corrected, and says so
+            self._correction.apply(self._standing)
+            self._component.set_state(self._standing.state, _LAPSED)
+            log.warning("self-check: %s", _LAPSED)
+        return passed
+
+    async def run(self, exposer: CheckExposer, lamps: FrameLamps, frames: MarkedFrames) -> None:
+        """Check until cancelled."""
+        self._component.set_state(State.STARTING, "no check yet")
+        await self._lamps_open(lamps)
+        try:
+            await self._check_for_ever(exposer, frames)
+        finally:
+            await self._memory.end()
+
+    async def _check_for_ever(self, exposer: CheckExposer, frames: MarkedFrames) -> None:
+        while True:
+            cause = await self._schedule.next()
+            lost_before = _marked(frames)
+            number = self._desk.begin()
+            has_begun = True
+            try:
+                judged = await self._checked(exposer)
+            except CheckFailedError as error:
+                judged, has_begun = Judged(unknown(str(error))), error.has_begun
+            lost = _marked(frames) - lost_before
+            occasion = Occasion(number, cause, self._clock.utc(self._clock.monotonic_ns()), lost)
+            if self._standing.awaits_first and not has_begun:
+                self._answer(occasion, judged)  # whoever asked; the first check is still to come
+                continue
+            await self._memory.add(judged.check, occasion.time)
+            self._settle(occasion, judged)
+            await self._memory.save()
+
+    async def _lamps_open(self, lamps: FrameLamps) -> None:
+        """Give lamps the time that they take to open at the start."""
+        for _ in range(round(_LAMPS_WITHIN_S / _LAMPS_ASKED_EVERY_S)):
+            if not lamps.complaint:
+                return
+            await self._clock.sleep(_LAMPS_ASKED_EVERY_S)
+
+    async def _checked(self, exposer: CheckExposer) -> Judged:
+        frames = await exposer.expose()
+        try:
+            return await call_in_thread(partial(self._judged, frames, dict(self._at)), "self-check")
+        except Exception as error:  # whatever is wrong with it, it must not end the measurement
+            log.exception("self-check: a defect")
+            return Judged(unknown(f"a defect: {type(error).__name__}: {error}"))
+
+    def _answer(self, occasion: Occasion, judged: Judged) -> None:
+        """Tell that a check could not begin. Without frames nothing is measured either: it is tried again."""
+        report = report_of(occasion, judged)
+        self._component.set_state(State.DEGRADED, report.sentence)
+        self._desk.put_up(report)
+
+    def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> Judged:
+        """The verdict, with all that takes long of what may follow from it; beside the loop."""
+        judged = self._judge.judge(frames, at, self._standing.verdict)
+        self._correction.prepare(self._standing.transforms_after(judged.check))
+        return judged
+
+    def _settle(self, occasion: Occasion, judged: Judged) -> None:
+        """What follows from a check: for the measurements, for who asked, and for the next check."""
+        check = judged.check
+        self._standing.take(check, self._memory.slow_drift)
+        report = report_of(occasion, judged)
+        self._correction.apply(self._standing)
+        self._component.count("checks")
+        self._component.count(f"checks_{check.verdict}")
+        self._component.count("exposures_lost", occasion.exposures_lost)
+        self._component.set_state(self._standing.state, report.sentence)
+        if report.sentence != self._logged:
+            self._logged = report.sentence
+            level = logging.INFO if check.verdict is Verdict.GOOD else logging.WARNING
+            log.log(level, "self-check: %s", report.sentence)
+        self._schedule.ended(check.verdict in (Verdict.GOOD, Verdict.SUSPECT))
+        self._desk.put_up(report)
+
+    def _lacks_exposures(self, measurement: Measurement) -> bool:
+        errors = {fault.reason for fault in measurement.status if not fault.reason.is_warning}
+        switched_ns = self.leds.last_switched_ns
+        return (
+            errors == {Reason.WARMING_UP}
+            and switched_ns is not None
+            and measurement.light_ns - switched_ns <= HELD_BACK_NS
+        )
+
+
+def _marked(frames: MarkedFrames) -> int:
+    """Exposures that were not measured so far, of the camera that lost most."""
+    lit, switched = frames.marked[Light.ON], frames.marked[Light.SWITCHED]
+    return max(lit[camera] + switched[camera] for camera in lit)

@@ -1,0 +1,154 @@
+"""What the last checks make of a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+
+from altd.config import SelfCheckSettings
+from altd.measuring.calibration import Calibration
+from altd.ports import Clock
+from altd.reasons import Reason
+from altd.records import Fault, MeanSpots, Measurement
+from altd.selfcheck.compensation import Compensation, compensated, compensation_of
+from altd.selfcheck.records import Limits, SelfCheck, Similarity, Verdict
+from altd.selfcheck.verdict import SIGNIFICANT
+from altd.status.health import State
+
+MAX_UNCONFIRMED_INTERVALS = 3
+"""For so many intervals of the schedule a correction is trusted after the check that it comes from. By then
+some nine checks ended without a verdict: nobody knows what the drift is now."""
+
+
+class Standing:
+    """The unit's geometry as far as it is known. Before the first check nothing is valid.
+
+    A check without a verdict takes nothing back: what was bad stays bad, and what was corrected is corrected
+    further, until a check says otherwise or the correction lapses.
+    """
+
+    def __init__(
+        self, settings: SelfCheckSettings, limits: Limits, calibration: Calibration, clock: Clock
+    ) -> None:
+        self._settings = settings
+        self._limits = limits
+        self._calibration = calibration
+        self._clock = clock
+        self._known: SelfCheck | None = None
+        self._known_ns = 0
+        self._slow_drift = ""
+        self._compensation: Compensation | None = None
+        self._refusal = ""
+        self._of_known: tuple[Fault, ...] = ()
+        self._of_unknown: tuple[Fault, ...] = ()
+        self._pending: tuple[Fault, ...] = (
+            Fault(Reason.SELF_CHECKING, detail="the first self-check is under way"),
+        )
+        if not settings.enabled:
+            self._pending = ()
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The last verdict that was one; None: there was none."""
+        return None if self._known is None else self._known.verdict
+
+    @property
+    def awaits_first(self) -> bool:
+        """Whether nothing is valid because no check has ended yet."""
+        return bool(self._pending)
+
+    @property
+    def correct(self) -> Callable[[MeanSpots], MeanSpots] | None:
+        """What takes the drift out of mean spots; None: nothing is to be."""
+        if self._compensation is None:
+            return None
+        return partial(compensated, compensation=self._compensation)
+
+    def take(self, check: SelfCheck, slow_drift: str = "") -> None:
+        """A check has ended; ``slow_drift`` says in words what all of them together show."""
+        self._pending = ()
+        if check.verdict is Verdict.UNKNOWN:
+            is_invalid = self._settings.when_unknown == "invalid"
+            reason = Reason.GEOMETRY_UNVERIFIED if is_invalid else Reason.GEOMETRY_UNKNOWN
+            self._of_unknown = (Fault(reason, detail="; ".join(check.reasons)),)
+            return
+        self._known, self._of_unknown = check, ()
+        self._known_ns, self._slow_drift = self._clock.monotonic_ns(), slow_drift
+        self._compensation, self._refusal = self._compensation_of(check)
+        self._of_known = self._faults(check)
+
+    def lapse(self) -> bool:
+        """Give up a correction that no check has confirmed for too long; whether that was now.
+
+        What it took out counts again, as it was found.
+        """
+        if self._compensation is None or self._known is None:
+            return False
+        since_s = (self._clock.monotonic_ns() - self._known_ns) * 1e-9
+        if since_s <= MAX_UNCONFIRMED_INTERVALS * self._settings.interval_s:
+            return False
+        self._compensation = None
+        self._refusal = f"; no longer corrected: no check has confirmed it for {since_s:.0f} s"
+        self._of_known = self._faults(self._known)
+        return True
+
+    def transforms_after(self, check: SelfCheck) -> Mapping[str, Similarity]:
+        """The ``transforms`` that a check would bring, were it taken."""
+        if check.verdict is Verdict.UNKNOWN:
+            return self.transforms
+        compensation, _ = self._compensation_of(check)
+        return {} if compensation is None else compensation.transforms
+
+    @property
+    def transforms(self) -> Mapping[str, Similarity]:
+        """By target, how the picture that is corrected has moved; empty: nothing is corrected."""
+        return {} if self._compensation is None else self._compensation.transforms
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """What every measurement has to say now, worst first."""
+        return (*self._pending, *self._of_known, *self._of_unknown)
+
+    @property
+    def state(self) -> State:
+        """How the self-check does as a component: failed where it forbids all numbers."""
+        if any(not fault.reason.is_warning for fault in self.faults):
+            return State.FAILED
+        return State.DEGRADED if self.faults else State.OK
+
+    def applied_to(self, measurement: Measurement) -> Measurement:
+        """A measurement with what is known of the geometry; without numbers where that forbids them."""
+        faults = self.faults
+        if not faults:
+            return measurement
+        errors = tuple(fault for fault in faults if not fault.reason.is_warning)
+        if errors and measurement.valid:
+            return measurement.without_numbers((*faults, *measurement.status))
+        return replace(measurement, status=(*measurement.status, *faults))
+
+    def _compensation_of(self, check: SelfCheck) -> tuple[Compensation | None, str]:
+        if not self._settings.compensate or not _is_proven(check):
+            return None, ""
+        compensation = compensation_of(check, self._calibration, self._limits)
+        if isinstance(compensation, Compensation):
+            return compensation, ""
+        return None, f"; not corrected: {compensation.detail}"
+
+    def _faults(self, check: SelfCheck) -> tuple[Fault, ...]:
+        detail = "; ".join(check.reasons) + self._refusal
+        faults = []
+        if self._compensation is not None:
+            faults.append(Fault(Reason.COMPENSATED, detail=detail))
+        elif check.verdict is Verdict.BAD and self._settings.when_bad == "invalid":
+            faults.append(Fault(Reason.GEOMETRY_DRIFT, detail=detail))
+        elif check.verdict in (Verdict.BAD, Verdict.SUSPECT):
+            faults.append(Fault(Reason.GEOMETRY_SUSPECT, detail=detail))
+        if self._slow_drift and not faults:
+            faults.append(Fault(Reason.GEOMETRY_SUSPECT, detail=self._slow_drift))
+        return tuple(faults)
+
+
+def _is_proven(check: SelfCheck) -> bool:
+    """Whether the drift of any target is more than chance."""
+    return any((target.significance or 0.0) > SIGNIFICANT for target in check.targets.values())

@@ -1,0 +1,72 @@
+"""A thermometer read again and again, in a thread of its own: a sensor on a slow bus may hang."""
+
+from __future__ import annotations
+
+from altd.ports import (
+    CameraError,
+    CameraRefusedError,
+    Clock,
+    TemperatureCamera,
+    Thermometer,
+    ThermometerError,
+)
+from altd.runtime.threads import DeviceThread
+from altd.status.health import Component, State
+
+READ_INTERVAL_S = 1.5
+"""Within the age that a figure of health may have."""
+
+_ANSWER_TIMEOUT_S = 0.4
+_HEARTBEAT_S = 10.0
+_NONE = "none is told"
+_POSSIBLE_CELSIUS = (-60.0, 150.0)
+"""What lies outside is a broken wire, not a temperature."""
+
+
+class CameraThermometer:
+    """The temperature inside a camera; one that has none, or is away, is no thermometer's fault."""
+
+    def __init__(self, camera: TemperatureCamera) -> None:
+        self.name = f"camera {camera.name}"
+        """None of the config has a space in it."""
+        self._camera = camera
+
+    def celsius(self) -> float | None:
+        """The temperature now, °C; raises ThermometerError where the camera refuses to tell it."""
+        try:
+            return self._camera.celsius()
+        except CameraRefusedError as error:
+            raise ThermometerError(str(error)) from error
+        except CameraError:
+            return None  # its own component says so
+
+
+async def watch_temperature(thermometer: Thermometer, component: Component, clock: Clock) -> None:
+    """Keep a component's figure ``celsius`` up to date until cancelled; failures are said there."""
+    component.expect(_HEARTBEAT_S)
+    thread = DeviceThread(component.name)
+    lowest, highest = _POSSIBLE_CELSIUS
+    try:
+        while True:
+            try:
+                celsius = await thread.call(thermometer.celsius, within_s=_ANSWER_TIMEOUT_S)
+                if celsius is not None and not lowest <= celsius <= highest:
+                    raise ThermometerError(f"{celsius:.1f} C cannot be")
+            except Exception as error:
+                component.observe({"celsius": None})
+                component.set_state(State.FAILED, _in_words(error))
+            else:
+                component.observe({"celsius": None if celsius is None else round(celsius, 1)})
+                component.set_state(State.OK, _NONE if celsius is None else "")
+            await clock.sleep(READ_INTERVAL_S)
+    finally:
+        await thread.end(lambda: None, _ANSWER_TIMEOUT_S)
+
+
+def _in_words(error: Exception) -> str:
+    match error:
+        case ThermometerError():
+            return str(error)
+        case TimeoutError():
+            return f"the sensor does not answer within {_ANSWER_TIMEOUT_S:g} s"
+    return f"{type(error).__name__}: {error}"

@@ -1,0 +1,106 @@
+"""``altd events``: a line an event, on standard output."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+from altd.answers.past import opened
+from altd.errors import BadInputError, did_you_mean, one_line
+from altd.files.documents import line_of
+from altd.history.records import StoredEvent
+from altd.records import utc_text
+from altd.status.event_log import EventKind
+from altd.tables.columns import Column, Type, text
+from altd.tables.text import CsvTable
+
+_LOOK_INTERVAL_S = 0.5
+
+COLUMNS = (
+    Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
+    Column("time", Type.TIME, "", "UTC"),
+    Column("severity", Type.WHOLE, "", "0 good to 4 failure, as the unit's signals"),
+    text("kind", "what it is"),
+    text("of", "the target, component or face"),
+    text("text", "what happened, for people"),
+    text("detail", "more of it, as JSON"),
+    Column("held_back", Type.WHOLE, "", "as many like it came before and were counted only"),
+)
+"""Of ``--format csv``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a person asked of ``altd events``; no kinds: all."""
+
+    history: Path
+    span_us: tuple[int, int]
+    kinds: tuple[str, ...]
+    form: Literal["text", "csv", "jsonl"]
+    follow: bool
+
+
+def answer(question: Question) -> None:
+    """Write the events in the order in which they came; raises BadInputError."""
+    for kind in question.kinds:
+        if kind not in set(EventKind):
+            possible = ", ".join(EventKind)
+            raise BadInputError(
+                "--kind", f"{kind[:40]!r}; possible: {possible}{did_you_mean(kind, EventKind)}"
+            )
+    add = _writer(question.form)
+    last = 0
+    with opened(question.history) as reader:
+        while True:
+            for event in reader.events_after(last, *question.span_us, question.kinds):
+                add(event)
+                last = event.id
+            if not question.follow:
+                return
+            sys.stdout.flush()
+            time.sleep(_LOOK_INTERVAL_S)
+
+
+def event_line(event: StoredEvent) -> str:
+    """An event for people, in one line."""
+    of = f" {event.of}:" if event.of else ""
+    more = f" (and {event.held_back} like it before)" if event.held_back else ""
+    detail = event.detail.get("detail")
+    said = f": {detail}" if isinstance(detail, str) and detail else ""
+    return one_line(f"{_time_of(event)} {event.kind:<11}{of} {event.text}{said}{more}")
+
+
+def _writer(form: str) -> Callable[[StoredEvent], object]:
+    write = sys.stdout.write
+    if form == "csv":
+        table = CsvTable(write, COLUMNS)
+        return lambda event: table.add(
+            asdict(event)
+            | {"time": _time_of(event), "detail": line_of(event.detail) if event.detail else None}
+        )
+    if form == "jsonl":
+        return lambda event: write(line_of(_document(event)) + "\n")
+    return lambda event: write(event_line(event) + "\n")
+
+
+def _document(event: StoredEvent) -> dict[str, object]:
+    document = asdict(event)
+    del document["t_us"], document["epoch"]
+    return {"id": document.pop("id"), "time": _time_of(event), **document}
+
+
+def _time_of(event: StoredEvent) -> str:
+    return time_text(event.t_us)
+
+
+def time_text(t_us: int) -> str:
+    """UTC with milliseconds; raises BadInputError for what is no time of this world."""
+    try:
+        return utc_text(datetime.fromtimestamp(t_us / 1e6, UTC))
+    except (ValueError, OverflowError, OSError) as error:
+        raise BadInputError("the history", f"is damaged: a time of {t_us} µs") from error

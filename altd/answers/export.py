@@ -1,0 +1,174 @@
+"""``altd export``: measurements or summaries out of a history, as a table for other programs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from altd import __version__
+from altd.answers.events import time_text
+from altd.answers.past import opened
+from altd.errors import BadInputError
+from altd.files.writing import check_replaceable, replacing
+from altd.history.columns import Column as Stored
+from altd.history.reader import Reader
+from altd.history.records import StoredMeasurement, SummaryPoint
+from altd.history.schema import HOURS, MINUTES, SECONDS
+from altd.reasons import Signal
+from altd.tables.columns import Column, Row, Type, Value, text
+from altd.tables.parquet import ParquetTable, check_parquet
+from altd.tables.text import TEXT_FORMATS
+
+Every = Literal["measurement", "second", "minute", "hour"]
+_TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}
+_SIGNALS = {signal.severity: str(signal) for signal in Signal}
+Add = Callable[[Row], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a person asked of ``altd export``; ``output`` None: standard output."""
+
+    history: Path
+    span_us: tuple[int, int]
+    every: Every
+    form: Literal["csv", "jsonl", "parquet"]
+    output: Path | None
+
+
+def answer(question: Question) -> None:
+    """Write the table; raises BadInputError, and a file is then as it was."""
+    if question.form == "parquet":
+        if question.output is None:
+            raise BadInputError("--format parquet", "needs a file: -o FILE")
+        check_parquet()
+    if question.output is not None:
+        check_replaceable(question.output)
+        if (
+            question.output.exists()
+            and question.history.exists()
+            and question.output.samefile(question.history)
+        ):
+            raise BadInputError(question.output, "is what is read")
+    with opened(question.history) as reader:
+        columns = columns_of(reader, question.every)
+        if len({column.name for column in columns}) < len(columns):
+            raise BadInputError(question.history, "has two quantities of one name")
+        with _table(question, columns, _about(question, reader)) as add:
+            for row in _rows(question, reader):
+                add(row)
+
+
+def columns_of(reader: Reader, every: Every) -> tuple[Column, ...]:
+    """The columns of a table of measurements, or of summaries."""
+    if every == "measurement":
+        return (
+            Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
+            Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
+            Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
+            Column("frames", Type.WHOLE, "", "exposures that were averaged"),
+            Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
+            text("status", "reasons and warnings, codes with a space between them"),
+            *(_of(stored, "", "value of") for stored in reader.recorded.values()),
+            *(_of(stored, "sigma_", "standard deviation of") for stored in reader.recorded.values()),
+        )
+    kinds = {
+        "": "mean over the valid measurements of",
+        "sigma_": "standard deviation of one measurement of",
+        "min_": "lowest valid",
+        "max_": "highest valid",
+    }
+    return (
+        Column("time", Type.TIME, "", "UTC of the beginning"),
+        Column("n", Type.WHOLE, "", "measurements"),
+        Column("n_valid", Type.WHOLE, "", "those that were valid"),
+        text("worst", "the worst state of the unit, NAMUR NE 107"),
+        text("worst_cause", "its cause"),
+        text("lost_to", "the worst reason of the measurements that were not valid"),
+        *(
+            _of(stored, prefix, what)
+            for stored in reader.summarised.values()
+            for prefix, what in kinds.items()
+        ),
+    )
+
+
+def _of(stored: Stored, prefix: str, what: str) -> Column:
+    return Column(prefix + _name(stored.key), Type.NUMBER, stored.unit, f"{what} {_name(stored.key)}")
+
+
+def _name(key: str) -> str:
+    return key.replace(".", "_")
+
+
+def _rows(question: Question, reader: Reader) -> Iterator[Row]:
+    if question.every == "measurement":
+        yield from map(_measurement_row, reader.measurements(*question.span_us))
+    else:
+        yield from map(_summary_row, reader.summaries(_TABLES[question.every], *question.span_us))
+
+
+def _measurement_row(stored: StoredMeasurement) -> Row:
+    return {
+        "id": stored.id,
+        "time": time_text(stored.t_us),
+        "sequence": stored.sequence,
+        "frames": stored.frames,
+        "valid": stored.valid,
+        "status": " ".join(stored.status),
+        **{_name(key): value for key, value in stored.values.items()},
+        **{f"sigma_{_name(key)}": sigma for key, sigma in stored.sigmas.items()},
+    }
+
+
+def _summary_row(point: SummaryPoint) -> Row:
+    row: dict[str, Value] = {
+        "time": time_text(point.t_us),
+        "n": point.n,
+        "n_valid": point.n_valid,
+        "worst": _SIGNALS[point.worst],
+        "worst_cause": point.worst_code,
+        "lost_to": point.lost_to,
+    }
+    for key, value in point.values.items():
+        name = _name(key)
+        row |= {
+            name: value.mean,
+            f"sigma_{name}": value.sigma,
+            f"min_{name}": value.low,
+            f"max_{name}": value.high,
+        }
+    return row
+
+
+@contextmanager
+def _table(question: Question, columns: tuple[Column, ...], about: Mapping[str, object]) -> Iterator[Add]:
+    if question.output is None:
+        assert question.form != "parquet"  # noqa: S101  asked before
+        yield TEXT_FORMATS[question.form](sys.stdout.write, columns).add
+        return
+    with replacing(question.output) as file:
+        if question.form == "parquet":
+            with ParquetTable(file, columns, about) as table:
+                yield table.add
+        else:
+            yield TEXT_FORMATS[question.form](lambda words: file.write(words.encode()), columns).add
+
+
+def _about(question: Question, reader: Reader) -> dict[str, object]:
+    """Where the numbers come from, for those who find the table in ten years."""
+    facts = reader.facts()
+    return {
+        "made_by": f"altd {__version__}",
+        "unit_serial": facts.get("serial", "")[:100],
+        "history": {
+            "path": str(question.history),
+            "every": question.every,
+            "version": facts.get("version", ""),
+        },
+        "calibration": facts.get("calibration", "")[:1000],
+    }

@@ -1,0 +1,125 @@
+"""``altd selfcheck``: the frame LEDs of a recording against their references, as one JSON object."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
+from altd.errors import BadInputError
+from altd.files.documents import line_of
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.frames_table import Row
+from altd.recording.reader import Recording, open_recording
+from altd.records import Frame, Origin, Spot
+from altd.selfcheck.as_object import as_object
+from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
+from altd.selfcheck.verdict import judge
+from altd.vision.localise import locate
+
+_KINDS = ("self-check", "measurement", "scan")
+_MAX_PAIRS = 20
+_SPOT_FRAMES = 3
+"""As many frames tell where the spot stands; the effect of a drift changes by nothing over its noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A check, and whether any frame that it rests on was simulated."""
+
+    check: SelfCheck
+    is_simulated: bool
+
+
+def answer(recording: Path, calibration: Path, warn: Callable[[str], object]) -> int:
+    """Write the object; the exit status, 0 where all is good, 1 where not.
+
+    Raises BadInputError when recording and calibration cannot be read or do not belong together.
+    """
+    judged = judge_recording(recording, calibration)
+    origin = Origin.SIMULATED if judged.is_simulated else Origin.CAMERA
+    document: dict[str, Any] = {**as_object(judged.check), "origin": str(origin)}
+    if judged.is_simulated:
+        warn("judged from SIMULATED frames")
+    sys.stdout.write(line_of(document) + "\n")
+    return 0 if judged.check.verdict is Verdict.GOOD else 1
+
+
+def judge_recording(recording_path: Path, calibration_path: Path) -> Judged:
+    """Judge a recording; raises BadInputError."""
+    recording = open_recording(recording_path)
+    header = recording.header
+    if header.kind not in _KINDS:
+        raise BadInputError(recording_path, f"is of kind {header.kind!r}, which shows no frame LEDs")
+    calibration = load_calibration(calibration_path, header.unit.serial)
+    views: dict[str, LedView] = {}
+    at: dict[str, tuple[float, float]] = {}
+    simulated = calibration.simulated
+    for target in header.shown_targets:
+        size = header.cameras[target.camera]
+        check_image_size(calibration, calibration_path, target.name, size.width, size.height)
+        check_camera(calibration, calibration_path, target.name, size.identity)
+        if header.targets is not None:
+            check_place(calibration, calibration_path, target.name, target.z_mm)
+        known = calibration.target(target.name)
+        if known is None:
+            continue
+        lit, dark = _led_rows(recording, target.camera)
+        if not lit or not dark:
+            continue
+        view = LedView(_frames(recording, lit), _frames(recording, dark))
+        views[target.name] = view
+        if (place := _spot_place(view.dark, known)) is not None:
+            at[target.name] = place
+        simulated |= size.origin is Origin.SIMULATED
+    if not views:
+        raise BadInputError(
+            recording_path, f"has no frames with the LEDs on and off of {_names(calibration)}"
+        )
+    return Judged(judge(views, calibration, at, Limits()), simulated)
+
+
+def _led_rows(recording: Recording, camera: str) -> tuple[list[Row], list[Row]]:
+    """A camera's rows with the LEDs on, and for each the row with them off that is nearest in time.
+
+    Those where a stage moved the beam are none of them. Of many, some that are evenly distributed.
+    """
+    rows = [row for row in recording.rows.of(camera) if row.position_mm is None]
+    lit, free = [row for row in rows if row.leds_on], [row for row in rows if not row.leds_on]
+    chosen = _spread(lit)
+    dark = []
+    for row in chosen:
+        if not free:
+            break
+        nearest = min(range(len(free)), key=lambda index: abs(free[index].t_s - row.t_s))
+        dark.append(free.pop(nearest))
+    return chosen, dark
+
+
+def _spread(rows: Sequence[Row]) -> list[Row]:
+    if len(rows) <= _MAX_PAIRS:
+        return list(rows)
+    return [rows[int(index)] for index in np.linspace(0, len(rows) - 1, _MAX_PAIRS)]
+
+
+def _frames(recording: Recording, rows: Sequence[Row]) -> tuple[Frame, ...]:
+    return tuple(recording.frame(row) for row in rows)
+
+
+def _spot_place(dark: Sequence[Frame], target: TargetCalibration) -> tuple[float, float] | None:
+    """Where the spot stands while the LEDs are off, px; None: there is none."""
+    spots = [locate(frame, target.localiser, target.flat) for frame in dark[:_SPOT_FRAMES]]
+    places = [(spot.u_px, spot.v_px) for spot in spots if isinstance(spot, Spot)]
+    if not places:
+        return None
+    u_px, v_px = np.median(places, axis=0).tolist()
+    return u_px, v_px
+
+
+def _names(calibration: Calibration) -> str:
+    return ", ".join(calibration.target_names)

@@ -1,0 +1,133 @@
+"""The history of a daemon, put together as its config says."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from altd import __version__
+from altd.config import Config
+from altd.errors import one_line
+from altd.history.batch import About
+from altd.history.columns import columns_of
+from altd.history.history import History
+from altd.history.recorder import HistoryRecorder
+from altd.history.store import Store
+from altd.measuring.calibration import Calibration
+from altd.ports import Clock
+from altd.publish.serial.past_text import Past
+from altd.records import Quantities
+from altd.runtime.service_manager import state_folder
+from altd.status.board import Board
+from altd.status.event_log import EventKind, EventLog
+from altd.status.health import Health, State
+from altd.status.recording_desk import KeptRecording
+from altd.status.state import UnitState
+from altd.status.state_events import StateEvents
+
+FILE_NAME = "history.db"
+COMPONENT = "history"
+_SERVICE_FOLDER = Path("/var/lib/altd")
+"""What systemd gives the service (``StateDirectory`` in systemd/altd.service)."""
+
+_DEFECT_SEVERITY = 4
+_NOT_KEPT_SEVERITY = 2
+
+
+def history_place(config: Config) -> tuple[Path | None, str]:
+    """The file of a config's history; None: there is none, and why."""
+    if not config.history.enabled:
+        return None, "off: [history] says so"
+    if config.history.file is not None:
+        return config.history.file, ""
+    folder = state_folder()
+    if folder is None:
+        return None, "off: no folder to keep it in; [history] file names one"
+    return folder / FILE_NAME, ""
+
+
+def history_to_read(config: Config) -> Path:
+    """Where a command finds the history of the daemon that runs with this config, as a service or by hand."""
+    return config.history.file or (state_folder() or _SERVICE_FOLDER) / FILE_NAME
+
+
+def history_about(config: Config, calibration: Calibration, quantities: Quantities) -> About:
+    """What the history of a unit is of."""
+    return About(
+        columns_of(quantities, [target.name for target in config.targets]),
+        {
+            "serial": config.unit.serial,
+            "version": __version__,
+            "config": json.dumps(config.model_dump(mode="json")),
+            "calibration": json.dumps(
+                {
+                    "created": calibration.created.isoformat(),
+                    "note": calibration.recording_note,
+                    "recording": calibration.recording_sha256,
+                }
+            ),
+        },
+    )
+
+
+class DaemonHistory:
+    """One daemon's events and, where ``keep_in`` was called, its file."""
+
+    def __init__(self, board: Board, health: Health, state: UnitState, clock: Clock) -> None:
+        self.events = EventLog(clock)
+        self.history = History(None, "this daemon keeps no history")
+        """For faces."""
+        self._board = board
+        self._health = health
+        self._state = state
+        self._clock = clock
+        self._observer = StateEvents(self.events, state.read, health.self_check, clock)
+        self._recorder: HistoryRecorder | None = None
+
+    def keep_in(self, path: Path, max_bytes: int, about: About) -> None:
+        """Keep the history in this file. Before ``recorded``."""
+        component = self._health.component(COMPONENT)
+        store = Store(path, max_bytes, about)
+        self._recorder = HistoryRecorder(store, self.events, self._state.read, component, self._clock)
+        self._board.on_publish = self._recorder.take
+        self.history = History(path)
+
+    def note_recording(self, text: str, kept: KeptRecording | None) -> None:
+        """Frames were kept as a recording, or could not be."""
+        severity = _NOT_KEPT_SEVERITY if kept is None else EventKind.RECORDING.severity
+        detail = {} if kept is None else {"recording": kept.name}
+        self.events.note(EventKind.RECORDING, text, None, severity, detail)
+
+    def for_console(self) -> Past:
+        """What a console tells of it."""
+        return Past(self.events, self.history, lambda: self._clock.utc(self._clock.monotonic_ns()))
+
+    def leave_out(self, why: str) -> None:
+        """Keep none, and say so."""
+        self._health.component(COMPONENT).set_state(State.OK, why)
+        self.history = History(None, f"the history is {why}")
+
+    @asynccontextmanager
+    async def recorded(self) -> AsyncIterator[None]:
+        """Within, events are noted and all is recorded; the end is noted with what caused it."""
+        tasks = [asyncio.create_task(self._observer.run(), name="state events")]
+        if self._recorder is not None:
+            tasks.append(asyncio.create_task(self._recorder.run(), name=COMPONENT))
+        self.events.note(EventKind.STARTED, f"altd {__version__} started")
+        try:
+            yield
+        except asyncio.CancelledError:
+            self.events.note(EventKind.STOPPED, "the daemon was told to end")
+            raise
+        except BaseException as error:
+            text = one_line(f"the daemon ended: {type(error).__name__}: {error}")
+            self.events.note(EventKind.STOPPED, text, None, _DEFECT_SEVERITY)
+            raise
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await self.history.end()

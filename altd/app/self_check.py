@@ -1,0 +1,53 @@
+"""The self-check that a config, a calibration and the lamps allow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from altd.acquisition.self_check.correction import Correction
+from altd.acquisition.self_check.judging import CheckJudge, limits_of
+from altd.acquisition.self_check.light import LedLog
+from altd.acquisition.self_check.memory import CheckMemory
+from altd.acquisition.self_check.schedule import Schedule
+from altd.acquisition.self_check.service import CheckParts
+from altd.acquisition.self_check.standing import Standing
+from altd.config import Config, LiveCameraSettings
+from altd.measuring.calibration import Calibration
+from altd.measuring.chain import MeasuringChain, View
+from altd.ports import Camera, Clock
+
+_USUAL_FPS = 20.0
+
+
+def why_unchecked(calibration: Calibration, cameras: Mapping[str, Camera], has_lamps: bool) -> str:
+    """Why a unit cannot check itself, in words; empty: it can."""
+    if not has_lamps:
+        return "the settings have no [lamps]: there are no frame LEDs to be switched"
+    if any(camera.playback for camera in cameras.values()):
+        return "a recording is played: its frames do not show the frame LEDs that are switched now"
+    without = [target.name for target in calibration.targets if not len(target.leds_px)]
+    if without:
+        return f"the calibration has no LED references for {', '.join(without)}"
+    return ""
+
+
+def fps_of(config: Config) -> float:
+    """Exposures a second; all live cameras have one rate."""
+    rates = [camera.fps for camera in config.cameras.values() if isinstance(camera, LiveCameraSettings)]
+    return min(rates, default=_USUAL_FPS)
+
+
+def check_parts_of(
+    config: Config, calibration: Calibration, views: Sequence[View], chain: MeasuringChain, clock: Clock
+) -> CheckParts:
+    """What the checks of a config are made with."""
+    settings, limits = config.self_check, limits_of(config.self_check)
+    period_ns = round(1e9 / fps_of(config))
+    return CheckParts(
+        LedLog(clock, {view.camera: period_ns for view in views}),
+        Schedule(clock, settings.interval_s, settings.enabled),
+        CheckJudge(views, calibration, limits, config.installation.reference_plane_mm),
+        Standing(settings, limits, calibration, clock),
+        Correction(chain, calibration, {view.camera: view.target for view in views}),
+        CheckMemory(calibration, clock),
+    )

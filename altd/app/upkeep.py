@@ -1,0 +1,60 @@
+"""What the daemon watches so that maintenance is asked for before something fails."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+
+from altd.acquisition.temperatures import CameraThermometer, watch_temperature
+from altd.config import AravisCameraSettings, Config
+from altd.devices.hwmon import HwmonThermometer
+from altd.measuring.calibration import Calibration
+from altd.measuring.spot_locator import Located
+from altd.ports import Camera, Clock, TemperatureCamera, Thermometer
+from altd.status.health import Health
+from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures
+from altd.status.state import Watch
+
+
+class Upkeep:
+    """The watches of one unit's state, and what feeds them."""
+
+    def __init__(
+        self,
+        config: Config,
+        calibration: Calibration,
+        cameras: Mapping[str, Camera],
+        health: Health,
+        clock: Clock,
+    ) -> None:
+        self._health = health
+        self._clock = clock
+        self._thermometers: list[Thermometer] = []
+        limits: dict[str, TemperatureLimits] = {}
+        for settings in config.thermometers:
+            self._thermometers.append(HwmonThermometer(settings))
+            limits[settings.name] = TemperatureLimits(settings.min_celsius, settings.max_celsius)
+        for name, camera in cameras.items():
+            of_camera = config.cameras.get(name)
+            if isinstance(camera, TemperatureCamera) and isinstance(of_camera, AravisCameraSettings):
+                inside = CameraThermometer(camera)
+                self._thermometers.append(inside)
+                limits[inside.name] = TemperatureLimits(of_camera.min_celsius, of_camera.max_celsius)
+        self._target_of = {target.camera: target.name for target in config.targets}
+        self._trends = SpotTrends(self._target_of.values(), config.maintenance)
+        self.watches: tuple[Watch, ...] = (
+            CalibrationAge(calibration.created, config.maintenance.calibration_due_days, clock.utc),
+            Temperatures(limits, health.component),
+            self._trends,
+        )
+
+    def start(self, tasks: asyncio.TaskGroup) -> None:
+        """Read the thermometers until cancelled."""
+        for thermometer in self._thermometers:
+            component = self._health.component(f"temperature {thermometer.name}")
+            watching = watch_temperature(thermometer, component, self._clock)
+            tasks.create_task(watching, name=component.name)
+
+    def observe(self, located: Located) -> None:
+        """Take what was located in a frame."""
+        self._trends.add(self._target_of[located.camera], located)

@@ -1,0 +1,33 @@
+"""``altd events``: what happened to the unit, out of its history."""
+
+from __future__ import annotations
+
+import argparse
+
+from altd.cli.history_options import add_history, add_span, history_of, span_of
+
+SUMMARY = "what happened to the unit: states, causes, self-checks, starts, changes, requests"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_history(parser)
+    add_span(parser)
+    parser.add_argument(
+        "--kind",
+        action="append",
+        default=[],
+        metavar="KIND",
+        help="of this kind only; may stand several times",
+    )
+    parser.add_argument("--format", choices=("text", "csv", "jsonl"), default="text", help="(text)")
+    parser.add_argument("--follow", action="store_true", help="go on with what happens now, until Ctrl-C")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write a line an event, in the order in which they came."""
+    from altd.answers.events import Question, answer
+
+    kinds = tuple(options.kind)
+    answer(Question(history_of(options), span_of(options), kinds, options.format, options.follow))
+    return 0

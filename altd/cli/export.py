@@ -1,0 +1,33 @@
+"""``altd export``: what the unit measured, out of its history, as a table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from altd.cli.history_options import add_history, add_span, history_of, span_of
+
+SUMMARY = "what the unit measured, out of its history, as a table"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_history(parser)
+    add_span(parser)
+    parser.add_argument(
+        "--every",
+        choices=("measurement", "second", "minute", "hour"),
+        default="second",
+        help="a row for each: measurements of the last hour, seconds of a month (second)",
+    )
+    parser.add_argument("--format", choices=("csv", "jsonl", "parquet"), default="csv", help="(csv)")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="into a file instead of on stdout")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the table."""
+    from altd.answers.export import Question, answer
+
+    question = Question(history_of(options), span_of(options), options.every, options.format, options.output)
+    answer(question)
+    return 0

@@ -1,0 +1,62 @@
+"""``altd selfcheck``: whether cameras and targets stand as they were calibrated."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from altd.cli.options import DEFAULT_CONFIG
+from altd.errors import BadInputError
+from altd.process.standard_streams import complain
+
+SUMMARY = "does every camera stand as it was calibrated? of the running daemon, or of a recording"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    parser.add_argument(
+        "recording", type=Path, nargs="?", metavar="RECORDING", help="of the frame LEDs; needs --calibration"
+    )
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="what the recording is held against")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        default=argparse.SUPPRESS,  # a recording needs none, and takes not that of the service
+        help=f"the settings of the daemon that is to check itself now ({DEFAULT_CONFIG})",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """One JSON object on standard output; 0 good, 1 not good."""
+    if options.recording is None:
+        return _ask_daemon(options)
+    if "config" in options:
+        raise BadInputError("--config", "asks the running daemon: it goes with no RECORDING")
+    if options.calibration is None:
+        raise BadInputError(options.recording, "missing: --calibration FILE, to hold the recording against")
+    from altd.answers.selfcheck import answer
+
+    return answer(options.recording, options.calibration, lambda line: complain(f"altd selfcheck: {line}"))
+
+
+def _ask_daemon(options: argparse.Namespace) -> int:
+    """Have the running daemon check itself."""
+    if options.calibration is not None:
+        raise BadInputError("--calibration", "missing: RECORDING, which goes with it")
+    if "config" not in options and not DEFAULT_CONFIG.is_file():
+        raise BadInputError("RECORDING", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
+    from altd.app.ask_self_check import ask_running_daemon
+    from altd.app.settings import load_settings
+    from altd.local_socket.asking import NoAnswerError
+
+    place = options.config if "config" in options else DEFAULT_CONFIG
+    try:
+        document = ask_running_daemon(load_settings(place), place)
+    except NoAnswerError as error:
+        complain(f"altd selfcheck: {error}")
+        return 1
+    sys.stdout.write(json.dumps(document) + "\n")
+    return 0 if document["verdict"] == "good" else 1

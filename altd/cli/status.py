@@ -1,0 +1,44 @@
+"""``altd status``: how the unit is, asked of its running daemon."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from altd.cli.options import add_socket, socket_of
+from altd.process.standard_streams import complain
+
+SUMMARY = "how is the unit? numbers, state, causes and what to do, of the running daemon"
+
+_TIMEOUT_S = 5.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_socket(parser)
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
+
+
+def run(options: argparse.Namespace) -> int:
+    """One screen of text; 0: it measures and is good or wants maintenance, 1: not so, or no answer."""
+    from altd.app.ask_daemon import RunningDaemon
+    from altd.local_socket.asking import NoAnswerError
+    from altd.terminal.status_text import is_fine, status_text
+
+    daemon = RunningDaemon(socket_of(options), _TIMEOUT_S)
+    try:
+        reading, measurement = daemon.reading()
+        status, status_document = daemon.status()
+        check, check_document = daemon.self_check()
+    except NoAnswerError as error:
+        complain(f"altd status: {error}")
+        return 1
+    if options.json:
+        documents = {"measurement": measurement, "status": status_document, "self_check": check_document}
+        text = json.dumps(documents)
+    else:
+        encoding = sys.stdout.encoding or "ascii"
+        text = status_text(reading, status, check).encode(encoding, "replace").decode(encoding)
+    sys.stdout.write(f"{text}\n")
+    return 0 if is_fine(reading, status) else 1

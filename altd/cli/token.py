@@ -1,0 +1,29 @@
+"""``altd token``: what a program shows that may act on the unit."""
+
+from __future__ import annotations
+
+import argparse
+
+from altd.cli.options import add_credentials
+
+SUMMARY = "make or remove a token for the unit's API"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_credentials(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the hash of a new token, and print the token: it is shown this once."""
+    from altd.credentials.changing import change
+    from altd.credentials.hashes import new_token, token_digest
+
+    if options.remove:
+        change(options.file, options.name, lambda known: known.with_token(options.name, None))
+        print(f"{options.file}: {options.name} has no token")
+        return 0
+    token = new_token()
+    change(options.file, options.name, lambda known: known.with_token(options.name, token_digest(token)))
+    print(token)
+    return 0

@@ -1,0 +1,48 @@
+"""``altd watch``: the unit live on a terminal."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from altd.cli.options import add_socket, socket_of
+
+SUMMARY = "the unit live on this terminal: targets, numbers, trends, causes and what to do"
+
+_TIMEOUT_S = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What the command takes."""
+    add_socket(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show it until ``q`` or a signal; 0, or 1 when the terminal went away."""
+    from altd.app.ask_daemon import RunningDaemon
+    from altd.app.follow_daemon import Follower
+    from altd.cli.watch_terminal import Gone, Terminal, check_terminal, in_terminal
+    from altd.terminal.knowledge import Knowledge
+    from altd.terminal.screen import View, draw
+
+    path = socket_of(options)
+    check_terminal()
+
+    def show(terminal: Terminal) -> None:
+        knowledge, view = Knowledge(), View()
+        with Follower(RunningDaemon(path, _TIMEOUT_S)) as follower:
+            while True:
+                follower.tell(knowledge)
+                canvas = terminal.canvas()
+                view = draw(knowledge, time.monotonic(), view, canvas)
+                terminal.show(canvas)
+                for key in terminal.pressed():
+                    if key == "q":
+                        return
+                    view = view.pressed(key)
+
+    try:
+        in_terminal(show)
+    except Gone:
+        return 1
+    return 0

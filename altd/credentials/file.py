@@ -1,0 +1,158 @@
+"""The file of credentials: a line each, hashes alone, readable by its owner and group at most.
+
+password NAME scrypt N R P SALT HASH     salt and hash in hexadecimal
+token NAME sha256 HASH
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+from altd.credentials.hashes import NOBODYS, PasswordHash, token_digest
+from altd.errors import BadInputError
+from altd.files.reading import read_file
+from altd.files.writing import write_file
+
+Value = TypeVar("Value")
+
+MAX_ENTRIES = 64
+MAX_BYTES = 1 << 15
+
+_HEAD = "# altd-credentials/1: made by `altd password` and `altd token`; hashes alone\n"
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+_TOO_OPEN = stat.S_IWGRP | stat.S_IRWXO
+"""The group may read it, for a daemon of another user; nobody else anything."""
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """Who may act: hashes by names. A name may have a password, a token or both."""
+
+    passwords: Mapping[str, PasswordHash] = field(default_factory=dict)
+    tokens: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Everybody who may act."""
+        return frozenset(self.passwords) | frozenset(self.tokens)
+
+    def is_password(self, name: str, password: str) -> bool:
+        """Whether it is the password of that name; a name that is none takes as long. Takes 0.2 s."""
+        known = self.passwords.get(name)
+        fits = (known or NOBODYS).fits(password)
+        return fits and known is not None
+
+    def name_of_token(self, token: str) -> str | None:
+        """Whose token it is; None: nobody's. All are compared, each in a time that tells nothing."""
+        digest, found = token_digest(token), None
+        for name, known in self.tokens.items():
+            if hmac.compare_digest(known, digest):
+                found = name
+        return found
+
+    def with_password(self, name: str, password: PasswordHash | None) -> Credentials:
+        """The same with this password of that name; None: without."""
+        return replace(self, passwords=_with(self.passwords, name, password))
+
+    def with_token(self, name: str, digest: bytes | None) -> Credentials:
+        """The same with this token of that name; None: without."""
+        return replace(self, tokens=_with(self.tokens, name, digest))
+
+
+def _with(known: Mapping[str, Value], name: str, value: Value | None) -> dict[str, Value]:
+    others = {each: kept for each, kept in known.items() if each != name}
+    return others if value is None else {**others, name: value}
+
+
+def is_name(name: str) -> bool:
+    """Whether somebody may be called that: small letters, digits and _, a letter first, up to 32."""
+    return _NAME.fullmatch(name) is not None
+
+
+def load_credentials(path: Path) -> Credentials:
+    """Read the file; raises BadInputError that names it and the line."""
+    content = read_file(path, MAX_BYTES)
+    _check_permissions(path)
+    try:
+        lines = content.decode("ascii").splitlines()
+    except UnicodeDecodeError as error:
+        raise BadInputError(path, "holds something other than ASCII") from error
+    credentials, entries = Credentials(), 0
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        entries += 1
+        if entries > MAX_ENTRIES:
+            raise BadInputError(path, f"has more than {MAX_ENTRIES} entries")
+        try:
+            credentials = _with_entry(credentials, words)
+        except ValueError as error:
+            raise BadInputError(f"{path}: line {number}", str(error)) from error
+    return credentials
+
+
+def save_credentials(path: Path, credentials: Credentials) -> None:
+    """Write the file whole; a new one is for its owner alone if the umask says so. Raises BadInputError."""
+    if len(credentials.passwords) + len(credentials.tokens) > MAX_ENTRIES:
+        raise BadInputError(path, f"has {MAX_ENTRIES} entries already")
+    write_file(path, (_HEAD + "".join(f"{line}\n" for line in _lines(credentials))).encode())
+
+
+def _check_permissions(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise BadInputError(path, error.strerror or "cannot be read") from error
+    if mode & _TOO_OPEN:
+        text = f"others than its owner may read or write it (mode {mode & 0o777:04o}): chmod 640 {path}"
+        raise BadInputError(path, text)
+
+
+def _lines(credentials: Credentials) -> Iterator[str]:
+    for name, known in credentials.passwords.items():
+        parameters = f"{known.n} {known.r} {known.p} {known.salt.hex()} {known.digest.hex()}"
+        yield f"password {name} scrypt {parameters}"
+    for name, digest in credentials.tokens.items():
+        yield f"token {name} sha256 {digest.hex()}"
+
+
+def _with_entry(credentials: Credentials, words: list[str]) -> Credentials:
+    """What a line adds; raises ValueError that says what is wrong with it, and never shows it."""
+    match words:
+        case ["password", name, "scrypt", n, r, p, salt, digest]:
+            if name in credentials.passwords:
+                raise ValueError(f"{name!r} has a password already")
+            known = PasswordHash(_whole(n), _whole(r), _whole(p), _bytes(salt), _bytes(digest))
+            return credentials.with_password(_name(name), known)
+        case ["token", name, "sha256", digest]:
+            if name in credentials.tokens:
+                raise ValueError(f"{name!r} has a token already")
+            if len(_bytes(digest)) != 32:
+                raise ValueError("its hash has a wrong length")
+            return credentials.with_token(_name(name), _bytes(digest))
+    raise ValueError("is no entry; `altd password` and `altd token` make them")
+
+
+def _name(word: str) -> str:
+    if not is_name(word):
+        raise ValueError(f"{word[:40]!r} is no name; possible: small letters, digits and _, a letter first")
+    return word
+
+
+def _whole(word: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", word):
+        raise ValueError("its scrypt parameters are not possible")
+    return int(word)
+
+
+def _bytes(word: str) -> bytes:
+    if not re.fullmatch(r"(?:[0-9a-f]{2}){1,64}", word):
+        raise ValueError("its salt or hash is not hexadecimal")
+    return bytes.fromhex(word)

@@ -1,0 +1,54 @@
+"""Temperatures of the kernel's hwmon: files under /sys/class/hwmon (Documentation/hwmon/sysfs-interface)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from altd.config import HwmonThermometerSettings
+from altd.ports import ThermometerError
+
+_ROOT = Path("/sys/class/hwmon")
+_MAX_BYTES = 64
+"""What such a file holds is a short name or a number."""
+
+
+class HwmonThermometer:
+    """One temperature. Its chip is found by name at each reading: the chips' numbers may change."""
+
+    def __init__(self, settings: HwmonThermometerSettings, root: Path = _ROOT) -> None:
+        self.name = settings.name
+        self._settings = settings
+        self._root = root
+
+    def celsius(self) -> float:
+        """The temperature now, °C; blocks. Raises ThermometerError."""
+        chip, channel = self._settings.chip, self._settings.channel
+        found = [folder for folder in self._folders() if _read(folder / "name") == chip]
+        if not found:
+            raise ThermometerError(f"not found: no hwmon chip {chip!r}")
+        if len(found) > 1:
+            raise ThermometerError(f"{len(found)} hwmon chips are called {chip!r}")
+        (folder,) = found
+        if _read(folder / f"temp{channel}_fault") == "1":
+            raise ThermometerError(f"{chip} temp{channel}: the chip says that its sensor is broken")
+        text = _read(folder / f"temp{channel}_input")
+        if text is None:
+            raise ThermometerError(f"{chip} temp{channel}: cannot be read")
+        if not text.removeprefix("-").isdecimal():
+            raise ThermometerError(f"{chip} temp{channel}: {text[:20]!r} is no temperature")
+        return int(text) * 1e-3
+
+    def _folders(self) -> list[Path]:
+        try:
+            return sorted(self._root.iterdir())
+        except OSError:
+            return []
+
+
+def _read(path: Path) -> str | None:
+    """What a file holds; None when it is not there or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(_MAX_BYTES).decode("ascii", "replace").strip()
+    except OSError:
+        return None

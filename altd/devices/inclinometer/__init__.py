@@ -1,0 +1,1 @@
+"""Inclinometers that speak Modbus RTU: a sensor is a table of registers."""

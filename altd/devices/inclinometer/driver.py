@@ -1,0 +1,133 @@
+"""An inclinometer on a serial port, by the table of its kind.
+
+An answer of Modbus RTU does not say what was asked: one that comes late would be taken for that of the next
+question, a temperature for an angle. So after each failure the sensor's settings are read again before
+anything is measured. They are of another function or length, or are checked for their values, and a sensor
+answers in order: once they have come, nothing of before is still on its way. Where a line gives each answer
+twice there is no failure, so they are read again every few readings, too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+from altd.config import InclinometerSettings
+from altd.devices.inclinometer.line import Line
+from altd.devices.inclinometer.registers import SENSORS, Meaning, Register
+from altd.ports import (
+    InclinometerAccuracy,
+    InclinometerNotFoundError,
+    InclinometerReading,
+    InclinometerRefusedError,
+    InclinometerWrongError,
+)
+from altd.records.sensors import within_half_turn
+
+MAX_READINGS_UNCHECKED = 7
+"""After so many the settings are read again: fewer than the ten for which a jump, such as from the angle to
+the temperature, counts as noise (``altd.acquisition.inclination.judging``)."""
+
+
+class ModbusInclinometer:
+    """See ``altd.ports.Inclinometer``."""
+
+    def __init__(self, settings: InclinometerSettings) -> None:
+        self._settings = settings
+        self._sensor = SENSORS[settings.driver]
+        self._address = settings.address or self._sensor.address
+        self._baud = settings.baud or self._sensor.baud
+        self._latency_s = self._sensor.sampling_s
+        self._line: Line | None = None
+        self._is_in_step = False
+        """The last question was answered."""
+        self._unchecked = 0
+        """Readings since the settings were read."""
+
+    @property
+    def name(self) -> str:
+        """What it is and where, for people."""
+        return f"{self._sensor.name} at {self._settings.device}, {self._baud} baud, address {self._address}"
+
+    @property
+    def accuracy(self) -> InclinometerAccuracy:
+        """What its maker states."""
+        return self._sensor.accuracy
+
+    def open(self) -> None:
+        """Open the port and make sure by its settings that it is this sensor, set up as it must be."""
+        self.close()
+        self._line = Line(self._settings, self._baud, self._address)
+        try:
+            self._identify()
+        except BaseException:
+            self.close()
+            raise
+
+    def read(self) -> InclinometerReading:
+        """A reading of now."""
+        if not self._is_in_step or self._unchecked >= MAX_READINGS_UNCHECKED:
+            self._identify()
+        self._unchecked += 1
+        t_ns = time.monotonic_ns() - round(self._latency_s * 1e9)
+        rows = list(self._read(self._sensor.blocks(settings=False)))
+        values: dict[Meaning, float] = {}
+        for row, word in rows:
+            if row.meaning is Meaning.ROLL and word == self._sensor.invalid_word:
+                text = f"register {row.address} says {word}: a setting of the sensor is invalid"
+                raise InclinometerRefusedError(f"{text} (its registers 132 to 136)")
+            if row.largest is not None and word > row.largest:
+                raise InclinometerWrongError(f"register {row.address} ({row.about}) says {word}")
+            values[row.meaning] = row.value(word)
+        pitch_deg = values.get(Meaning.PITCH)
+        return InclinometerReading(
+            t_ns,
+            within_half_turn(values[Meaning.ROLL]),
+            None if pitch_deg is None else within_half_turn(pitch_deg),
+            values[Meaning.TEMPERATURE],
+            tuple(word for _, word in rows),
+        )
+
+    def close(self) -> None:
+        """Close the port."""
+        line, self._line = self._line, None
+        if line is not None:
+            line.close()
+
+    def _read(self, blocks: Iterable[tuple[Register, ...]]) -> Iterable[tuple[Register, int]]:
+        for block in blocks:
+            yield from zip(block, self._ask(block), strict=True)
+
+    def _ask(self, block: tuple[Register, ...]) -> list[int]:
+        if self._line is None:
+            raise InclinometerNotFoundError("the inclinometer is not open")
+        self._is_in_step = False
+        words = self._line.ask(block[0].function, block[0].address, len(block))
+        self._is_in_step = True
+        return words
+
+    def _identify(self) -> None:
+        """Make sure that it is this sensor, and that no answer of before is still to come."""
+        for row, word in self._read(self._sensor.blocks(settings=True)):
+            self._check(row, word)
+        self._unchecked = 0
+
+    def _check(self, row: Register, word: int) -> None:
+        """A setting of the sensor against what it must be; raises InclinometerWrongError."""
+        must_be = {
+            Meaning.ADDRESS: self._address,
+            Meaning.BAUD: self._sensor.code_of_baud(self._baud),
+            Meaning.ZERO: 0,
+        }.get(row.meaning, word)
+        if word != must_be:
+            raise InclinometerWrongError(
+                f"register {row.address} ({row.about}) is {word} and must be {must_be}: "
+                "another sensor, or one that is set up otherwise"
+            )
+        if row.meaning is Meaning.AVERAGE:
+            self._latency_s = self._sensor.sampling_s * (word + 1) / 2
+            if self._latency_s + self._settings.interval_s > self._settings.max_age_s:
+                raise InclinometerWrongError(
+                    f"register {row.address} ({row.about}) is {word}: its values are {self._latency_s:.1f} s "
+                    f"old, more than max_age_s = {self._settings.max_age_s:g} allows"
+                )

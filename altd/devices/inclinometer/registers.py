@@ -1,0 +1,170 @@
+"""The inclinometers: a sensor is a table, with a row for each register that is read.
+
+Balluff: user's guide of the BSI R11A0-XXR-CXP360-S75G (register table, error indicator, technical data).
+WitMotion: the WIT standard Modbus protocol, and the maker's register header for the baud rate's codes. An
+accuracy of 0.2° in either axis and at every temperature is assumed: no public statement was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from types import MappingProxyType
+
+from altd.ports import InclinometerAccuracy
+
+HOLDING, INPUT = 3, 4
+"""Functions: read holding registers, read input registers (Modbus Application Protocol V1.1b3, 6.3, 6.4)."""
+
+
+class Kind(StrEnum):
+    """How the sixteen bits of a register are a number."""
+
+    U16 = "u16"
+    S16 = "s16"
+
+    def number(self, word: int) -> int:
+        """The number that a register holds, two's complement where it is signed."""
+        return word - 0x10000 if self is Kind.S16 and word & 0x8000 else word
+
+
+class Meaning(StrEnum):
+    """What the driver makes of a register."""
+
+    ROLL = "roll"
+    PITCH = "pitch"
+    TEMPERATURE = "temperature"
+    LIVE = "live"
+    """Read for its last digits alone: they move while the sensor measures."""
+    ADDRESS = "address"
+    BAUD = "baud"
+    AVERAGE = "average"
+    """How many of its own readings the sensor averages."""
+    ZERO = "zero"
+    """A setting of the sensor that would change the angle and therefore must be 0."""
+
+
+SETTINGS = frozenset({Meaning.ADDRESS, Meaning.BAUD, Meaning.AVERAGE, Meaning.ZERO})
+"""Read when the sensor is opened; the others are read each time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A row: where a number lies and what it means; a count is ``scale`` of the unit (°, °C)."""
+
+    address: int
+    function: int
+    kind: Kind
+    scale: float
+    meaning: Meaning
+    about: str
+    largest: int | None = None
+    """A larger word is no value of this register."""
+
+    def value(self, word: int) -> float:
+        """What a word of this register says, in its unit."""
+        return self.kind.number(word) * self.scale
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A kind of inclinometer.
+
+    ``sampling_s`` is how old a value of the sensor can be when it is asked for. ``invalid_word`` in the
+    roll register says that a setting of the sensor is wrong. ``code_of_baud`` is what the register of the
+    baud rate holds.
+    """
+
+    name: str
+    address: int
+    baud: int
+    sampling_s: float
+    accuracy: InclinometerAccuracy
+    code_of_baud: Callable[[int], int | None]
+    registers: tuple[Register, ...]
+    invalid_word: int | None = None
+
+    def blocks(self, *, settings: bool) -> list[tuple[Register, ...]]:
+        """The rows that are settings, or those that are not, as they can be asked for: a block a request."""
+        rows = [row for row in self.registers if (row.meaning in SETTINGS) is settings]
+        return _blocks(sorted(rows, key=lambda row: (row.function, row.address)))
+
+
+def _blocks(rows: Sequence[Register]) -> list[tuple[Register, ...]]:
+    """Rows that follow each other without a gap go into one block: nobody knows what lies in a gap."""
+    blocks = [[rows[0]]]
+    for before, row in pairwise(rows):
+        if (row.function, row.address) == (before.function, before.address + 1):
+            blocks[-1].append(row)
+        else:
+            blocks.append([row])
+    return [tuple(block) for block in blocks]
+
+
+_CENTI = 0.01
+_HALF_TURN = 180.0 / 32768.0
+
+BALLUFF = Sensor(
+    name="Balluff BSI R11A0-…-CXP360",
+    address=1,
+    baud=19200,
+    sampling_s=0.15,
+    accuracy=InclinometerAccuracy(
+        limit_deg=0.1,
+        from_c=10.0,
+        to_c=40.0,
+        limit_elsewhere_deg=0.15,
+        cross_axis_deg=0.1,
+        step_deg=0.01,
+    ),
+    code_of_baud=lambda baud: baud // 100,
+    registers=(
+        Register(0, INPUT, Kind.U16, _CENTI, Meaning.ROLL, "inclination, 0 to 360°", 36000),
+        Register(10, INPUT, Kind.S16, _CENTI, Meaning.TEMPERATURE, "temperature of the sensor"),
+        Register(133, HOLDING, Kind.U16, 1, Meaning.AVERAGE, "readings averaged, 1 to 20"),
+        Register(134, HOLDING, Kind.U16, _CENTI, Meaning.ZERO, "offset"),
+        Register(135, HOLDING, Kind.U16, 1, Meaning.ZERO, "direction, 0 clockwise"),
+        Register(200, HOLDING, Kind.U16, 1, Meaning.ADDRESS, "address"),
+        Register(201, HOLDING, Kind.U16, 1, Meaning.BAUD, "baud rate / 100"),
+    ),
+    invalid_word=55555,
+)
+
+_WIT_BAUDS = MappingProxyType({4800: 1, 9600: 2, 19200: 3, 38400: 4, 57600: 5, 115200: 6})
+
+WITMOTION = Sensor(
+    name="WitMotion WT901C485",
+    address=0x50,
+    baud=9600,
+    sampling_s=0.1,
+    accuracy=InclinometerAccuracy(
+        limit_deg=0.2,
+        from_c=-40.0,
+        to_c=85.0,
+        limit_elsewhere_deg=0.2,
+        cross_axis_deg=0.0,
+        step_deg=_HALF_TURN,
+    ),
+    code_of_baud=_WIT_BAUDS.get,
+    registers=(
+        Register(0x04, HOLDING, Kind.U16, 1, Meaning.BAUD, "code of the baud rate"),
+        Register(0x1A, HOLDING, Kind.U16, 1, Meaning.ADDRESS, "address"),
+        *(
+            Register(0x34 + n, HOLDING, Kind.S16, 1, Meaning.LIVE, f"{what} {axis}")
+            for n, (what, axis) in enumerate(
+                (what, axis) for what in ("acceleration", "rate", "magnetic field") for axis in "xyz"
+            )
+        ),
+        Register(0x3D, HOLDING, Kind.S16, _HALF_TURN, Meaning.ROLL, "roll, ±180°"),
+        Register(0x3E, HOLDING, Kind.S16, _HALF_TURN, Meaning.PITCH, "pitch, ±90°"),
+        Register(0x3F, HOLDING, Kind.S16, _HALF_TURN, Meaning.LIVE, "yaw"),
+        Register(0x40, HOLDING, Kind.S16, _CENTI, Meaning.TEMPERATURE, "temperature of the sensor"),
+    ),
+)
+
+SENSORS: Mapping[str, Sensor] = MappingProxyType(
+    {"balluff_bsi_r11a0": BALLUFF, "witmotion_wt901c485": WITMOTION}
+)
+"""By the ``driver`` of the table ``[inclinometer]``."""

@@ -1,0 +1,64 @@
+"""The epochs of a file: from a start, or a setting of the clock, to the next; within one, time only grows."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+
+
+class Epochs:
+    """Of one open file. ``was_interrupted``: the last one that it holds was not ended."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        last = connection.execute(
+            "SELECT epoch, ended_us, last_s FROM epochs ORDER BY epoch DESC LIMIT 1"
+        ).fetchone()
+        self.number = 0 if last is None else int(last[0])
+        self.was_interrupted = last is not None and last[1] is None
+        self.last_s: int | None = None if last is None else last[2]
+        """The last second of the newest epoch."""
+        self.began_ns = 0
+        self._first_s: int | None = None
+        self._new: Counter[str] = Counter()
+
+    def begin(self, why: str, wall_us: int, now_ns: int) -> None:
+        """Begin the next epoch, inside of a transaction."""
+        self.number += 1
+        self._connection.execute(
+            "INSERT INTO epochs (epoch, why, began_us) VALUES (?, ?, ?)", (self.number, why, wall_us)
+        )
+        self._connection.execute(  # what crashes left every two seconds is not kept once its rows are gone
+            "DELETE FROM epochs WHERE seconds = 0 AND minutes = 0 AND hours = 0 AND epoch < ?", (self.number,)
+        )
+        self.began_ns, self._first_s, self.last_s = now_ns, None, None
+
+    def covering(self, t_s: int) -> int:
+        """The same second, which this epoch holds from now on."""
+        self._first_s = t_s if self._first_s is None else min(self._first_s, t_s)
+        self.last_s = t_s if self.last_s is None else max(self.last_s, t_s)
+        return t_s
+
+    def count(self, table: str, new: int) -> None:
+        """So many rows were added to a table."""
+        self._new[table] += new
+
+    def save(self) -> None:
+        """Write what has changed, inside of a transaction."""
+        self._connection.execute(
+            "UPDATE epochs SET first_s = ?, last_s = ?, seconds = seconds + ?, minutes = minutes + ?, "
+            "hours = hours + ? WHERE epoch = ?",
+            (
+                self._first_s,
+                self.last_s,
+                *(self._new[name] for name in ("seconds", "minutes", "hours")),
+                self.number,
+            ),
+        )
+        self._new.clear()
+
+    def end(self, wall_us: int | None) -> None:
+        """The epoch is over; None: the clock was set, so its end is its last second."""
+        self.save()
+        ended_us = (self.last_s or 0) * 10**6 if wall_us is None else wall_us
+        self._connection.execute("UPDATE epochs SET ended_us = ? WHERE epoch = ?", (ended_us, self.number))

@@ -1,0 +1,90 @@
+"""What faces ask of the history: bounded queries that neither hold the event loop nor each other for long."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from altd.history.reader import HistoryTimeoutError, Reader
+from altd.history.records import StoredEvent, StoredMeasurement, Trend
+from altd.history.schema import UnusableFileError
+from altd.runtime.threads import DeviceThread
+
+Result = TypeVar("Result")
+
+QUERY_TIMEOUT_S = 2.0
+"""Of one query: so long it may keep the write-ahead log from the file."""
+
+MAX_WAITING = 8
+"""More do not wait for the disk at once."""
+
+
+class NoHistoryError(Exception):
+    """The history cannot be read now; the sentence says why."""
+
+
+class History:
+    """The history of the unit, for faces. ``unavailable`` says why there is none; empty: there is one."""
+
+    def __init__(self, path: Path | None, unavailable: str = "") -> None:
+        self.path = path
+        self.unavailable = unavailable if path is None else ""
+        self.waiting = 0
+        """Queries that are not answered yet."""
+        self._thread: DeviceThread | None = None
+
+    async def trend(
+        self, from_us: int, to_us: int, max_points: int, keys: Sequence[str] | None = None
+    ) -> Trend:
+        """As ``Reader.trend``; raises ValueError and NoHistoryError."""
+        return await self.ask(lambda reader: reader.trend(from_us, to_us, max_points, keys))
+
+    async def measurements_after(self, after: int, limit: int) -> list[StoredMeasurement]:
+        """As ``Reader.measurements_after``; raises ValueError and NoHistoryError."""
+        return await self.ask(lambda reader: reader.measurements_after(after, limit))
+
+    async def events(
+        self,
+        from_us: int,
+        to_us: int,
+        kinds: Sequence[str] = (),
+        limit: int = 100,
+        before: int | None = None,
+    ) -> list[StoredEvent]:
+        """As ``Reader.events``; raises ValueError and NoHistoryError."""
+        return await self.ask(lambda reader: reader.events(from_us, to_us, kinds, limit, before))
+
+    async def ask(self, query: Callable[[Reader], Result]) -> Result:
+        """What a query makes of an open file, in a thread; raises what it raises, and NoHistoryError."""
+        if self.path is None:
+            raise NoHistoryError(self.unavailable)
+        if self.waiting >= MAX_WAITING:
+            raise NoHistoryError(f"{self.waiting} ask the history already")
+        if self._thread is None:
+            self._thread = DeviceThread("history queries")
+        self.waiting += 1
+        try:
+            return await self._thread.call(_answer, self.path, query, within_s=MAX_WAITING * QUERY_TIMEOUT_S)
+        except HistoryTimeoutError as error:
+            raise NoHistoryError(f"the query was given up: {error}") from error
+        except TimeoutError as error:
+            raise NoHistoryError("the disk does not answer") from error
+        except OSError as error:
+            raise NoHistoryError(error.strerror or str(error)) from error
+        except (sqlite3.Error, UnusableFileError) as error:
+            raise NoHistoryError(str(error)) from error
+        finally:
+            self.waiting -= 1
+
+    async def end(self) -> None:
+        """No more is asked."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            await thread.end(lambda: None, QUERY_TIMEOUT_S)
+
+
+def _answer(path: Path, query: Callable[[Reader], Result]) -> Result:
+    with Reader(path, QUERY_TIMEOUT_S) as reader:
+        return query(reader)

@@ -1,0 +1,174 @@
+"""Opening a history file: to write, to read, and what becomes of one that is damaged."""
+
+from __future__ import annotations
+
+import glob
+import os
+import sqlite3
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from urllib.parse import quote
+
+from altd.errors import one_line
+from altd.history.schema import (
+    VERSION,
+    DamagedFileError,
+    UnusableFileError,
+    check_tables,
+    migrate,
+    version_of,
+)
+
+WAL_PAGES = 1000
+"""Of 4096 bytes: so large the write-ahead log grows before its pages are put into the file."""
+
+MAX_DAMAGED_FILES = 3
+"""More are not put beside each other: a disk that damages every file shall not be filled with them."""
+
+_BUSY_TIMEOUT_S = 0.2
+_MAX_VALUE_BYTES = 1 << 20
+_BESIDE = ("-wal", "-shm")
+_DAMAGED_CODES = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
+
+
+@contextmanager
+def damage_told() -> Iterator[None]:
+    """What a file holds that is neither text nor a number as Python has them: DamagedFileError."""
+    try:
+        yield
+    except (ValueError, TypeError, OverflowError) as error:
+        raise DamagedFileError(f"is damaged: {one_line(str(error))[:200]}") from error
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether SQLite says that the file itself is wrong, and not the disk or another program."""
+    code = getattr(error, "sqlite_errorcode", None)
+    return code is not None and code & 0xFF in _DAMAGED_CODES
+
+
+def open_to_write(path: Path) -> sqlite3.Connection:
+    """A history that is there, of whichever version, brought to the newest; or a new one.
+
+    Each commit is on the disk when it returns (WAL, ``synchronous = FULL``). Raises UnusableFileError,
+    OSError and sqlite3.Error.
+    """
+    if not path.parent.is_dir():
+        raise UnusableFileError(f"the folder {path.parent} does not exist")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise UnusableFileError(f"the folder {path.parent} cannot be written")
+    if os.path.lexists(path):
+        _check_regular(path)
+    connection = _connected(path, "rwc")
+    try:
+        version = version_of(connection)
+        if version == 0:
+            connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
+        (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        if mode != "wal":
+            raise UnusableFileError("its file system gives no write-ahead log")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {WAL_PAGES}")
+        connection.execute(f"PRAGMA journal_size_limit = {WAL_PAGES * 4096}")
+        migrate(connection, version)
+        check_tables(connection)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def check_pages(connection: sqlite3.Connection) -> None:
+    """Go through every page of the file (``quick_check``); raises DamagedFileError with what is wrong."""
+    (said,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+    if said != "ok":
+        raise DamagedFileError(f"is damaged: {' '.join(str(said).split())[:200]}")
+
+
+def open_to_read(path: Path) -> sqlite3.Connection:
+    """A history to read only: of a daemon that runs, of one that ended, or a copy of its file alone.
+
+    Raises UnusableFileError for what is no history of this version, OSError and sqlite3.Error.
+    """
+    _check_regular(path)
+    try:
+        connection = _connected(path, "ro")
+        try:
+            return _checked(connection)
+        except BaseException:
+            connection.close()
+            raise
+    except sqlite3.OperationalError as error:
+        if not _is_lone_copy(path, error):
+            raise
+    connection = _connected(path, "ro&immutable=1")
+    try:
+        return _checked(connection)
+    except BaseException:
+        connection.close()
+        raise
+
+
+def move_aside(path: Path, now: datetime | None = None) -> Path:
+    """Give a damaged file, and what SQLite keeps beside it, another name; returns that name.
+
+    Raises UnusableFileError when there are too many already, OSError.
+    """
+    earlier = [of.name for of in path.parent.glob(f"{glob.escape(path.name)}.damaged-*")]
+    if sum(not name.endswith(_BESIDE) for name in earlier) >= MAX_DAMAGED_FILES:
+        raise UnusableFileError(f"is damaged, as {MAX_DAMAGED_FILES} before it: move {path}.damaged-* away")
+    when = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%S%fZ")
+    aside = path.with_name(f"{path.name}.damaged-{when}")
+    for ending in _BESIDE:
+        beside = path.with_name(path.name + ending)
+        if beside.exists():
+            beside.replace(aside.with_name(aside.name + ending))
+    path.replace(aside)
+    return aside
+
+
+def _connected(path: Path, mode: str) -> sqlite3.Connection:
+    connection = sqlite3.connect(
+        f"file:{quote(str(path.absolute()))}?mode={mode}",
+        uri=True,
+        isolation_level=None,
+        timeout=_BUSY_TIMEOUT_S,
+        check_same_thread=False,
+    )
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_VALUE_BYTES)
+    connection.text_factory = _text
+    connection.execute("PRAGMA trusted_schema = OFF")
+    connection.execute("PRAGMA cell_size_check = ON")
+    return connection
+
+
+def _text(content: bytes) -> str:
+    return content.decode(errors="replace")
+
+
+def _checked(connection: sqlite3.Connection) -> sqlite3.Connection:
+    with damage_told():
+        version = version_of(connection)
+    if version == 0:
+        raise UnusableFileError("is an empty history")
+    if version < VERSION:
+        raise UnusableFileError(
+            f"is of version {version}, this program reads {VERSION}: a daemon that starts mends that"
+        )
+    with damage_told():
+        check_tables(connection)
+    return connection
+
+
+def _check_regular(path: Path) -> None:
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise UnusableFileError("is no regular file")
+
+
+def _is_lone_copy(path: Path, error: sqlite3.OperationalError) -> bool:
+    """Whether SQLite lacks only a place for its files beside a copy in a folder that cannot be written."""
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+    is_refused = code in {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY}
+    return is_refused and not any(path.with_name(path.name + ending).exists() for ending in _BESIDE)

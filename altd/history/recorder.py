@@ -1,0 +1,216 @@
+"""The event loop's side of the history: takes what comes, never waits, hands it on about once a second."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import sqlite3
+from collections import deque
+from collections.abc import Callable
+
+from altd.history.batch import Batch, ClockSet, Item, Sample, StateSample, Written
+from altd.history.schema import UnusableFileError
+from altd.history.store import Store
+from altd.history.summary import Illness
+from altd.ports import Clock
+from altd.reasons import Reason
+from altd.records import Measurement
+from altd.runtime.threads import DeviceThread
+from altd.status.cause import StateReport
+from altd.status.event_log import EventKind, EventLog
+from altd.status.health import Component, State, duration
+
+log = logging.getLogger("altd")
+
+WRITE_INTERVAL_S = 0.8
+"""With the time that a disk takes, what a crash or a power cut loses is less than a second."""
+
+MAX_WAITING_ITEMS = 4096
+"""Three minutes at 20 measurements a second; then the oldest are dropped, and counted."""
+
+CLOCK_STEP_US = 500_000
+"""A time of day that differs by more from how the monotonic clock went was set."""
+
+SLOW_S = 3.0
+_MAX_BACKOFF_S = 10.0
+_END_TIMEOUT_S = 2.0
+_NEVER_S = 1e9
+
+
+class HistoryRecorder:
+    """Records one daemon. ``read_state`` is asked once a batch what the unit shows."""
+
+    def __init__(
+        self,
+        store: Store,
+        events: EventLog,
+        read_state: Callable[[], StateReport],
+        component: Component,
+        clock: Clock,
+    ) -> None:
+        self._store = store
+        self._log = events
+        self._read_state = read_state
+        self._component = component
+        self._clock = clock
+        self._items: deque[Item] = deque()
+        self._events_taken = 0
+        self._offset_us: int | None = None
+        self._writing: asyncio.Task[Written] | None = None
+        self._written: Batch | None = None
+        self._begun_ns = 0
+        self._retry_ns = 0
+        self._backoff_s = WRITE_INTERVAL_S
+        self._thread: DeviceThread | None = None
+        component.set_state(State.STARTING, f"opens {store.path}")
+
+    def take(self, measurement: Measurement) -> None:
+        """A measurement was published."""
+        self._add(Sample(self._wall_us(), measurement))
+
+    async def run(self) -> None:
+        """Record until cancelled; then what waits is written, if the disk takes it within 2 s."""
+        self._thread = DeviceThread("history")
+        try:
+            while True:
+                try:
+                    self.step()  # at once: to open a file takes time, and what is measured meanwhile waits
+                except Exception as error:  # whatever is wrong with it, it must not end the measurement
+                    log.exception("history: a defect")
+                    self._tell(f"a defect: {type(error).__name__}: {error}")
+                await self._clock.sleep(WRITE_INTERVAL_S)
+        finally:
+            await self._end(self._thread)
+
+    def step(self) -> None:
+        """Take the state, and hand on what has come unless the disk is busy with what came before."""
+        self._add(StateSample(self._wall_us(), _illness(self._read_state())))
+        if self._writing is not None and not self._settle(self._writing):
+            return
+        now_ns = self._clock.monotonic_ns()
+        if now_ns >= self._retry_ns and self._thread is not None:
+            batch = self._written = self._next_batch(now_ns)
+            self._begun_ns = now_ns
+            call = self._thread.call(self._store.write, batch, within_s=_NEVER_S)
+            self._writing = asyncio.create_task(call, name="history's disk")
+
+    def _settle(self, writing: asyncio.Task[Written]) -> bool:
+        """Whether the disk is done with a batch, however that went; what it did not take waits again."""
+        now_ns = self._clock.monotonic_ns()
+        took_s = (now_ns - self._begun_ns) * 1e-9
+        if not writing.done():
+            if took_s >= SLOW_S:
+                self._tell(
+                    f"the disk has not answered for {duration(took_s)}", f"the disk is slow: {took_s:.0f} s"
+                )
+            return False
+        batch, self._writing, self._written = self._written, None, None
+        try:
+            written = writing.result()
+        except (OSError, sqlite3.Error, UnusableFileError) as error:
+            self._put_back(batch)
+            self._retry_ns = now_ns + round(self._backoff_s * 1e9)
+            self._backoff_s = min(2 * self._backoff_s, _MAX_BACKOFF_S)
+            self._tell(f"not written: {self._store.path}: {_sentence(error)}")
+            return True
+        except Exception as error:  # whatever is wrong with it, it must not end the measurement
+            log.exception("history: a defect")
+            self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
+            self._tell(f"a defect: {type(error).__name__}: {error}")
+            return True
+        self._backoff_s = WRITE_INTERVAL_S
+        if took_s >= SLOW_S + 2 * WRITE_INTERVAL_S:
+            self._tell(f"the disk is slow: the last second took {took_s:.1f} s to write")
+        else:
+            size = f"{written.used_bytes / 1e6:.1f} MB in {self._store.path}"
+            self._component.set_state(State.OK, size)
+        for notice in written.notices:
+            self._log.note_recorded(notice.kind, notice.text, notice.detail)
+        return True
+
+    def _next_batch(self, now_ns: int) -> Batch:
+        items, self._items = self._items, deque()
+        events = self._log.after(self._events_taken)
+        if events:
+            if missing := events[0].number - self._events_taken - 1:
+                self._component.count("events_lost", missing)
+            self._events_taken = events[-1].number
+        return Batch(now_ns, self._wall_us(), items, [event for event in events if not event.is_recorded])
+
+    def _put_back(self, batch: Batch | None) -> None:
+        if batch is None:
+            return
+        if batch.events:
+            self._events_taken = batch.events[0].number - 1
+        self._items.extendleft(reversed(batch.items))
+        self._limit()
+
+    def _add(self, item: Item) -> None:
+        self._items.append(item)
+        self._limit()
+
+    def _limit(self) -> None:
+        set_clock: ClockSet | None = None
+        while len(self._items) + (set_clock is not None) > MAX_WAITING_ITEMS:
+            dropped = self._items.popleft()
+            if isinstance(dropped, Sample):
+                self._component.count("measurements_lost")
+            elif isinstance(dropped, ClockSet):
+                set_clock = dropped  # what comes behind it is in its time
+        if set_clock is not None:
+            self._items.appendleft(set_clock)
+
+    def _wall_us(self) -> int:
+        """UTC now; where it was set since it was last asked, that is recorded first."""
+        now_ns = self._clock.monotonic_ns()
+        utc = self._clock.utc(now_ns)
+        wall_us = 0 if utc is None else round(utc.timestamp() * 1e6)
+        offset_us = wall_us - now_ns // 1000
+        before_us, self._offset_us = self._offset_us, offset_us
+        if before_us is not None and abs(offset_us - before_us) > CLOCK_STEP_US:
+            step_s = (offset_us - before_us) * 1e-6
+            self._items.append(ClockSet(wall_us))
+            self._log.note(
+                EventKind.CLOCK, f"the time of day was set by {step_s:+.1f} s", None, None, {"step_s": step_s}
+            )
+        return wall_us
+
+    def _tell(self, sentence: str, logged: str = "") -> None:
+        if self._component.state is not State.DEGRADED:
+            log.warning("history: %s", logged or sentence)
+        self._component.set_state(State.DEGRADED, sentence)
+
+    async def _end(self, thread: DeviceThread) -> None:
+        """Write what waits; what the disk does not take within the time is lost."""
+        self._add(StateSample(self._wall_us(), _illness(self._read_state())))
+        if self._writing is not None:
+            await asyncio.wait([self._writing], timeout=_END_TIMEOUT_S / 2)
+            if not self._settle(self._writing):
+                self._writing.cancel()
+                await asyncio.gather(self._writing, return_exceptions=True)
+                await thread.end(lambda: None, 0.0)
+                return
+        last = self._next_batch(self._clock.monotonic_ns())
+        await thread.end(lambda: _end_store(self._store, last), _END_TIMEOUT_S)
+
+
+def _end_store(store: Store, last: Batch) -> None:
+    try:
+        store.end(last)
+    except Exception:  # there is nobody behind it any more
+        log.exception("history: a defect")
+
+
+def _illness(report: StateReport) -> Illness:
+    """The severity of what the unit shows, and the code of its worst cause."""
+    if not report.causes:
+        return report.signal.severity, ""
+    cause = report.causes[0].cause
+    is_of_target = cause.of is not None and isinstance(cause.kind, Reason)
+    return report.signal.severity, f"{cause.of}_{cause.kind}" if is_of_target else str(cause.kind)
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return str(error)

@@ -1,0 +1,82 @@
+"""What is read out of a history: measurements, points of a trend, events; times are UTC, µs since 1970."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMeasurement:
+    """A measurement as it was published; what was not known is absent.
+
+    ``id`` grows over restarts and is never given twice in one file. ``values`` and ``sigmas`` are by the keys
+    of quantities, those of a target as ``TARGET.KEY``. ``t_ns`` is the monotonic time of its daemon.
+    """
+
+    id: int
+    epoch: int
+    t_us: int
+    sequence: int
+    t_ns: int
+    frames: int
+    valid: bool
+    status: tuple[str, ...]
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryValue:
+    """A quantity over a span: mean and lowest and highest of the valid measurements, and their sigma.
+
+    ``sigma`` is the standard deviation of one measurement (the root of their mean variance); None: not known.
+    """
+
+    mean: float
+    sigma: float | None
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryPoint:
+    """A span of time that begins at ``t_us``.
+
+    ``n`` measurements were made in it, ``n_valid`` of them valid. ``worst`` is the severity (0 good to 4
+    failure) of the unit's state, ``worst_code`` its cause; ``lost_to`` is the worst reason of those that were
+    not valid. Both codes are empty where there is none. A quantity that was not known is absent.
+    """
+
+    t_us: int
+    span_us: int
+    n: int
+    n_valid: int
+    worst: int
+    worst_code: str
+    lost_to: str
+    values: Mapping[str, SummaryValue]
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """Points in the order of time; spans in which no daemon ran have none. ``source`` is the table read."""
+
+    source: str
+    span_us: int
+    points: tuple[SummaryPoint, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StoredEvent:
+    """An event; ``id`` grows over restarts and is never given twice in one file."""
+
+    id: int
+    epoch: int
+    t_us: int
+    severity: int
+    kind: str
+    of: str | None
+    text: str
+    detail: Mapping[str, object]
+    held_back: int

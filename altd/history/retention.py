@@ -1,0 +1,123 @@
+"""What goes when the history grows: by age, by size, by count; a little with each batch, the oldest first.
+
+The oldest is told by epoch, not by the clock: hours that a wrong clock has put into another year neither
+push out what was measured since nor stay for ever.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass
+
+from altd.history.schema import HOURS, MINUTES, ROWS_PER_SPAN, SECONDS, SUMMARIES, SummaryTable
+
+MEASUREMENTS_S = 3600
+MAX_MEASUREMENTS = 400_000
+"""An hour of 110 a second; of more a second it is less than an hour."""
+
+MAX_EVENTS = 100_000
+_ROWS_AT_ONCE = 2000
+_EVENTS_AT_ONCE = 1000
+_MIN_SECONDS = 3600
+"""So many summaries of 1 s stay while there are others to delete."""
+
+_PAGES_AT_ONCE = 512
+_RESERVE_BYTES = 12 << 20
+"""For the write-ahead log and what is between two batches."""
+
+
+@dataclass(frozen=True, slots=True)
+class Deleted:
+    """How many rows of what went, for want of room or of count; not those that were old."""
+
+    what: str
+    rows: int
+
+
+class Retention:
+    """Keeps one open file within ``max_bytes``, its write-ahead log included."""
+
+    def __init__(self, connection: sqlite3.Connection, max_bytes: int) -> None:
+        self._connection = connection
+        self._max_bytes = max_bytes - _RESERVE_BYTES
+        sums = ", ".join(f"coalesce(sum({table.name}), 0)" for table in SUMMARIES)
+        counts = connection.execute(f"SELECT {sums} FROM epochs").fetchone()  # noqa: S608
+        self.rows = {table.name: int(count) for table, count in zip(SUMMARIES, counts, strict=True)}
+        (self.events,) = connection.execute("SELECT count(*) FROM events").fetchone()
+
+    def apply(self, epoch: int, epoch_age_s: float, now_us: int) -> list[Deleted]:
+        """Delete what is due, within the transaction of a batch; returns what is not of age."""
+        self._delete_measurements(epoch, epoch_age_s, now_us)
+        if SECONDS.max_rows is not None and self.rows[SECONDS.name] > SECONDS.max_rows:
+            self._delete_oldest(SECONDS, self.rows[SECONDS.name] - SECONDS.max_rows)
+        deleted = []
+        if self.events > MAX_EVENTS:
+            deleted.append(self._delete_events())
+        if self.used_bytes() > self._max_bytes:
+            deleted += self._delete_for_room()
+        return deleted
+
+    def give_back(self) -> None:
+        """Make the file smaller where it is larger than it may be; outside of a transaction."""
+        if self._pragma("page_count") * self._pragma("page_size") > self._max_bytes:
+            self._connection.execute(f"PRAGMA incremental_vacuum({_PAGES_AT_ONCE})").fetchall()
+
+    def used_bytes(self) -> int:
+        """Of the file, without its free pages."""
+        pages = self._pragma("page_count") - self._pragma("freelist_count")
+        return pages * self._pragma("page_size")
+
+    def _pragma(self, name: str) -> int:
+        return int(self._connection.execute(f"PRAGMA {name}").fetchone()[0])
+
+    def _delete_measurements(self, epoch: int, epoch_age_s: float, now_us: int) -> None:
+        oldest_us = now_us - MEASUREMENTS_S * 10**6
+        (newest,) = self._connection.execute("SELECT max(id) FROM measurements").fetchone()
+        last = None
+        for number, of_epoch, t_us in self._connection.execute(
+            "SELECT id, epoch, t_us FROM measurements ORDER BY id LIMIT ?", (_ROWS_AT_ONCE,)
+        ):
+            is_old = t_us < oldest_us if of_epoch == epoch else epoch_age_s > MEASUREMENTS_S
+            if not is_old and number > newest - MAX_MEASUREMENTS:
+                break
+            last = number
+        if last is not None:
+            self._connection.execute("DELETE FROM measurements WHERE id <= ?", (last,))
+
+    def _delete_for_room(self) -> list[Deleted]:
+        for table, least in ((SECONDS, _MIN_SECONDS), (MINUTES, 0), (SECONDS, 0), (HOURS, 0)):
+            if self.rows[table.name] > least and (rows := self._delete_oldest(table, _ROWS_AT_ONCE)):
+                return [Deleted(table.name, rows)]
+        return []
+
+    def _delete_oldest(self, table: SummaryTable, rows: int) -> int:
+        """Delete so many rows, and no more than at once, of the oldest epoch that has any."""
+        found = self._connection.execute(
+            "SELECT epoch, CAST(coalesce(first_s, 0) AS INTEGER), CAST(coalesce(last_s, 0) AS INTEGER), "  # noqa: S608
+            f"CAST({table.name} AS INTEGER) FROM epochs "
+            f"WHERE {table.name} > 0 ORDER BY epoch LIMIT 1"
+        ).fetchone()
+        if found is None:
+            return 0
+        epoch, first_s, last_s, there = found
+        first_s -= first_s % table.span_s
+        gone = self._connection.execute(
+            f"DELETE FROM {table.name} WHERE key IN (SELECT key FROM {table.name} "  # noqa: S608
+            "WHERE key BETWEEN ? AND ? AND epoch = ? ORDER BY key LIMIT ?)",
+            (first_s * ROWS_PER_SPAN, (last_s + 1) * ROWS_PER_SPAN, epoch, min(rows, _ROWS_AT_ONCE)),
+        ).rowcount
+        counted = gone or there  # what the epoch says of itself is wrong: it is not asked again
+        self._connection.execute(
+            f"UPDATE epochs SET {table.name} = max({table.name} - ?, 0) WHERE epoch = ?",  # noqa: S608
+            (counted, epoch),
+        )
+        self.rows[table.name] -= counted
+        return gone
+
+    def _delete_events(self) -> Deleted:
+        gone = self._connection.execute(
+            "DELETE FROM events WHERE id IN (SELECT id FROM events ORDER BY severity, id LIMIT ?)",
+            (_EVENTS_AT_ONCE,),
+        ).rowcount
+        self.events -= gone
+        return Deleted("events", gone)

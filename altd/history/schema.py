@@ -1,0 +1,155 @@
+"""The tables of a history file, version by version, and what a file must be before it is believed.
+
+``seconds``, ``minutes`` and ``hours`` are alike. Their ``key`` is the UTC second at which the span begins,
+times 1000, plus a number that tells apart the rows of one span: after a restart or a clock that was set back
+there is a second one, and the first stays. ``epoch`` counts starts and settings of the clock; within one,
+time only grows. ``worst`` and ``lost`` are severity · 65536 + the number of a reason.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+APPLICATION_ID = 0x414C5448
+"""``ALTH``, in the header of the file (sqlite.org/fileformat.html, 1.3)."""
+
+SEVERITY_UNIT = 1 << 16
+ROWS_PER_SPAN = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryTable:
+    """A table of summaries, the length of their spans, and how many are kept; None: as size allows."""
+
+    name: str
+    span_s: int
+    max_rows: int | None
+
+
+SECONDS = SummaryTable("seconds", 1, 31 * 86_400)
+MINUTES = SummaryTable("minutes", 60, None)
+HOURS = SummaryTable("hours", 3600, None)
+SUMMARIES = (SECONDS, MINUTES, HOURS)
+
+_SUMMARY_SQL = """
+CREATE TABLE {name} (
+    key INTEGER PRIMARY KEY, epoch INTEGER NOT NULL, n INTEGER NOT NULL, n_valid INTEGER NOT NULL,
+    worst INTEGER, lost INTEGER
+)"""
+
+_VERSION_1 = (
+    "CREATE TABLE facts (name TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID",
+    """
+CREATE TABLE epochs (
+    epoch INTEGER PRIMARY KEY, why TEXT NOT NULL, began_us INTEGER NOT NULL, ended_us INTEGER,
+    first_s INTEGER, last_s INTEGER,
+    seconds INTEGER NOT NULL DEFAULT 0, minutes INTEGER NOT NULL DEFAULT 0, hours INTEGER NOT NULL DEFAULT 0
+)""",
+    """
+CREATE TABLE columns (
+    number INTEGER PRIMARY KEY, key TEXT NOT NULL, unit TEXT NOT NULL, decimals INTEGER NOT NULL,
+    label TEXT NOT NULL, is_summarised INTEGER NOT NULL, is_from_sensor INTEGER NOT NULL
+)""",
+    "CREATE TABLE reasons (number INTEGER PRIMARY KEY, code TEXT NOT NULL UNIQUE)",
+    """
+CREATE TABLE measurements (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, epoch INTEGER NOT NULL, t_us INTEGER NOT NULL,
+    sequence INTEGER NOT NULL, t_ns INTEGER NOT NULL, frames INTEGER NOT NULL, valid INTEGER NOT NULL,
+    status TEXT
+)""",
+    *(_SUMMARY_SQL.format(name=table.name) for table in SUMMARIES),
+    """
+CREATE TABLE events (
+    id INTEGER PRIMARY KEY AUTOINCREMENT, epoch INTEGER NOT NULL, t_us INTEGER NOT NULL,
+    severity INTEGER NOT NULL, kind TEXT NOT NULL, of TEXT, text TEXT NOT NULL, detail TEXT,
+    held_back INTEGER NOT NULL
+)""",
+    "CREATE INDEX events_by_severity ON events (severity, id)",
+)
+
+_VERSION_2 = ("CREATE INDEX events_by_time ON events (t_us)",)
+"""Events of a day are found without going through those of years."""
+
+MIGRATIONS: Sequence[Sequence[str]] = (_VERSION_1, _VERSION_2)
+"""What makes version n + 1 of version n, as statements; an empty file has version 0."""
+
+VERSION = len(MIGRATIONS)
+
+_TABLES = {"facts", "epochs", "columns", "reasons", "measurements", "events", *(t.name for t in SUMMARIES)}
+_OTHERS = {"sqlite_sequence", "sqlite_autoindex_reasons_1", "events_by_severity", "events_by_time"}
+MAX_COLUMNS = 64
+MEASUREMENT_PARTS = ("value", "sigma")
+SUMMARY_PARTS = ("mean", "sigma", "below", "above")
+
+
+class UnusableFileError(Exception):
+    """A file that is no history that this program reads; the sentence says what it is instead."""
+
+
+class DamagedFileError(UnusableFileError):
+    """A file that was a history, or may have been, and cannot be read any more."""
+
+
+class NewerFileError(UnusableFileError):
+    """A history of a newer program."""
+
+
+def column_name(part: str, number: int) -> str:
+    """The name of a quantity's column, such as ``mean_3``."""
+    return f"{part}_{number}"
+
+
+def version_of(connection: sqlite3.Connection) -> int:
+    """The version of an open file, 0 of an empty one; raises UnusableFileError."""
+    (application,) = connection.execute("PRAGMA application_id").fetchone()
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    (objects,) = connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+    if not objects and not application and not version:
+        return 0
+    if application != APPLICATION_ID:
+        raise UnusableFileError("is a database, but no history of altd")
+    if version > VERSION:
+        raise NewerFileError(
+            f"is of version {version}, and this program knows {VERSION}: it was left as it is"
+        )
+    if version < 1:
+        raise DamagedFileError(f"has version {version}, which there never was")
+    return int(version)
+
+
+def migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Bring a file of this version to the newest, each step in a transaction of its own."""
+    for number, statements in enumerate(MIGRATIONS[version:], version + 1):
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            for statement in statements:
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+            connection.execute(f"PRAGMA user_version = {number}")
+            connection.execute("COMMIT")
+        except BaseException:
+            if connection.in_transaction:
+                connection.execute("ROLLBACK")
+            raise
+
+
+def check_tables(connection: sqlite3.Connection) -> None:
+    """Refuse a file of the newest version whose tables are not those of this page; raises DamagedFileError.
+
+    A view, a virtual table or a generated column runs what the file's maker wrote while it is read.
+    """
+    found = dict(
+        connection.execute("SELECT name, type || iif(rootpage > 0, '', ' without pages') FROM sqlite_schema")
+    )
+    for name, kind in found.items():
+        if kind != ("table" if name in _TABLES or name == "sqlite_sequence" else "index"):
+            raise DamagedFileError(f"has {kind} {str(name)[:40]!r}")
+    if set(found) - _OTHERS != _TABLES:
+        strange = ", ".join(sorted(map(str, (set(found) - _OTHERS) ^ _TABLES))[:5])
+        raise DamagedFileError(f"has other tables than a history: {strange[:200]}")
+    for table in _TABLES:
+        for row in connection.execute(f"PRAGMA table_xinfo({table})"):
+            if row[6] != 0:
+                raise DamagedFileError(f"has a hidden column in {table}")

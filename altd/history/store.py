@@ -1,0 +1,328 @@
+"""Writes the history: a batch a transaction. All of it blocks, and is called in a thread of its own."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import sqlite3
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
+from altd.history.columns import Column, value_of
+from altd.history.columns_in_file import prepare_columns
+from altd.history.epochs import Epochs
+from altd.history.facts import changed_facts
+from altd.history.opening import check_pages, damage_told, is_damage, move_aside, open_to_write
+from altd.history.reasons import Reasons
+from altd.history.retention import Retention
+from altd.history.schema import (
+    MEASUREMENT_PARTS,
+    SUMMARIES,
+    DamagedFileError,
+    UnusableFileError,
+    column_name,
+)
+from altd.history.spans import GRACE_S, OpenSpans
+from altd.records import Measurement
+from altd.status.event_log import Event, EventKind
+
+MAX_LOG_BYTES = 16 << 20
+"""So large a write-ahead log grows while another program keeps reading; then nothing is written."""
+
+_MAX_DELAY_S = 60.0
+"""A measurement's own time is not believed when it is further from the clock."""
+
+_US = 10**6
+
+
+class Store:
+    """The history of one daemon. After a failure the next batch opens the file anew.
+
+    A file that is damaged is moved aside, and a new one begun. Each opening begins an epoch, so that nothing
+    that was written before is touched again.
+    """
+
+    def __init__(self, path: Path, max_bytes: int, about: About) -> None:
+        self.path = path
+        self._max_bytes = max_bytes
+        self._about = about
+        self._session = secrets.token_hex(8)
+        self._unwritten: list[Notice] = []
+        self._untold: list[Notice] = []
+        self._open: _OpenStore | None = None
+        self._was_open = False
+
+    def write(self, batch: Batch) -> Written:
+        """Write a batch whole or not at all; raises OSError, sqlite3.Error and UnusableFileError."""
+        try:
+            if self._open is None:
+                self._open = self._opened(batch)
+            self._open.write(batch)
+            notices, self._untold = [*self._untold, *self._open.take_notices()], []
+            return Written(notices, self._open.retention.used_bytes(), self._open.log_bytes())
+        except (OSError, sqlite3.Error, UnusableFileError) as error:
+            self._close()
+            if isinstance(error, DamagedFileError) or (isinstance(error, sqlite3.Error) and is_damage(error)):
+                self._move_aside(error)
+            raise
+        except BaseException:  # a defect: what is summed up so far is not believed either
+            self._close()
+            raise
+
+    def end(self, batch: Batch | None) -> None:
+        """Write the last batch, and that it was the last; failures are of no more interest."""
+        try:
+            if batch is not None:
+                self.write(batch)
+                if self._open is not None:
+                    self._open.end(batch.wall_us)
+        except (OSError, sqlite3.Error, UnusableFileError):
+            return
+        finally:
+            self._close()
+
+    def _opened(self, batch: Batch) -> _OpenStore:
+        is_new = not self.path.exists()
+        with damage_told():
+            connection = open_to_write(self.path)
+        try:
+            with damage_told():
+                opened = _OpenStore(connection, self.path, self._max_bytes, self._about)
+                if opened.epochs.was_interrupted and not self._was_open:
+                    check_pages(connection)  # by another daemon, or by a power cut
+                opened.begin(batch, self._session, [*self._unwritten, *_begun(self.path, is_new)])
+            self._unwritten, self._untold = [], [*self._untold, *opened.take_notices()]
+        except BaseException:
+            connection.close()
+            raise
+        self._was_open = True
+        return opened
+
+    def _move_aside(self, why: Exception) -> None:
+        aside = move_aside(self.path)
+        text = f"the history was damaged and is kept as {aside.name}: {why}"
+        self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
+
+    def _close(self) -> None:
+        opened, self._open = self._open, None
+        if opened is not None:
+            opened.close()
+
+
+class _OpenStore:
+    """One connection, and what is known of its file."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path, max_bytes: int, about: About) -> None:
+        self._connection = connection
+        self._path = path
+        self._about = about
+        self._identity = _identity(path)
+        self._notices: list[Notice] = []
+        self._told: set[str] = set()
+        self.epochs = Epochs(connection)
+        self.retention = Retention(connection, max_bytes)
+        self._reasons = Reasons(connection)
+        self._spans: list[OpenSpans] = []
+        self._insert = ""
+        self._summarised: list[Column] = []
+        self._summarised_numbers: list[int] = []
+        self._delay_s = 0.0
+        self._last_us = 0
+
+    def begin(self, batch: Batch, session: str, notices: Sequence[Notice]) -> None:
+        """Prepare columns and reasons, and begin an epoch; ``notices`` are written as its first events."""
+        first_us = batch.items[0].wall_us if batch.items else batch.wall_us
+        with _transaction(self._connection):
+            (known,) = self._connection.execute(
+                "SELECT coalesce((SELECT value FROM facts WHERE name = 'session'), '')"
+            ).fetchone()
+            is_restart = known != session
+            if is_restart and self.epochs.was_interrupted:
+                last_s = self.epochs.last_s
+                until = "" if last_s is None else f", last heard of at {_text_of(last_s * _US)}"
+                self._notices.append(Notice(EventKind.NOT_ENDED, f"the daemon before was not ended{until}"))
+            self._notices += [
+                *notices,
+                *changed_facts(self._connection, {**self._about.facts, "session": session}),
+            ]
+            self._connection.execute(
+                "INSERT OR IGNORE INTO facts VALUES ('file', ?)", (secrets.token_hex(8),)
+            )
+            self._set_up_columns()
+            self.epochs.begin("start" if is_restart else "reopened", first_us, batch.monotonic_ns)
+            for notice in self._notices:
+                self._add_notice(notice, first_us)
+        self._new_spans()
+
+    def write(self, batch: Batch) -> None:
+        """Write a batch in one transaction."""
+        self._check_place()
+        with _transaction(self._connection):
+            for item in batch.items:
+                self._take(item, batch.monotonic_ns)
+            self._write_spans()
+            for spans in self._spans:
+                spans.close(batch.wall_us // _US - GRACE_S - self._delay_s)
+            for event in batch.events:
+                self._add_event(event)
+            self.epochs.save()
+            age_s = (batch.monotonic_ns - self.epochs.began_ns) * 1e-9
+            for deleted in self.retention.apply(self.epochs.number, age_s, batch.wall_us):
+                if deleted.what not in self._told:
+                    self._told.add(deleted.what)
+                    text = f"for want of room the oldest {deleted.what} are deleted"
+                    self._notices.append(Notice(EventKind.HISTORY, text, {"rows": deleted.rows}))
+                    self._add_notice(self._notices[-1], batch.wall_us)
+        self.retention.give_back()
+
+    def end(self, wall_us: int) -> None:
+        """Mark the epoch as ended."""
+        with _transaction(self._connection):
+            self.epochs.end(wall_us)
+
+    def take_notices(self) -> list[Notice]:
+        """What was found out since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def log_bytes(self) -> int:
+        """The length of the write-ahead log."""
+        try:
+            return self._path.with_name(f"{self._path.name}-wal").stat().st_size
+        except FileNotFoundError:
+            return 0
+
+    def close(self) -> None:
+        """Close, whatever state the file is in."""
+        try:
+            self._connection.close()
+        except sqlite3.Error:
+            return
+
+    def _check_place(self) -> None:
+        """The file that is open still has its name, and its write-ahead log is not held by a reader."""
+        if _identity(self._path) != self._identity:
+            raise UnusableFileError("the file was replaced or deleted while it was open")
+        if self.log_bytes() > MAX_LOG_BYTES:
+            busy, _, _ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+            if busy:
+                raise UnusableFileError(
+                    "another program keeps it from being written: it reads and does not end"
+                )
+
+    def _set_up_columns(self) -> None:
+        numbers = prepare_columns(self._connection, self._about.columns)
+        names = [column_name(part, number) for number in numbers for part in MEASUREMENT_PARTS]
+        fields = ["epoch", "t_us", "sequence", "t_ns", "frames", "valid", "status", *names]
+        places = ", ".join("?" * len(fields))
+        self._insert = f"INSERT INTO measurements ({', '.join(fields)}) VALUES ({places})"  # noqa: S608
+        pairs = [pair for pair in zip(self._about.columns, numbers, strict=True) if pair[0].is_summarised]
+        self._summarised = [column for column, _ in pairs]
+        self._summarised_numbers = [number for _, number in pairs]
+
+    def _new_spans(self) -> None:
+        self._spans = [OpenSpans(table, self._summarised, self._summarised_numbers) for table in SUMMARIES]
+        self._delay_s, self._last_us = 0.0, 0
+
+    def _take(self, item: Item, now_ns: int) -> None:
+        match item:
+            case ClockSet():
+                self._write_spans()
+                self.epochs.end(None)
+                self.epochs.begin("clock", item.wall_us, now_ns)
+                self._new_spans()
+            case StateSample():
+                for spans in self._spans:
+                    spans.at(self.epochs.covering(item.wall_us // _US)).note_state(item.illness)
+            case Sample():
+                self._take_measurement(item)
+
+    def _take_measurement(self, sample: Sample) -> None:
+        measurement = sample.measurement
+        t_us = sample.wall_us if measurement.time is None else _us_of(measurement.time)
+        if not 0 <= sample.wall_us - t_us <= _MAX_DELAY_S * _US:
+            t_us = sample.wall_us
+        t_us = self._last_us = max(t_us, self._last_us)
+        self._delay_s = max(sample.wall_us - t_us, 0) / _US
+        self._connection.execute(self._insert, self._row(measurement, t_us))
+        for spans in self._spans:
+            spans.at(self.epochs.covering(t_us // _US)).add(measurement)
+
+    def _row(self, measurement: Measurement, t_us: int) -> list[object]:
+        numbers: list[int | None] = []
+        for column in self._about.columns:
+            known = value_of(measurement, column)
+            numbers += (
+                (None, None) if known is None else (column.steps(known.value), column.steps(known.sigma))
+            )
+        status = " ".join(map(str, measurement.status)) or None
+        about = [self.epochs.number, t_us, measurement.sequence, measurement.t_ns, measurement.frames]
+        return [*about, measurement.valid, status, *numbers]
+
+    def _write_spans(self) -> None:
+        for spans in self._spans:
+            new = spans.write(self._connection, self.epochs.number, self._reasons.number_of)
+            self.epochs.count(spans.table.name, new)
+            self.retention.rows[spans.table.name] += new
+
+    def _add_event(self, event: Event) -> None:
+        about = (event.severity, str(event.kind), event.of, event.text)
+        self._insert_event(_us_of(event.time), about, event.detail, event.held_back)
+
+    def _add_notice(self, notice: Notice, t_us: int) -> None:
+        about = (notice.kind.severity, str(notice.kind), None, notice.text)
+        self._insert_event(t_us, about, notice.detail, 0)
+
+    def _insert_event(
+        self, t_us: int, about: tuple[object, ...], detail: Mapping[str, object], held_back: int
+    ) -> None:
+        text = _detail_text(detail)
+        self._connection.execute(
+            "INSERT INTO events (epoch, t_us, severity, kind, of, text, detail, held_back) "
+            "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+            (self.epochs.number, t_us, *about, text, held_back),
+        )
+        self.retention.events += 1
+
+
+class _transaction:  # noqa: N801  used as a statement
+    """``BEGIN IMMEDIATE`` to ``COMMIT``, or ``ROLLBACK`` after a failure."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+
+    def __enter__(self) -> None:
+        self._connection.execute("BEGIN IMMEDIATE")
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._connection.execute("COMMIT")
+        elif self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
+
+
+def _detail_text(detail: Mapping[str, object]) -> str | None:
+    """As JSON; what is no JSON costs this detail, and not the batch."""
+    try:
+        return json.dumps(detail, allow_nan=False) if detail else None
+    except (ValueError, TypeError, RecursionError):
+        return None
+
+
+def _begun(path: Path, is_new: bool) -> list[Notice]:
+    return [Notice(EventKind.HISTORY, "a new history was begun", {"file": str(path)})] if is_new else []
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_dev, found.st_ino
+
+
+def _us_of(time: datetime) -> int:
+    return round(time.timestamp() * _US)
+
+
+def _text_of(t_us: int) -> str:
+    return datetime.fromtimestamp(t_us / _US, UTC).isoformat(timespec="seconds").replace("+00:00", "Z")

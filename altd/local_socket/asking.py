@@ -1,0 +1,116 @@
+"""A command's end: one HTTP request to the daemon, within a time, and a sentence for each failure."""
+
+from __future__ import annotations
+
+import grp
+import http.client
+import pwd
+import socket
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from altd.errors import one_line
+from altd.files.documents import parse_json
+
+MAX_ANSWER_BYTES = 1 << 20
+"""Of an answer, which has some thousand."""
+
+_MIN_TIMEOUT_S = 1e-3
+
+
+class NoAnswerError(Exception):
+    """The daemon does not answer, or not as it should; the sentence, one line, says why."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(one_line(sentence))
+
+
+def ask(
+    path: Path, target: str, timeout_s: float, method: str = "GET", headers: Mapping[str, str] | None = None
+) -> tuple[int, Any]:
+    """The status and the JSON document of the answer; the request in all takes no longer than ``timeout_s``.
+
+    Raises NoAnswerError.
+    """
+    connection = _LocalConnection(path, timeout_s)
+    try:
+        connection.request(method, target, headers=dict(headers or {}))
+        answer = connection.getresponse()
+        return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
+    except TimeoutError as error:
+        raise NoAnswerError(f"the daemon at {path} does not answer within {timeout_s:g} s") from error
+    except PermissionError as error:
+        raise NoAnswerError(_who_may(path)) from error
+    except FileNotFoundError as error:
+        raise NoAnswerError(f"the daemon does not run: there is no socket {path}") from error
+    except ConnectionRefusedError as error:
+        raise NoAnswerError(f"the daemon does not run: nobody listens at {path}") from error
+    except (http.client.HTTPException, ValueError) as error:
+        raise NoAnswerError(f"what answers at {path} is no daemon of altd: {error}") from error
+    except OSError as error:
+        raise NoAnswerError(f"no daemon answers at {path}: {error.strerror or error}") from error
+    finally:
+        connection.close()
+
+
+class _LocalConnection(http.client.HTTPConnection):
+    """HTTP on a socket of the file system."""
+
+    def __init__(self, path: Path, timeout_s: float) -> None:
+        super().__init__("localhost")
+        self._path = path
+        self._deadline_s = time.monotonic() + timeout_s
+
+    def connect(self) -> None:
+        """Connect to the file; a daemon whose queue is full counts as one that does not answer."""
+        self.sock = _PunctualSocket(self._deadline_s)
+        try:
+            self.sock.connect(str(self._path))
+        except BlockingIOError as error:
+            raise TimeoutError from error
+
+
+class _PunctualSocket(socket.socket):
+    """A socket that is done with at an instant, however slowly the other end trickles."""
+
+    def __init__(self, deadline_s: float) -> None:
+        super().__init__(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._deadline_s = deadline_s
+        self._hurry()
+
+    def recv_into(self, *arguments: Any) -> int:
+        """What ``makefile`` reads by."""
+        self._hurry()
+        return super().recv_into(*arguments)
+
+    def sendall(self, *arguments: Any) -> None:
+        """What a request is sent by."""
+        self._hurry()
+        super().sendall(*arguments)
+
+    def _hurry(self) -> None:
+        left_s = self._deadline_s - time.monotonic()
+        if left_s <= 0:
+            raise TimeoutError
+        self.settimeout(max(left_s, _MIN_TIMEOUT_S))
+
+
+def _who_may(path: Path) -> str:
+    try:
+        about = path.stat()
+    except OSError:
+        return f"{path}: permission denied: the folder lets in its owner and group alone; ask as root (sudo)"
+    user = _name(lambda: pwd.getpwuid(about.st_uid).pw_name, about.st_uid)
+    group = _name(lambda: grp.getgrgid(about.st_gid).gr_name, about.st_gid)
+    return (
+        f"{path}: permission denied: it is for user {user} and group {group}; join the group, or ask as root"
+    )
+
+
+def _name(find: Callable[[], str], number: int) -> str:
+    try:
+        return find()
+    except KeyError:
+        return str(number)

@@ -1,0 +1,118 @@
+"""What the windows of the last seconds showed of motion, for what may follow the newest one."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from altd.records.motion import Motion
+
+MEMORY_S = 10.0
+"""What was seen counts for less with this time constant: longer than a machine that goes step by step takes
+for a step, shorter than a person waits for a value that came to rest to be known well again."""
+MIN_LAG_S = 1.0
+"""Rates are compared over no less: as long as a value is shown before it is stale (``stale_after_s``)."""
+_MAX_LAG_WINDOWS = 2.0
+"""Where the window before is farther back, the rate may have changed within so many windows."""
+_SIGNIFICANT = 2.0
+"""A single change of the rate counts by what is above so many of its standard deviations."""
+
+
+@dataclass(slots=True)
+class _Mean:
+    """A mean with weights that fall off with age."""
+
+    sum: float = 0.0
+    weight: float = 0.0
+
+    def add(self, value: float, fading: float) -> None:
+        self.sum = self.sum * fading + value
+        self.weight = self.weight * fading + 1.0
+
+    @property
+    def value(self) -> float | None:
+        return self.sum / self.weight if self.weight else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """The motion of one window: its middle, its newest exposure."""
+
+    t_ns: int
+    newest_ns: int
+    span_s: float
+    motions: Mapping[str, Motion]
+
+
+class MotionMemory:
+    """Adds to a window's motion what the windows before say of it."""
+
+    def __init__(self) -> None:
+        self._seen: deque[_Seen] = deque()
+        """The windows since the newest that can be compared with the last one."""
+        self._rate_squares: dict[str, _Mean] = {}
+        self._acceleration_squares: dict[str, _Mean] = {}
+
+    def learn(
+        self, t_ns: int, newest_ns: int, span_s: float, motions: Mapping[str, Motion]
+    ) -> dict[str, Motion]:
+        """The motions of a window with what the memory adds.
+
+        ``t_ns`` is the middle of its exposures, which outliers may set back, ``newest_ns`` the newest of
+        them: where that goes back, or comes after a long silence, all is forgotten.
+        """
+        if not motions:
+            return {}
+        since_s = (newest_ns - self._seen[-1].newest_ns) * 1e-9 if self._seen else math.inf
+        if not 0.0 < since_s <= MEMORY_S:
+            self._seen.clear()
+            self._rate_squares.clear()
+            self._acceleration_squares.clear()
+        now = _Seen(t_ns, newest_ns, span_s, motions)
+        before = self._before(now)
+        fading = math.exp(-since_s / MEMORY_S)
+        self._seen.append(now)
+        return {key: self._one(key, motion, now, before, fading) for key, motion in motions.items()}
+
+    def _before(self, now: _Seen) -> _Seen | None:
+        """The newest window that is long enough ago and shares no exposure with this one; older ones go."""
+        before = None
+        while self._seen and _lag_s(self._seen[0], now) >= max(
+            MIN_LAG_S, 0.5 * (self._seen[0].span_s + now.span_s)
+        ):
+            before = self._seen.popleft()
+        if before is not None:
+            self._seen.appendleft(before)
+        return before
+
+    def _one(self, key: str, motion: Motion, now: _Seen, before: _Seen | None, fading: float) -> Motion:
+        """Squares of estimates are too large by their variances; on the mean these come off."""
+        rate_square = motion.rate**2 - motion.sigma_rate**2
+        seen = self._rate_squares.setdefault(key, _Mean())
+        seen.add(rate_square, fading)
+        probable_rate = math.sqrt(_expected_square(motion, max(seen.value or 0.0, rate_square, 0.0)))
+        changes = self._acceleration_squares.setdefault(key, _Mean())
+        newest = 0.0
+        if before is not None and key in before.motions:
+            then = before.motions[key]
+            within_s = min(_lag_s(before, now), max(MIN_LAG_S, _MAX_LAG_WINDOWS * now.span_s))
+            square = ((motion.rate - then.rate) / within_s) ** 2
+            variance = (motion.sigma_rate**2 + then.sigma_rate**2) / within_s**2
+            changes.add(square - variance, fading)
+            newest = square - _SIGNIFICANT**2 * variance
+        if changes.value is None:
+            return replace(motion, probable_rate=probable_rate)
+        acceleration = math.sqrt(max(changes.value, newest, 0.0))
+        return replace(motion, probable_rate=probable_rate, acceleration=acceleration)
+
+
+def _expected_square(motion: Motion, variance: float) -> float:
+    """Mean square of a rate that was estimated, when such rates have this variance about zero."""
+    weight = variance / (variance + motion.sigma_rate**2) if variance else 0.0
+    return (weight * motion.rate) ** 2 + weight * motion.sigma_rate**2
+
+
+def _lag_s(before: _Seen, now: _Seen) -> float:
+    return (now.t_ns - before.t_ns) * 1e-9

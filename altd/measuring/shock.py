@@ -1,0 +1,63 @@
+"""A shock to the unit: the spots of all its targets jump together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from altd.measuring.spot_locator import Located
+from altd.records import Spot
+
+JUMP_PX = 8.0
+"""Farther than this from where steady motion would have brought it, about 2 mm, the vibration of a machine at
+work brings no spot from one frame to the next."""
+TOGETHER_NS = 150_000_000
+_GAP_NS = 400_000_000
+"""After a pause so long nobody knows how the spot moved."""
+
+
+@dataclass(slots=True)
+class _Track:
+    """The last two spots of a camera with their times, and when one jumped last."""
+
+    before: tuple[Spot, int] | None = None
+    last: tuple[Spot, int] | None = None
+    jumped_ns: int | None = None
+
+
+class ShockWatch:
+    """Told of every frame; a camera that was moved, a blow to the unit and one to the laser look alike."""
+
+    def __init__(self, cameras: Iterable[str]) -> None:
+        self._tracks = {camera: _Track() for camera in cameras}
+
+    def is_shock(self, located: Located) -> bool:
+        """Whether with this frame the spots of all cameras have jumped; true once for one shock."""
+        track = self._tracks[located.camera]
+        if not isinstance(located.spot, Spot):
+            return False
+        jumped = self._jumped(track, located.spot, located.t_ns)
+        track.before, track.last = track.last, (located.spot, located.t_ns)
+        if not jumped:
+            return False
+        track.before = None
+        track.jumped_ns = located.t_ns
+        times_ns = [other.jumped_ns for other in self._tracks.values()]
+        if any(t_ns is None or abs(located.t_ns - t_ns) > TOGETHER_NS for t_ns in times_ns):
+            return False
+        for other in self._tracks.values():
+            other.jumped_ns = None
+        return True
+
+    @staticmethod
+    def _jumped(track: _Track, spot: Spot, t_ns: int) -> bool:
+        if track.before is None or track.last is None:
+            return False
+        (before, before_ns), (last, last_ns) = track.before, track.last
+        if not 0 < last_ns - before_ns <= _GAP_NS or not 0 < t_ns - last_ns <= _GAP_NS:
+            return False
+        ahead = (t_ns - last_ns) / (last_ns - before_ns)
+        u_px = last.u_px + ahead * (last.u_px - before.u_px)
+        v_px = last.v_px + ahead * (last.v_px - before.v_px)
+        return math.hypot(spot.u_px - u_px, spot.v_px - v_px) > JUMP_PX

@@ -1,0 +1,141 @@
+"""How a target's spots change over hours: their light and what their fit leaves unexplained; pure numbers.
+
+A laser that ages, a window that gathers dust and a target that gets dirty show here long before a spot is
+refused as too dim or ``distorted``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from altd.records import Frame, Spot
+from altd.statistics.robust import median
+from altd.vision.dust import DustCount
+from altd.vision.localise import MIN_DISTORTION_DIAMETERS, SATURATED_FROM
+
+BUCKET_NS = 60 * 10**9
+"""A minute's median is one point of a trend."""
+
+_SAMPLE_INTERVAL_NS = 10**9
+"""Spots of one second are alike: one of them is enough."""
+
+_MIN_SAMPLES = 20
+"""A minute with fewer spots than this says too little: the beam was being aimed."""
+
+REFERENCE_BUCKETS = 30
+RECENT_BUCKETS = 10
+"""The reference is the median of the first so many minutes, what is now that of the last so many."""
+
+_DUST_COUNTS = 120
+"""Ten minutes of counts, one every five seconds."""
+
+
+def light_per_ms(spot: Spot, frame: Frame) -> float | None:
+    """The light of a spot for 1 ms of exposure and 0 dB of gain, in counts · px² / ms.
+
+    That of a Gaussian of the spot's peak and 1/e² diameter d: peak · π d²/8. A gain of g dB multiplies counts
+    by 10^(g/20). None where exposure or gain are not known, or where the peak is at full scale, which hides
+    how bright it is. Without a gain of its own a camera has 0 dB.
+    """
+    if not frame.exposure_ms or spot.peak >= SATURATED_FROM * frame.full_scale:
+        return None
+    counts = spot.peak * math.pi * spot.diameter_px**2 / 8
+    return counts / (frame.exposure_ms * 10 ** ((frame.gain_db or 0.0) / 20))
+
+
+def residual_share(spot: Spot) -> float:
+    """What the fit of a spot leaves unexplained, as a share of what makes it ``distorted``.
+
+    Of ``excess_px``: what unexplained light may displace the spot by, one sigma.
+    """
+    return spot.excess_px / (MIN_DISTORTION_DIAMETERS * spot.diameter_px)
+
+
+@dataclass(frozen=True, slots=True)
+class TrendFigures:
+    """A trend's reference and what it is now, in the unit of its samples; None: not known yet."""
+
+    reference: float | None
+    recent: float | None
+
+    @property
+    def share(self) -> float | None:
+        """What is now over the reference; None: not known."""
+        if self.reference is None or self.recent is None or self.reference <= 0:
+            return None
+        return self.recent / self.reference
+
+
+class Trend:
+    """Medians of minutes, by the time of the frames: bounded memory, and no outlier counts.
+
+    ``reference`` is kept for ever once it is known. A minute in which too little was seen counts for nothing,
+    so that a beam which is switched off for the night changes nothing.
+    """
+
+    def __init__(self, reference: float | None = None) -> None:
+        self._reference = reference
+        self._first: list[float] = []
+        self._recent: deque[float] = deque(maxlen=RECENT_BUCKETS)
+        self._samples: list[float] = []
+        self._bucket: int | None = None
+        self._sampled_ns: int | None = None
+
+    def add(self, t_ns: int, value: float) -> None:
+        """Take a sample of that instant; values that are not finite are none."""
+        if not math.isfinite(value):
+            return
+        if self._sampled_ns is not None and 0 <= t_ns - self._sampled_ns < _SAMPLE_INTERVAL_NS:
+            return
+        self._sampled_ns = t_ns
+        bucket = t_ns // BUCKET_NS
+        if bucket != self._bucket:
+            self._close()
+            self._bucket = bucket
+        self._samples.append(value)
+
+    def figures(self) -> TrendFigures:
+        """What is known by the minutes that are over."""
+        recent = _median(self._recent) if len(self._recent) == RECENT_BUCKETS else None
+        return TrendFigures(self._reference, recent)
+
+    def _close(self) -> None:
+        if len(self._samples) >= _MIN_SAMPLES:
+            point = _median(self._samples)
+            self._recent.append(point)
+            if self._reference is None:
+                self._first.append(point)
+                if len(self._first) == REFERENCE_BUCKETS:
+                    self._reference = _median(self._first)
+                    self._first.clear()
+        self._samples.clear()
+
+
+class DustShare:
+    """The share of the area under a target's spots that is covered, over the last ten minutes with a beam.
+
+    Of all pixels together and no median: a beam that moves meets a speck now and then, each time one of the
+    same.
+    """
+
+    def __init__(self) -> None:
+        self._counts: deque[DustCount] = deque(maxlen=_DUST_COUNTS)
+
+    def add(self, count: DustCount) -> None:
+        """Take what covers one spot."""
+        self._counts.append(count)
+
+    @property
+    def share(self) -> float | None:
+        """The share; None before five minutes of counts."""
+        if len(self._counts) < _DUST_COUNTS // 2:
+            return None
+        return sum(count.covered for count in self._counts) / sum(count.looked_at for count in self._counts)
+
+
+def _median(values: list[float] | deque[float]) -> float:
+    return float(median(np.array(values)))

@@ -1,0 +1,171 @@
+"""What answers each path, from one reading of the board. Nothing but a self-check can be asked for."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+
+from altd.publish.http import login, self_check
+from altd.publish.http.errors import refusal
+from altd.publish.http.guard import Guard
+from altd.publish.http.metrics import CONTENT_TYPE, Metrics
+from altd.publish.http.page import POLICY, page_files, page_of
+from altd.publish.http.past import Past
+from altd.publish.http.pictures import Viewers
+from altd.publish.http.recordings import Recordings
+from altd.publish.http.stream import EventStream, Resuming, Streams
+from altd.reasons import Reason
+from altd.status.board import Board
+from altd.status.checked_json import checked_line
+from altd.status.health import Component, Health
+from altd.status.proof import Stamps
+from altd.status.target_area import as_object
+
+API_PAGE_POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+"""The page of the API loads nothing at all and runs nothing."""
+
+NOTHING_YET = {
+    "error": "nothing was measured since the unit started; /api/status says what it waits for",
+    "status": [str(Reason.WARMING_UP)],
+}
+
+
+class Answers:
+    """The answers of one face. ``document`` and ``api_page`` are the API's own, which do not change.
+
+    ``guard`` says who may act.
+    """
+
+    def __init__(self, board: Board, health: Health, component: Component, guard: Guard, past: Past) -> None:
+        self._board = board
+        self._health = health
+        self._component = component
+        self._guard = guard
+        self._past = past
+        self._stamps = Stamps(board)
+        self._metrics = Metrics(board, health)
+        self._page = page_of(board.quantities)
+        self._page_files = page_files()
+        self.streams = Streams(board, component, self._stamps)
+        self.viewers = Viewers(health.pictures, component, guard)
+        self._kept = Recordings(health.recordings, guard)
+        self.document: dict[str, object] = {}
+        self.api_page = ""
+
+    async def index(self, _: Request) -> Response:
+        """The page."""
+        return HTMLResponse(self._page, headers={"Content-Security-Policy": POLICY})
+
+    async def page_file(self, request: Request) -> Response:
+        """A script or a style of the page."""
+        file = self._page_files.get(request.path_params["file"])
+        if file is None:
+            return refusal(404, "Not Found")
+        return Response(file.content, media_type=file.media_type)
+
+    async def api(self, _: Request) -> Response:
+        """The page of the API."""
+        return HTMLResponse(self.api_page, headers={"Content-Security-Policy": API_PAGE_POLICY})
+
+    async def openapi(self, _: Request) -> Response:
+        """The OpenAPI document."""
+        return JSONResponse(self.document)
+
+    async def measurement(self, _: Request) -> Response:
+        """The latest measurement."""
+        measurement = self._board.read()
+        if measurement is None:
+            return JSONResponse(NOTHING_YET, status_code=503)
+        self._component.gave_data()
+        return Response(
+            checked_line(self._board, measurement, self._stamps.next()), media_type="application/json"
+        )
+
+    async def status(self, _: Request) -> Response:
+        """The unit's facts and its components."""
+        return JSONResponse(self._health.as_object())
+
+    async def targets(self, _: Request) -> Response:
+        """Where the targets are measured."""
+        return JSONResponse(as_object(self._health.targets))
+
+    async def self_check(self, request: Request) -> Response:
+        """The last self-check, or one that is made now."""
+        return await self_check.answer(request, self._health.self_check, self._guard)
+
+    async def session(self, request: Request) -> Response:
+        """Who is logged in."""
+        return await login.session(request, self._guard)
+
+    async def log_in(self, request: Request) -> Response:
+        """Begin a session."""
+        return await login.log_in(request, self._guard)
+
+    async def log_out(self, request: Request) -> Response:
+        """End a session."""
+        return await login.log_out(request, self._guard)
+
+    async def stream(self, request: Request) -> Response:
+        """Measurements as they come."""
+        if request.method == "HEAD":
+            return Response(media_type=EventStream.media_type)
+        return EventStream(self.streams)
+
+    async def resumed_stream(self, request: Request) -> Response:
+        """The same with ids by which it is resumed."""
+        if request.method == "HEAD":
+            return Response(media_type=EventStream.media_type)
+        last_id = request.headers.get("Last-Event-ID")
+        return EventStream(self.streams, Resuming(None if last_id is None else self._past.since(last_id)))
+
+    async def trend(self, request: Request) -> Response:
+        """How the quantities went."""
+        return await self._past.trend(request)
+
+    async def events(self, request: Request) -> Response:
+        """What happened."""
+        return await self._past.events(request)
+
+    async def recordings(self, _: Request) -> Response:
+        """What was kept of the frames."""
+        return self._kept.listed()
+
+    async def keep_frames(self, request: Request) -> Response:
+        """Keep the last seconds."""
+        return await self._kept.keep(request)
+
+    async def recording(self, request: Request) -> Response:
+        """One recording."""
+        return self._kept.archive(request)
+
+    async def mark_recording(self, request: Request) -> Response:
+        """Mark a recording, or take its mark away."""
+        return await self._kept.mark(request)
+
+    async def metrics(self, _: Request) -> Response:
+        """All numbers for Prometheus."""
+        return Response(self._metrics.text(), headers={"Content-Type": CONTENT_TYPE})
+
+    async def alive(self, _: Request) -> Response:
+        """That this is answered at all says it: the daemon's loop runs."""
+        return JSONResponse({"alive": True})
+
+    async def ready(self, _: Request) -> Response:
+        """Whether the unit measures, valid or not; else why not."""
+        measurement = self._board.read()
+        if measurement is None:
+            return refusal(503, self._worst() or "nothing was measured since the unit started")
+        if any(fault.reason is Reason.STALE for fault in measurement.status):
+            return refusal(503, self._worst() or "nothing new is measured")
+        return JSONResponse({"ready": True})
+
+    def _worst(self) -> str:
+        """The worst cause in words, where the unit's state is known."""
+        report = self._health.state()
+        if report is None or not report.causes:
+            return ""
+        cause = report.causes[0].cause
+        return cause.kind.brief + (f" ({cause.of})" if cause.of else "")

@@ -1,0 +1,93 @@
+"""The application: the paths with their answers, behind a gate that every request passes."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterable
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from altd.publish.http import errors
+from altd.publish.http.addresses import address_of, group_of, is_loopback
+from altd.publish.http.answers import Answers
+from altd.publish.http.errors import refusal
+from altd.publish.http.guard import too_many
+from altd.publish.http.limits import Buckets
+from altd.publish.http.paths import ServedPath
+from altd.publish.http.pictures import PATH
+from altd.status.health import Component
+
+MAX_TARGET_BYTES = 2048
+"""Of a path with its query."""
+
+
+def application_of(
+    paths: Iterable[ServedPath], answers: Answers, component: Component, requests: Buckets
+) -> ASGIApp:
+    """What answers every request, whoever carries it. ``requests`` limits how often an address may ask."""
+    routes: list[BaseRoute] = [
+        Route(path.path, _handler(path, answers), methods=list(path.operations)) for path in paths
+    ]
+    routes.append(Route("/page/{file:path}", answers.page_file, methods=["GET"]))
+    routes.append(WebSocketRoute(PATH, answers.viewers.show))
+    routed = Starlette(routes=routes, exception_handlers={HTTPException: errors.of_routing})
+    routed.router.redirect_slashes = False
+    return _Gate(routed, component, requests)
+
+
+def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitable[Response]]:
+    """One for all methods of a path: starlette would name only the first route's in ``Allow``."""
+
+    async def handle(request: Request) -> Response:
+        method = "GET" if request.method == "HEAD" else request.method
+        return await path.operations[method].handler(answers, request)
+
+    return handle
+
+
+class _Gate:
+    """What is looked at before any path: that a request has one meaning, and how often its sender asks."""
+
+    def __init__(self, application: ASGIApp, component: Component, requests: Buckets) -> None:
+        self._application = application
+        self._component = component
+        self._requests = requests
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse, or pass on."""
+        self._component.count("requests")
+        if (wait_s := self._wait_s(scope)) > 0:
+            self._component.count("requests_limited")
+            answer: ASGIApp = too_many("too many requests", wait_s)
+        else:
+            answer = _malformed(scope) or self._application
+        await answer(scope, receive, send)
+
+    def _wait_s(self, scope: Scope) -> float:
+        """How long the sender has to wait; the unit's own computer, which has no limit, does not."""
+        client = scope.get("client")
+        address = None if client is None else address_of(client[0])
+        if address is None or is_loopback(address):
+            return 0.0
+        return self._requests.take(group_of(address))
+
+
+def _malformed(scope: Scope) -> Response | None:
+    """Why a request is none that we answer; None: it may be.
+
+    No path of ours needs a percent sign: one that is written with it is read differently by what may stand
+    before us. Nor does a body have two lengths (RFC 9112, 6.1).
+    """
+    raw_path: bytes = scope["raw_path"]
+    if len(raw_path) + len(scope["query_string"]) > MAX_TARGET_BYTES:
+        return refusal(414, f"the path with its query is longer than {MAX_TARGET_BYTES} bytes")
+    if b"%" in raw_path:
+        return refusal(404, "Not Found")
+    names = [name for name, _ in scope["headers"]]
+    if b"transfer-encoding" in names and b"content-length" in names:
+        return refusal(400, "its body has two lengths")
+    return None

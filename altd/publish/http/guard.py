@@ -1,0 +1,242 @@
+"""Who may act: by a token, by a session, or, where nobody has either, from the unit's own computer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+from starlette.requests import HTTPConnection
+from starlette.responses import Response
+
+from altd.ports import Clock
+from altd.publish.http.addresses import address_of, group_of, is_loopback
+from altd.publish.http.errors import refusal
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, Buckets
+from altd.publish.http.sessions import LONGEST_S, Sessions
+
+REQUEST_HEADER = "X-Altd-Request"
+"""A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""
+
+THIS_COMPUTER = "this computer"
+"""Who acts where the address alone says that he may."""
+
+_LOCAL_NAMES = ("localhost", "")
+_EVERYBODY = "everybody"
+
+
+class Known(Protocol):
+    """Who has a password or a token: ``altd.credentials``."""
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Everybody who may act."""
+
+    def is_password(self, name: str, password: str) -> bool:
+        """Whether it is his. Takes long."""
+
+    def name_of_token(self, token: str) -> str | None:
+        """Whose token it is."""
+
+
+class Refused(Exception):  # noqa: N818  an answer, not a fault
+    """Why somebody may not; ``answer`` is what he is told."""
+
+    def __init__(self, answer: Response) -> None:
+        super().__init__(answer.status_code)
+        self.answer = answer
+
+
+class Guard:
+    """One face's guard. ``known`` gives who may act at this moment; None: no credentials are set."""
+
+    def __init__(self, known: Callable[[], Known] | None, clock: Clock, *, is_local: bool = False) -> None:
+        self._known = known
+        self._is_local = is_local
+        self._sessions = Sessions(clock)
+        self._attempts = Buckets(ATTEMPTS, clock)
+        self._all_attempts = Buckets(ALL_ATTEMPTS, clock)
+        self._verifying = asyncio.Lock()
+
+    @property
+    def has_credentials(self) -> bool:
+        """Whether tokens and passwords say who may act."""
+        return self._known is not None
+
+    def actor(self, request: HTTPConnection) -> str:
+        """Who asks for an action; raises Refused when he may not."""
+        _check_is_no_other_page(request)
+        if self._is_local or self._known is None:
+            if not self._is_local:
+                _check_is_own_computer(request)
+            return THIS_COMPUTER
+        return self._identified(request, self._known())
+
+    def check_may_look(self, connection: HTTPConnection) -> None:
+        """Raise Refused where pictures are not for whoever asks: credentials are set, and he shows none."""
+        if self._known is not None and not self._is_local:
+            self._identified(connection, self._known())
+
+    def _identified(self, request: HTTPConnection, known: Known) -> str:
+        """Who asks, by what he shows; raises Refused."""
+        self._check_attempts(request)
+        token, secret = _token_of(request), secret_of(request)
+        if token is not None:
+            name = known.name_of_token(token)
+        elif secret is not None:
+            name = self._name_of_session(secret, known)
+        else:
+            raise _unknown("a token, or a session that /api/v1/login begins, is needed")
+        if name is None:
+            self._count_attempt(request)
+            raise _unknown("the token or the session is unknown or over")
+        return name
+
+    def viewer(self, request: HTTPConnection) -> str | None:
+        """Who is logged in, for who only looks; None: nobody."""
+        secret = secret_of(request)
+        if self._known is None or secret is None:
+            return None
+        return self._name_of_session(secret, self._known())
+
+    async def log_in(self, request: HTTPConnection, name: str, password: str) -> str:
+        """Begin a session; returns its secret. Raises Refused."""
+        _check_is_no_other_page(request)
+        if self._known is None:
+            raise Refused(refusal(409, "nobody can log in: [http] credentials is not set"))
+        self._check_attempts(request)
+        self._count_attempt(request)
+        async with self._verifying:  # one at a time: each takes 16 MB and a core
+            fits = await asyncio.to_thread(self._known().is_password, name, password)
+        if not fits:
+            raise _unknown("name or password is wrong")
+        self._forgive(request)
+        return self._sessions.begin(name)
+
+    def may_act(self, request: HTTPConnection) -> bool:
+        """Whether an action could be asked for from there, with what the request shows."""
+        if self._known is not None and not self._is_local:
+            return self.viewer(request) is not None
+        try:
+            if not self._is_local:
+                _check_is_own_computer(request)
+        except Refused:
+            return False
+        return True
+
+    def log_out(self, request: HTTPConnection) -> None:
+        """End the session of who asks; raises Refused where a page of elsewhere does."""
+        _check_is_no_other_page(request)
+        if (secret := secret_of(request)) is not None:
+            self._sessions.end(secret)
+
+    def _name_of_session(self, secret: str, known: Known) -> str | None:
+        name = self._sessions.name_of(secret)
+        return name if name in known.names else None
+
+    def _check_attempts(self, request: HTTPConnection) -> None:
+        wait_s = max(self._attempts.wait_s(_group(request)), self._all_attempts.wait_s(_EVERYBODY))
+        if wait_s:
+            raise Refused(too_many("too many wrong attempts", wait_s))
+
+    def _count_attempt(self, request: HTTPConnection) -> None:
+        self._attempts.take(_group(request))
+        self._all_attempts.take(_EVERYBODY)
+
+    def _forgive(self, request: HTTPConnection) -> None:
+        self._attempts.give_back(_group(request))
+        self._all_attempts.give_back(_EVERYBODY)
+
+
+def too_many(sentence: str, wait_s: float) -> Response:
+    """The answer to who asks too often."""
+    seconds = max(math.ceil(wait_s), 1)
+    return refusal(429, f"{sentence}; wait {seconds} s", {"Retry-After": str(seconds)})
+
+
+def cookie_name(request: HTTPConnection) -> str:
+    """The cookie of this face. Cookies know no ports: two units behind one address have two names.
+
+    With TLS its prefix has browsers take it from this host only, and never without TLS (RFC 6265bis, 4.1.3).
+    """
+    server = request.scope.get("server")
+    port = server[1] if server is not None else 0
+    return f"{'__Host-' if _is_tls(request) else ''}altd_{port}"
+
+
+def session_cookie(request: HTTPConnection, secret: str) -> str:
+    """The header that gives a browser its session, or with an empty secret takes it away."""
+    parts = [
+        f"{cookie_name(request)}={secret}",
+        "Path=/",
+        f"Max-Age={round(LONGEST_S) if secret else 0}",
+        "HttpOnly",
+        "SameSite=Strict",
+    ]
+    return "; ".join([*parts, "Secure"] if _is_tls(request) else parts)
+
+
+def secret_of(request: HTTPConnection) -> str | None:
+    """The session that a request names; None: none, or several, of which nobody knows which is ours."""
+    wanted = cookie_name(request)
+    found = [
+        value.strip()
+        for header in request.headers.getlist("Cookie")
+        for name, _, value in (part.partition("=") for part in header.split(";"))
+        if name.strip() == wanted
+    ]
+    return found[0] if len(found) == 1 and found[0] else None
+
+
+def _token_of(request: HTTPConnection) -> str | None:
+    """The token of ``Authorization: Bearer`` (RFC 6750); None: there is none. Two are one that is wrong."""
+    headers = request.headers.getlist("Authorization")
+    if not headers:
+        return None
+    scheme, _, token = headers[0].partition(" ")
+    return token.strip() if len(headers) == 1 and scheme.lower() == "bearer" else ""
+
+
+def _check_is_no_other_page(request: HTTPConnection) -> None:
+    """A page of elsewhere can neither send our header unasked nor hide where it is from."""
+    if REQUEST_HEADER not in request.headers:
+        raise Refused(refusal(403, f"the header {REQUEST_HEADER} is missing"))
+    origins = request.headers.getlist("Origin")
+    own = f"{'https' if _is_tls(request) else 'http'}://{request.headers.get('Host', '')}"
+    if origins and origins != [own]:
+        raise Refused(refusal(403, "a page that is not the unit's own asks"))
+
+
+def _check_is_own_computer(request: HTTPConnection) -> None:
+    """By its address; a name in ``Host`` may have been bent to the unit for a browser that runs on it."""
+    client, server = request.client, request.scope.get("server")
+    theirs = None if client is None else address_of(client.host)
+    ours = None if server is None else address_of(server[0])
+    if theirs is None or not (is_loopback(theirs) or theirs == ours):
+        sentence = "it is asked for on the unit's own computer only: altd selfcheck"
+        raise Refused(refusal(403, sentence))
+    host = _host_of(request.headers.get("Host", ""))
+    if host not in _LOCAL_NAMES and address_of(host) is None:
+        raise Refused(refusal(403, "the header Host names no address of the unit"))
+
+
+def _host_of(header: str) -> str:
+    """The name or address in a header ``Host``, without the port."""
+    if header.startswith("["):
+        return header[1:].partition("]")[0]
+    return header.partition(":")[0]
+
+
+def _is_tls(request: HTTPConnection) -> bool:
+    """From the connection itself; no header is believed."""
+    return request.scope.get("scheme") in ("https", "wss")
+
+
+def _group(request: HTTPConnection) -> str:
+    address = None if request.client is None else address_of(request.client.host)
+    return "" if address is None else group_of(address)
+
+
+def _unknown(sentence: str) -> Refused:
+    return Refused(refusal(401, sentence, {"WWW-Authenticate": "Bearer"}))

@@ -1,0 +1,157 @@
+"""What Prometheus is told, in its text format. What is not known has no sample: no 0, no old number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from prometheus_client import CollectorRegistry
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4, generate_latest
+from prometheus_client.registry import Collector
+
+from altd.reasons import Signal
+from altd.records import Measurement, Quantity
+from altd.status.board import Board
+from altd.status.cause import StateReport
+from altd.status.health import Health, State
+from altd.status.measurement_json import as_object_now
+
+CONTENT_TYPE = CONTENT_TYPE_PLAIN_0_0_4
+
+
+class Metrics:
+    """The metrics of one unit, in a registry of their own: nothing of the process itself is in them."""
+
+    def __init__(self, board: Board, health: Health) -> None:
+        self._registry = CollectorRegistry(auto_describe=False)
+        self._registry.register(_Unit(board, health))
+
+    def text(self) -> bytes:
+        """All samples of this moment."""
+        return generate_latest(self._registry)
+
+
+class _Unit(Collector):
+    """Reads board and health when it is asked."""
+
+    def __init__(self, board: Board, health: Health) -> None:
+        self._board = board
+        self._health = health
+
+    def collect(self) -> Iterator[Metric]:
+        """Every family, with the samples of what is known now."""
+        yield from self._build()
+        measurement = self._board.read()
+        yield from self._measurement(measurement)
+        if measurement is not None:
+            yield from _values(measurement, self._board.age_s())
+        if (report := self._health.state()) is not None:
+            yield from _state(report)
+        yield from self._components()
+        if (check := self._health.self_check.latest) is not None:
+            verdict = _gauge(
+                "altd_self_check_verdict", "The last self-check's verdict, in a label", "verdict"
+            )
+            verdict.add_metric([str(check.document.get("verdict"))], 1)
+            yield verdict
+            number = _gauge("altd_self_check_number", "Self-checks since the start of the daemon")
+            number.add_metric([], check.number)
+            yield number
+
+    def _build(self) -> Iterator[Metric]:
+        facts = {key: self._health.facts.get(key, "") for key in ("version", "serial", "calibration")}
+        yield InfoMetricFamily(
+            "altd_build",
+            "The unit and the daemon",
+            value={**facts, "instrument": self._board.quantities.instrument},
+        )
+        running = _gauge("altd_running_seconds", "Since the start of the daemon")
+        running.add_metric([], self._board.running_ns() * 1e-9)
+        yield running
+
+    def _measurement(self, measurement: Measurement | None) -> Iterator[Metric]:
+        valid = _gauge("altd_valid", "1 while there is a valid measurement, else 0")
+        valid.add_metric([], float(measurement is not None and measurement.valid))
+        yield valid
+        published = CounterMetricFamily("altd_measurements", "Measurements since the start, valid or not")
+        published.add_metric([], self._board.published)
+        yield published
+        if (age_s := self._board.age_s()) is not None:
+            age = _gauge("altd_measurement_age_seconds", "Since the middle of the latest exposures")
+            age.add_metric([], age_s)
+            yield age
+        status = _gauge("altd_status", "1 for each reason and warning of the latest measurement", "code")
+        for code in dict.fromkeys(() if measurement is None else map(str, measurement.status)):
+            status.add_metric([code], 1)
+        yield status
+
+    def _components(self) -> Iterator[Metric]:
+        states = _gauge("altd_component_state", "1 for the state of a component", "component", "state")
+        events = CounterMetricFamily(
+            "altd_component_events", "What a component counts", labels=["component", "event"]
+        )
+        figures = _gauge(
+            "altd_component_figure", "What a component measures of itself", "component", "figure"
+        )
+        for component in self._health:
+            for state in State:
+                states.add_metric([component.name, str(state)], float(component.state is state))
+            for event, count in component.counters.items():
+                events.add_metric([component.name, event], count)
+            for name, figure in component.figures.items():
+                if isinstance(figure, int | float):
+                    figures.add_metric([component.name, name], figure)
+        yield from (states, events, figures)
+
+
+def _values(measurement: Measurement, age_s: float | None) -> Iterator[Metric]:
+    """A family for each quantity, with the numbers of the JSON; what is null there has no sample."""
+    shown = as_object_now(measurement, age_s)
+    for quantity in measurement.quantities.of_unit:
+        name, meaning = f"altd_{quantity.key}", _meaning(quantity)
+        yield _known(name, meaning, shown[quantity.key])
+        if quantity.has_sigma:
+            sigma, sigma_now = shown["sigma"][quantity.key], shown["sigma_now"][quantity.key]
+            yield _known(f"{name}_sigma", f"Standard deviation of {meaning}", sigma)
+            yield _known(f"{name}_sigma_now", f"The same as a statement about now: {meaning}", sigma_now)
+    for quantity in measurement.quantities.of_target:
+        family = _gauge(f"altd_target_{quantity.key}", _meaning(quantity), "target")
+        for target in measurement.targets:
+            if (number := shown[target][quantity.key]) is not None:
+                family.add_metric([target], number)
+        yield family
+
+
+def _meaning(quantity: Quantity) -> str:
+    return f"{quantity.label}, {quantity.unit}: {quantity.meaning}"
+
+
+def _state(report: StateReport) -> Iterator[Metric]:
+    signals = _gauge("altd_state", "1 for the unit's state (NAMUR NE 107), 0 for the others", "signal")
+    for signal in Signal:
+        signals.add_metric([str(signal)], float(report.signal is signal))
+    since = _gauge("altd_state_seconds", "For how long the unit's state has been what it is")
+    since.add_metric([], (report.now_ns - report.since_ns) * 1e-9)
+    causes = _gauge(
+        "altd_cause", "1 for a cause that is true now, 0 while it is still shown", "code", "of", "signal"
+    )
+    for shown in report.causes:
+        labels = [str(shown.cause.kind), shown.cause.of or "", str(shown.signal)]
+        causes.add_metric(labels, float(shown.is_active))
+    shares = _gauge("altd_availability_ratio", "Share of the time in which something was valid", "span")
+    for span, tally in report.availability.as_object().items():
+        share = tally.get("share") if isinstance(tally, dict) else None
+        if isinstance(share, float):
+            shares.add_metric([span], share)
+    yield from (signals, since, causes, shares)
+
+
+def _known(name: str, meaning: str, value: float | None) -> Metric:
+    family = _gauge(name, meaning)
+    if value is not None:
+        family.add_metric([], value)
+    return family
+
+
+def _gauge(name: str, meaning: str, *labels: str) -> GaugeMetricFamily:
+    return GaugeMetricFamily(name, meaning, labels=labels)

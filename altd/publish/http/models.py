@@ -1,0 +1,351 @@
+"""What the answers hold, as pydantic models: the OpenAPI document is made of these.
+
+The answers themselves are made elsewhere, byte for byte (``altd/status``); the tests hold them against these.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from altd.reasons import Signal
+from altd.records import Quantities, Quantity
+from altd.records.sensors import Quality
+from altd.status.health import State
+
+
+class Answer(BaseModel):
+    """An object whose keys are all named here."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+
+
+class Error(Answer):
+    """Why a request was not answered as it wished. Every error has this shape."""
+
+    error: str
+    """One sentence for people."""
+    status: list[str] = Field(default=[])
+    """Only where a measurement was asked for and there is none: the codes of the reasons."""
+
+
+class Sensor(Answer):
+    """How good and how old the value of another sensor was when the measurement was published."""
+
+    quality: Quality
+    age_s: float | None
+
+
+class Cause(Answer):
+    """Something that is wrong, with what to do about it."""
+
+    code: str
+    signal: Signal
+    of: str | None
+    """The target or component; null: the whole unit."""
+    active: bool
+    """Whether it is true just now; else it is shown for a while after."""
+    for_s: float
+    times: int
+    brief: str
+    remedy: str
+    detail: str
+
+
+class UnitState(Answer):
+    """The unit's state in the signals of NAMUR NE 107."""
+
+    signal: Signal
+    number: int
+    """That of OPC 10000-100, table 22."""
+    for_s: float
+    causes: list[Cause]
+    """The worst first."""
+
+
+class Span(Answer):
+    """The share of a span of time in which something valid was measured."""
+
+    share: float | None
+    valid_s: float
+    observed_s: float
+    lost_s: dict[str, float]
+    """Seconds by the code of the reason."""
+
+
+class Availability(Answer):
+    """In which share of the time the unit measured."""
+
+    last_hour: Span
+    last_day: Span
+    since_start: Span
+
+
+class Component(Answer):
+    """One part of the daemon; its figures and counters stand beside these keys."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, int | float | str | None] = Field(init=False)
+    state: State
+    message: str
+    for_s: float
+    """Since when its state is this one."""
+
+
+class Status(Answer):
+    """The unit, its state, its availability and its components."""
+
+    version: str = ""
+    serial: str = ""
+    unit_number: str = ""
+    """CRC-32 of the serial number: the `unit` of every message."""
+    calibration: str = ""
+    state: UnitState | None = None
+    availability: Availability | None = None
+    components: dict[str, Component]
+
+
+class TargetDrift(Answer):
+    """What a self-check found on one target."""
+
+    leds_expected: int
+    leds_found: int
+    shift_px: list[float] | None
+    turn_deg: float | None
+    scale_ppm: float | None
+    rms_px: float | None
+    significance: float | None
+    is_similarity: bool | None
+    leds: list[str]
+    foreign_px: list[list[float]]
+    detail: str
+
+
+class SelfCheck(Answer):
+    """What the last self-check said; where there was none, `verdict` is null and `reasons` says why."""
+
+    verdict: Literal["good", "suspect", "bad", "unknown"] | None
+    reasons: list[str]
+    targets: dict[str, TargetDrift] = Field(default={})
+    yaw_deg: float | None = None
+    """What the drift does to a measurement; so the next three."""
+    pitch_deg: float | None = None
+    x_mm: float | None = None
+    y_mm: float | None = None
+    sigma: dict[str, float | None] = Field(default={})
+    number: int = 0
+    """Counts the checks since the start, from 1."""
+    cause: str = ""
+    time: str | None = None
+    exposures_lost: int = 0
+    notes: list[str] = Field(default=[])
+
+
+class TargetArea(Answer):
+    """One target."""
+
+    name: str
+    z_mm: float
+    """Its distance from the front target along the beam."""
+    valid_mm: list[tuple[float, float]]
+    """The corners (x, y) of the area within which a spot is valid, in the unit frame, counter-clockwise."""
+
+
+class Targets(Answer):
+    """The targets in beam order."""
+
+    area_mm: tuple[float, float]
+    """Width and height of the area that the unit is made for, its middle in the unit frame's zero."""
+    targets: list[TargetArea]
+
+
+class Login(Answer):
+    """Who wants to log in."""
+
+    name: str = Field(max_length=32)
+    password: str = Field(max_length=1024)
+
+
+class Session(Answer):
+    """Who is logged in."""
+
+    name: str | None
+    """null: nobody."""
+    may_act: bool
+    """Whether an action, such as a self-check, would be done for who asks this."""
+    login: bool
+    """Whether one can log in at all: whether credentials are set."""
+
+
+class TrendOfQuantity(Answer):
+    """A quantity in columns: for each point a number, or null where it was not known."""
+
+    mean: list[float | None]
+    sigma: list[float | None]
+    """The standard deviation (1 sigma) of one measurement."""
+    low: list[float | None]
+    high: list[float | None]
+
+
+class Trend(Answer):
+    """Points in the order of time, in columns of one length; where no daemon ran there are none."""
+
+    source: str
+    """What was summed up: `seconds`, `minutes` or `hours`."""
+    span_s: float
+    """The length of time of a point."""
+    t_s: list[float]
+    """When each begins, seconds since 1970, UTC."""
+    n: list[int]
+    """Measurements in it."""
+    n_valid: list[int]
+    worst: list[int]
+    """The severity of the unit's worst state: 0 good, 1 maintenance required to 4 failure."""
+    worst_code: list[str]
+    lost_to: list[str]
+    """The worst reason of those measurements that were not valid; empty: none."""
+    quantities: dict[str, TrendOfQuantity]
+
+
+class Event(Answer):
+    """Something that happened to the unit."""
+
+    id: int
+    time: str | None
+    epoch: int
+    """Which run of the clock: within one, time only grows."""
+    severity: int
+    kind: str
+    of: str | None
+    text: str
+    detail: dict[str, Any]
+    held_back: int
+    """Events of its kind before it that were counted and not kept."""
+
+
+class Events(Answer):
+    """Events, the newest first."""
+
+    events: list[Event]
+
+
+class Recording(Answer):
+    """Frames of the last seconds, kept on the unit."""
+
+    name: str
+    why: str
+    """The code of the cause, with the target or component that it is of; or who asked."""
+    start: str | None
+    """UTC of its first frame."""
+    seconds: float
+    exposures: int
+    bytes: int
+    """On the unit's disk."""
+    marked: bool
+    """It is never removed to make room."""
+
+
+class Recordings(Answer):
+    """What the unit has kept."""
+
+    unavailable: str
+    """Why nothing is kept; empty: it is."""
+    recordings: list[Recording]
+    """The newest first."""
+
+
+class Document(BaseModel):
+    """An OpenAPI document."""
+
+    model_config = ConfigDict(extra="allow")
+    openapi: str
+
+
+class Alive(Answer):
+    """The daemon answers."""
+
+    alive: Literal[True]
+
+
+class Ready(Answer):
+    """The unit measures; whether what it measures is valid, `/api/v1/measurement` says."""
+
+    ready: Literal[True]
+
+
+def measurement_model(quantities: Quantities) -> type[BaseModel]:
+    """The measurement of a unit with these quantities, as ``altd/status/checked_json.py`` writes it."""
+    with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
+    of_target = _numbers("TargetValues", "The values of one target.", quantities.of_target, "")
+    sigma = _numbers("Sigma", "Standard deviations (1 sigma) of the means.", with_sigma, "")
+    sigma_now = _numbers("SigmaNow", "The same as statements about where the beam is now.", with_sigma, "")
+    sigma_rates = _numbers("SigmaRates", "Standard deviations of the rates.", with_sigma, "_per_s")
+    rates = _numbers("Rates", "How fast quantities change.", with_sigma, "_per_s", sigma=sigma_rates)
+
+    class Measurement(Answer):
+        """One measurement. Use its numbers only when `valid` is true; what is not known is null.
+
+        Beside the keys that are named here stands one for each target, by the target's name.
+        """
+
+        model_config = ConfigDict(extra="allow")
+        __pydantic_extra__: dict[str, of_target] = Field(init=False)  # type: ignore[valid-type]
+        sequence: int
+        """That of the newest exposure; it rises, with gaps."""
+        time: str | None
+        """UTC, ISO 8601, of the middle of the exposures."""
+        t_s: float
+        frames: int
+        """Exposures that were averaged."""
+        valid: bool
+        status: list[str]
+        """The codes of reasons and warnings."""
+        sensors: dict[str, Sensor] = Field(default={})
+        """Only where another sensor is fitted."""
+        unit: str | None
+        session: str | None
+        """Drawn by chance at the start of the daemon."""
+        message: int
+        published: int
+        """Measurements since the start of the daemon."""
+        clock_ms: int
+        age_s: float | None
+        """Seconds from the middle of the exposures until it was sent."""
+        crc32: str
+        """Of all bytes before `, "crc32":`."""
+
+    return create_model(
+        "Measurement",
+        __base__=Measurement,
+        __doc__=Measurement.__doc__,
+        **_fields(quantities.of_unit, ""),
+        sigma=(sigma, ...),
+        sigma_now=(sigma_now, ...),
+        rates=(rates, ...),
+    )
+
+
+def _numbers(
+    name: str,
+    meaning: str,
+    quantities: list[Quantity] | tuple[Quantity, ...],
+    suffix: str,
+    sigma: type[BaseModel] | None = None,
+) -> type[BaseModel]:
+    """An object with a number, or null, for each quantity."""
+    fields = _fields(quantities, suffix)
+    if sigma is not None:
+        fields["sigma"] = (sigma, ...)
+    return create_model(name, __base__=Answer, __doc__=meaning, **fields)
+
+
+def _fields(quantities: list[Quantity] | tuple[Quantity, ...], suffix: str) -> dict[str, Any]:
+    per = "/s" if suffix else ""
+    return {
+        quantity.key + suffix: (
+            float | None,
+            Field(description=f"{quantity.label}, {quantity.unit}{per}: {quantity.meaning}"),
+        )
+        for quantity in quantities
+    }

@@ -1,0 +1,136 @@
+// What was: trends and events out of the unit's history, and the recordings of frames around faults.
+
+import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
+import { asked } from "./acting.js";
+import { axesOf, colours } from "./trend.js";
+import { QUANTITIES, megabytes, words } from "./words.js";
+
+const DAY_S = 86400, POINTS = 600;
+export const SPANS = { "1 hour": 3600, "1 day": DAY_S, "1 week": 7 * DAY_S, "1 month": 31 * DAY_S, "1 year": 366 * DAY_S };
+const SEVERITIES = ["good", "maintenance_required", "out_of_specification", "check_function", "failure"];
+
+function Plot({ quantity, trend }) {
+  const place = useRef(null);
+  useEffect(() => {
+    const columns = trend.quantities[quantity.key];
+    if (!columns) return undefined;
+    const colour = colours(place.current);
+    const plot = new uPlot({
+      width: place.current.clientWidth, height: 150, legend: { show: false }, cursor: { y: false },
+      axes: axesOf(colour, quantity, trend.t_s.at(-1) - trend.t_s[0]),
+      series: [{}, { stroke: colour("--accent"), width: 1.5, points: { show: trend.t_s.length < 3 } },
+        { stroke: "transparent", points: { show: false } }, { stroke: "transparent", points: { show: false } }],
+      bands: [{ series: [3, 2], fill: colour("--band") }],
+    }, gapped(trend, columns), place.current);
+    const sized = new ResizeObserver(() => plot.setSize({ width: place.current.clientWidth, height: 150 }));
+    sized.observe(place.current);
+    return () => { sized.disconnect(); plot.destroy(); };
+  }, [quantity.key, trend]);
+  return html`<figure class="plot"><figcaption>${quantity.label}, ${quantity.unit}</figcaption>
+    <div ref=${place} role="img" aria-label=${`${quantity.label} in that time`}></div></figure>`;
+}
+
+// Where no point is for longer than two spans nobody measured, and no line is drawn.
+function gapped(trend, { mean, low, high }) {
+  const columns = [[], [], [], []];
+  trend.t_s.forEach((t, number) => {
+    if (number && t - trend.t_s[number - 1] > 2.5 * trend.span_s) columns.forEach((column, each) => column.push(each ? null : t - trend.span_s));
+    [t, mean[number], low[number], high[number]].forEach((value, each) => columns[each].push(value));
+  });
+  return columns;
+}
+
+function Lane({ trend }) {
+  const begin = trend.t_s[0], span = Math.max(trend.t_s.at(-1) + trend.span_s - begin, 1);
+  return html`<svg class="lane" viewBox="0 0 1000 10" preserveAspectRatio="none" role="img" aria-label="the unit's worst state in that time">
+    ${trend.t_s.map((t, number) => html`<rect key=${t} x=${1000 * (t - begin) / span} width=${1000 * trend.span_s / span} height="10"
+      class=${`worst ${SEVERITIES[trend.worst[number]]}`} />`)}</svg>`;
+}
+
+function csvOf(trend) {
+  const names = Object.keys(trend.quantities);
+  const head = ["time", "n", "n_valid", "worst", ...names.flatMap(name => [`${name}_mean`, `${name}_sigma`, `${name}_low`, `${name}_high`])];
+  const rows = trend.t_s.map((t, number) => [new Date(1000 * t).toISOString(), trend.n[number], trend.n_valid[number], trend.worst[number],
+    ...names.flatMap(name => ["mean", "sigma", "low", "high"].map(part => trend.quantities[name][part][number] ?? ""))].join(","));
+  return `${[head.join(","), ...rows].join("\n")}\n`;
+}
+
+// An address that the browser may save from; the last one is let go.
+function useFile(text) {
+  const [address, setAddress] = useState("");
+  useEffect(() => {
+    if (text === null) { setAddress(""); return undefined; }
+    const made = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+    setAddress(made);
+    return () => URL.revokeObjectURL(made);
+  }, [text]);
+  return address;
+}
+
+// What an address answers, asked for again every so often; {error} where it does not.
+export function useAnswer(address, everyMs) {
+  const [answer, setAnswer] = useState(null);
+  useEffect(() => {
+    let isWanted = true;
+    const look = async () => {
+      if (document.hidden) return;
+      const found = await asked(address);
+      if (isWanted) setAnswer(found);
+    };
+    setAnswer(null);
+    look();
+    const timer = setInterval(look, everyMs);
+    return () => { isWanted = false; clearInterval(timer); };
+  }, [address]);
+  return answer;
+}
+
+export function PastTrends({ span }) {
+  const trend = useAnswer(`/api/v1/trend?from=-${SPANS[span]}&points=${POINTS}`, SPANS[span] > 3600 ? 60000 : 10000);
+  const isThere = trend && !trend.error && trend.t_s.length > 0;
+  const address = useFile(isThere ? csvOf(trend) : null);
+  if (!isThere) return html`<p>${trend === null ? "asking the unit…" : trend.error ?? "nothing was measured in that time"}</p>`;
+  return html`<p class="hint">Line: the mean; band: from the lowest to the highest; the lane below: the unit's worst state. Times are UTC.
+      ${address && html` <a href=${address} download="trend.csv">as CSV</a>`}</p>
+    <div class="plots">${QUANTITIES.filter(quantity => quantity.is_shown).map(quantity =>
+      html`<${Plot} key=${quantity.key} quantity=${quantity} trend=${trend} />`)}</div><${Lane} trend=${trend} />`;
+}
+
+export function Events() {
+  const [before, setBefore] = useState(null);
+  const answer = useAnswer(`/api/v1/events?limit=50${before ? `&before=${before}` : ""}`, 5000);
+  const events = answer?.events ?? [];
+  return html`<section aria-labelledby="events-title" class="wide"><h2 id="events-title">Events</h2>
+    ${answer?.error && html`<p>${answer.error}</p>`}
+    <div class="scrolls" tabindex="0" role="region" aria-label="events"><table class="events">
+      <thead><tr><th scope="col">UTC</th><th scope="col">what</th><th scope="col">of</th><th scope="col">says</th></tr></thead>
+      <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}>
+        <td>${event.time?.slice(0, 19).replace("T", " ") ?? "not known"}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
+        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}${
+          event.detail.recording ? html` <a href=${`/api/v1/recordings/${event.detail.recording}`} download>its frames</a>` : ""}</td></tr>`)}</tbody>
+    </table></div>
+    ${before && html`<button type="button" onClick=${() => setBefore(null)}>newest</button>`}
+    ${events.length === 50 && html` <button type="button" onClick=${() => setBefore(events.at(-1).id)}>older</button>`}</section>`;
+}
+
+export function Recordings({ mayAct }) {
+  const [said, setSaid] = useState("");
+  const answer = useAnswer("/api/v1/recordings", 5000);
+  const kept = answer?.recordings ?? [];
+  const act = async (address, method) => {
+    setSaid("…");
+    const done = await asked(address, method);
+    setSaid(done.error ?? "done");
+  };
+  return html`<section aria-labelledby="kept-title" class="wide"><h2 id="kept-title">Frames that were kept</h2>
+    <p class="hint">The seconds around each fault, for <code>altd replay</code>. ${answer?.unavailable ?? answer?.error ?? ""}</p>
+    ${mayAct && !answer?.unavailable && html`<button type="button" onClick=${() => act("/api/v1/recordings", "POST")}>keep the last seconds</button>`}
+    <span role="status"> ${said}</span>
+    ${kept.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="kept frames"><table>
+      <thead><tr><th scope="col">UTC</th><th scope="col">why</th><th scope="col">s</th><th scope="col">size</th><th scope="col">take along</th></tr></thead>
+      <tbody>${kept.map(each => html`<tr key=${each.name}><td>${each.start?.slice(0, 19).replace("T", " ") ?? "not known"}</td><td>${words(each.why)}</td>
+        <td>${each.seconds.toFixed(1)}</td><td>${megabytes(each.bytes)}</td>
+        <td><a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>${each.marked ? " marked" : ""}
+          ${mayAct && html` <button type="button" onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
+            ${each.marked ? "take the mark away" : "mark: stays"}</button>`}</td></tr>`)}</tbody></table></div>`}</section>`;
+}

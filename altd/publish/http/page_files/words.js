@@ -1,0 +1,53 @@
+// Numbers and states as a person reads them.
+
+export const UNKNOWN = "–";
+
+export const QUANTITIES = typeof document === "undefined" ? []
+  : JSON.parse(document.getElementById("quantities").textContent);
+
+export function fixed(value, decimals) {
+  if (value === null || value === undefined) return UNKNOWN;
+  const text = value.toFixed(decimals);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
+}
+
+// The uncertainty as a statement about now; at rest where nobody knows how the beam moves.
+export function sigmaOf(measurement, quantity) {
+  const then = measurement?.sigma?.[quantity.key] ?? null, now = measurement?.sigma_now?.[quantity.key] ?? null;
+  if (then === null) return "";
+  return now === null ? `± ${fixed(then, quantity.decimals)} (at rest)` : `± ${fixed(now, quantity.decimals)} (1σ)`;
+}
+
+export function duration(seconds) {
+  const minutes = seconds / 60, hours = seconds / 3600, days = seconds / 86400;
+  if (seconds < 10) return `${seconds.toFixed(1)} s`;
+  if (minutes < 1) return `${Math.floor(seconds)} s`;
+  if (hours < 1) return `${Math.floor(minutes)} min`;
+  if (days < 1) return `${Math.floor(hours)} h ${Math.floor(minutes % 60)} min`;
+  return `${Math.floor(days)} d ${Math.floor(hours % 24)} h`;
+}
+
+export function megabytes(bytes) {
+  return `${(bytes / 1e6).toFixed(1)} MB`;
+}
+
+// The signals of NAMUR NE 107 beside good, each with a shape, for who sees no colours.
+export const SIGNALS = {
+  good: { words: "good", mark: "✓" },
+  maintenance_required: { words: "maintenance required", mark: "◆" },
+  out_of_specification: { words: "out of specification", mark: "▲" },
+  check_function: { words: "check function", mark: "▼" },
+  failure: { words: "failure", mark: "✕" },
+};
+
+export const words = code => code.replaceAll("_", " ");
+
+// What is shown of the measurement in one line, and how it is meant: good, warned, bad or unknown.
+export function verdictOf({ words: lost, measurement }) {
+  if (lost || !measurement) return { kind: "unknown", text: lost || "connecting…" };
+  if (!measurement.valid) return { kind: "bad", text: "not valid" };
+  if (measurement.status.some(code => code === "playback" || code === "simulated")) {
+    return { kind: "warned", text: "NOT LIVE" };
+  }
+  return measurement.status.length ? { kind: "warned", text: "valid, with warnings" } : { kind: "good", text: "valid" };
+}

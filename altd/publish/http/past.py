@@ -1,0 +1,159 @@
+"""What was: points of a trend and events out of the unit's history, in bounded amounts.
+
+The history's own thread reads and writes the JSON: a month takes some 100 ms, and no other client waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from json import dumps
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from altd.history.history import History, NoHistoryError
+from altd.history.reader import Reader
+from altd.history.records import StoredEvent, Trend
+from altd.ports import Clock
+from altd.publish.http.errors import refusal
+from altd.publish.http.resuming import Resume, time_of
+from altd.records import Quantities
+from altd.status.event_log import EventKind
+
+MAX_POINTS = 1000
+POINTS = 500
+MAX_EVENTS = 500
+EVENTS = 100
+SPAN_S = 3600.0
+"""Before now, where no time is named."""
+
+LAST_S = 253_402_300_799
+"""The end of the year 9999, UTC."""
+
+_US = 10**6
+
+
+class UnusableQueryError(ValueError):
+    """A query that cannot be; the sentence says why."""
+
+
+class Past:
+    """The history of one unit, as HTTP shows it."""
+
+    def __init__(self, history: History, quantities: Quantities, clock: Clock) -> None:
+        self.history = history
+        self._quantities = quantities
+        self._clock = clock
+
+    async def trend(self, request: Request) -> Response:
+        """How each quantity went, in columns: a number or null for each point."""
+        return await self._answer(request, self._trend_query)
+
+    async def events(self, request: Request) -> Response:
+        """What happened, the newest first."""
+        return await self._answer(request, self._events_query)
+
+    def since(self, last_id: str) -> Resume:
+        """What a stream missed since the event of that id."""
+        return Resume(last_id, self.history, self._quantities, self._clock)
+
+    def _trend_query(self, query: Query) -> Callable[[Reader], str]:
+        from_us, to_us = self._span(query)
+        points = query.whole("points", POINTS, 1, MAX_POINTS)
+        if from_us >= to_us:
+            return lambda reader: dumps(_columns(Trend("none", 0, ()), reader))
+        return lambda reader: dumps(_columns(reader.trend(from_us, to_us, points), reader), allow_nan=False)
+
+    def _events_query(self, query: Query) -> Callable[[Reader], str]:
+        from_us, to_us = self._span(query, from_s=0.0)
+        limit = query.whole("limit", EVENTS, 1, MAX_EVENTS)
+        before = query.whole("before", 2**53, 0, 2**53)
+        kind = query.text("kind")
+        if kind is not None and kind not in set(EventKind):
+            raise UnusableQueryError(f"kind is none; possible: {', '.join(EventKind)}")
+
+        def read(reader: Reader) -> str:
+            found = reader.events(from_us, to_us, () if kind is None else [kind], limit, before)
+            return dumps({"events": list(map(_event, found))}, allow_nan=False)
+
+        return read
+
+    def _span(self, query: Query, from_s: float = -SPAN_S) -> tuple[int, int]:
+        """From when to when, µs since 1970; what is negative counts from now."""
+        now = self._clock.utc(self._clock.monotonic_ns())
+        now_s = 0.0 if now is None else now.timestamp()
+        return tuple(  # type: ignore[return-value]
+            round(min(max(now_s + second if second < 0 else second, 0), LAST_S) * _US)
+            for second in (query.number("from", from_s), query.number("to", now_s + 1))
+        )
+
+    async def _answer(self, request: Request, made: Callable[[Query], Callable[[Reader], str]]) -> Response:
+        try:
+            body = await self.history.ask(made(Query(request)))
+        except NoHistoryError as error:
+            return refusal(503, str(error))
+        except UnusableQueryError as error:
+            return refusal(400, str(error))
+        return Response(body, media_type="application/json")
+
+
+class Query:
+    """The parameters of a request, each at most once."""
+
+    def __init__(self, request: Request) -> None:
+        self._given = request.query_params.multi_items()
+
+    def text(self, name: str) -> str | None:
+        """A parameter as it came; None: it did not. Raises UnusableQueryError where it came twice."""
+        values = [value for key, value in self._given if key == name]
+        if len(values) > 1:
+            raise UnusableQueryError(f"{name} is given twice")
+        return values[0] if values else None
+
+    def number(self, name: str, otherwise: float) -> float:
+        """Seconds; raises UnusableQueryError for what is no time of this calendar."""
+        text = self.text(name)
+        try:
+            number = otherwise if text is None else float(text)
+        except ValueError as error:
+            raise UnusableQueryError(f"{name} is no number") from error
+        if not -LAST_S <= number <= LAST_S:
+            raise UnusableQueryError(f"{name} is no time, in seconds")
+        return number
+
+    def whole(self, name: str, otherwise: int, low: int, high: int) -> int:
+        """A whole number; raises UnusableQueryError for another one."""
+        text = self.text(name)
+        if text is None:
+            return otherwise
+        if not (text.isascii() and text.isdigit() and len(text) <= 16 and low <= int(text) <= high):
+            raise UnusableQueryError(f"{name} is no whole number from {low} to {high}")
+        return int(text)
+
+
+def _columns(trend: Trend, reader: Reader) -> dict[str, object]:
+    points = trend.points
+    quantities: dict[str, Mapping[str, list[float | None]]] = {}
+    for key in reader.summarised:
+        values = [point.values.get(key) for point in points]
+        quantities[key] = {
+            name: [None if value is None else getattr(value, name) for value in values]
+            for name in ("mean", "sigma", "low", "high")
+        }
+    return {
+        "source": trend.source,
+        "span_s": trend.span_us / _US,
+        "t_s": [point.t_us / _US for point in points],
+        "n": [point.n for point in points],
+        "n_valid": [point.n_valid for point in points],
+        "worst": [point.worst for point in points],
+        "worst_code": [point.worst_code for point in points],
+        "lost_to": [point.lost_to for point in points],
+        "quantities": quantities,
+    }
+
+
+def _event(event: StoredEvent) -> dict[str, object]:
+    shown = asdict(event)
+    return {"id": shown.pop("id"), "time": time_of(shown.pop("t_us")), **shown}

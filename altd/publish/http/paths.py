@@ -1,0 +1,321 @@
+"""The paths that are served, with their methods: application, document and docs are made of this table."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+from pydantic import BaseModel
+from starlette.requests import Request
+from starlette.responses import Response
+
+from altd.publish.http import models
+from altd.publish.http.answers import Answers
+from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
+from altd.status.event_log import EventKind
+
+JSON = "application/json"
+HTML = "text/html"
+EVENT_STREAM = "text/event-stream"
+TEXT = "text/plain"
+
+_KINDS = {"type": "string", "enum": [str(kind) for kind in EventKind]}
+_SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}
+
+Handler = Callable[[Answers, Request], Awaitable[Response]]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of a query, which may be left out, with its JSON Schema."""
+
+    name: str
+    meaning: str
+    schema: Mapping[str, object]
+    is_in_path: bool = False
+    """It stands in the path, and may not be left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One method of a path. ``models`` are the objects of good answers by their status; None: no object.
+
+    ``errors`` says in a sentence what each error of its own means; those that any path may have stand in
+    ``COMMON_ERRORS``.
+    """
+
+    handler: Handler
+    summary: str
+    model: type[BaseModel] | str | None = None
+    """``measurement``: that of the unit's quantities, which are known at its start only."""
+    media_type: str = JSON
+    status: int = 200
+    takes: type[BaseModel] | None = None
+    errors: Mapping[int, str] = field(default_factory=dict)
+    query: tuple[Parameter, ...] = ()
+    acts: bool = False
+    """It asks for the header that no page of another site can send."""
+    needs_actor: bool = False
+    """Not everybody may ask for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServedPath:
+    """One path that is served, with its operations by their methods; ``HEAD`` comes with ``GET``."""
+
+    path: str
+    gives: str
+    operations: Mapping[str, Operation]
+
+    @property
+    def is_old(self) -> bool:
+        """Whether it is one of the first release, which stay as they are."""
+        return not self.path.startswith("/api/v1") and self.path.startswith("/api/")
+
+
+COMMON_ERRORS = {
+    400: "what was sent is no request",
+    404: "there is no such path",
+    414: "the path with its query is too long",
+    431: "the header is too large, or has too many lines",
+    405: "the path has no such method; `Allow` has those that it has",
+    429: "too many requests; `Retry-After` says for how many seconds to wait",
+}
+"""What any path may answer."""
+
+_NOT_ALLOWED = {
+    401: "the token or the session is missing, unknown or over",
+    403: "who asks may not, or a page that is not the unit's own asks",
+}
+
+_MEASUREMENT = {
+    "GET": Operation(
+        Answers.measurement,
+        "The latest measurement",
+        "measurement",
+        errors={503: "nothing was measured since the unit started; `status` has the codes of the reasons"},
+    )
+}
+_STATUS = {"GET": Operation(Answers.status, "The unit, its state and its components", models.Status)}
+_SELF_CHECK = {
+    "GET": Operation(Answers.self_check, "What the last self-check said", models.SelfCheck),
+    "POST": Operation(
+        Answers.self_check,
+        "Make a self-check now, and give what it says",
+        models.SelfCheck,
+        errors={
+            **_NOT_ALLOWED,
+            409: "the unit cannot check itself",
+            503: "too many wait for one already",
+            504: "the check has not ended in time",
+        },
+        acts=True,
+        needs_actor=True,
+    ),
+}
+_STREAM = {
+    "GET": Operation(
+        Answers.stream,
+        "Every measurement as it comes, as server-sent events",
+        media_type=EVENT_STREAM,
+        errors={503: "enough streams are open already"},
+    )
+}
+
+_RESUMED_STREAM = {"GET": replace(_STREAM["GET"], handler=Answers.resumed_stream)}
+_SPAN = (
+    Parameter("from", "Since when: seconds since 1970, UTC; negative: before now.", _SECONDS),
+    Parameter("to", "Until when, likewise; default now.", _SECONDS),
+)
+_NO_HISTORY = {
+    400: "a parameter that cannot be",
+    503: "the history cannot be read now, or this unit has none",
+}
+_TREND = Operation(
+    Answers.trend,
+    "How each quantity went: mean, sigma, lowest and highest",
+    models.Trend,
+    errors=_NO_HISTORY,
+    query=(
+        *_SPAN,
+        Parameter(
+            "points",
+            f"How many at most; default {POINTS}.",
+            {"type": "integer", "minimum": 1, "maximum": MAX_POINTS},
+        ),
+    ),
+)
+_EVENTS = Operation(
+    Answers.events,
+    "What happened to the unit",
+    models.Events,
+    errors=_NO_HISTORY,
+    query=(
+        *_SPAN,
+        Parameter("kind", "Of this kind only.", _KINDS),
+        Parameter(
+            "limit",
+            f"How many at most; default {EVENTS}.",
+            {"type": "integer", "minimum": 1, "maximum": MAX_EVENTS},
+        ),
+        Parameter(
+            "before",
+            "An `id`: only those that are older, for the next page.",
+            {"type": "integer", "minimum": 0, "maximum": 2**53},
+        ),
+    ),
+)
+
+_RECORDING_NAME = Parameter(
+    "name", "As the list has it.", {"type": "string", "pattern": "^[0-9A-Za-z_-]{1,120}$"}, is_in_path=True
+)
+_NO_RECORDING = {404: "there is no such recording", 409: "this unit keeps none, or it cannot be done now"}
+_RECORDINGS = {
+    "GET": Operation(Answers.recordings, "The recordings that the unit has kept", models.Recordings),
+    "POST": Operation(
+        Answers.keep_frames,
+        "Keep the frames of the last seconds as a recording",
+        models.Recording,
+        status=201,
+        errors={**_NOT_ALLOWED, 409: "this unit keeps none, or it cannot be done now"},
+        acts=True,
+        needs_actor=True,
+    ),
+}
+_MARK = Operation(
+    Answers.mark_recording,
+    "Mark a recording, so that it is never removed to make room",
+    models.Recording,
+    errors={**_NOT_ALLOWED, **_NO_RECORDING},
+    query=(_RECORDING_NAME,),
+    acts=True,
+    needs_actor=True,
+)
+
+PATHS = (
+    ServedPath(
+        "/",
+        "a page for a person: the values live, their validity, links",
+        {"GET": Operation(Answers.index, "The unit's page", media_type=HTML)},
+    ),
+    ServedPath("/api/measurement", "the latest measurement, one JSON object", _MEASUREMENT),
+    ServedPath(
+        "/api/status", "the unit, its state and causes, availability, components, one JSON object", _STATUS
+    ),
+    ServedPath(
+        "/api/self-check",
+        "what the last self-check said, one JSON object; `POST`: what one says that is made now",
+        _SELF_CHECK,
+    ),
+    ServedPath("/api/stream", "every measurement as it comes, server-sent events", _STREAM),
+    ServedPath(
+        "/api/v1/",
+        "a page that explains the API",
+        {"GET": Operation(Answers.api, "The page of the API", media_type=HTML)},
+    ),
+    ServedPath(
+        "/api/v1/openapi.json",
+        "the API as an OpenAPI 3.1 document",
+        {"GET": Operation(Answers.openapi, "This document", models.Document)},
+    ),
+    ServedPath("/api/v1/measurement", "as `/api/measurement`", _MEASUREMENT),
+    ServedPath("/api/v1/status", "as `/api/status`", _STATUS),
+    ServedPath(
+        "/api/v1/targets",
+        "the targets in beam order, and the outline within which a spot on each is valid",
+        {"GET": Operation(Answers.targets, "The targets and their areas", models.Targets)},
+    ),
+    ServedPath("/api/v1/self-check", "as `/api/self-check`", _SELF_CHECK),
+    ServedPath("/api/v1/stream", "as `/api/stream`, and resumes: see below", _RESUMED_STREAM),
+    ServedPath(
+        "/api/v1/trend",
+        "how each quantity went, in columns for a plot",
+        {"GET": _TREND},
+    ),
+    ServedPath("/api/v1/events", "what happened to the unit, the newest first", {"GET": _EVENTS}),
+    ServedPath(
+        "/api/v1/recordings",
+        "the recordings of the frames around faults; `POST`: keep the last seconds now",
+        _RECORDINGS,
+    ),
+    ServedPath(
+        "/api/v1/recordings/{name}",
+        "one of them, for `altd replay`, in a tar archive",
+        {
+            "GET": Operation(
+                Answers.recording,
+                "A recording as a tar archive",
+                media_type="application/x-tar",
+                errors={
+                    401: _NOT_ALLOWED[401],
+                    **_NO_RECORDING,
+                    503: "enough recordings are being fetched already",
+                },
+                query=(_RECORDING_NAME,),
+            )
+        },
+    ),
+    ServedPath(
+        "/api/v1/recordings/{name}/mark",
+        "`PUT`: it is never removed to make room; `DELETE`: it may be",
+        {"PUT": _MARK, "DELETE": replace(_MARK, summary="Take the mark of a recording away")},
+    ),
+    ServedPath(
+        "/api/v1/session",
+        "who is logged in, and whether he may act",
+        {"GET": Operation(Answers.session, "Who is logged in", models.Session)},
+    ),
+    ServedPath(
+        "/api/v1/login",
+        "`POST` name and password: begins a session",
+        {
+            "POST": Operation(
+                Answers.log_in,
+                "Log in: begins a session, whose cookie comes back",
+                models.Session,
+                takes=models.Login,
+                errors={
+                    **_NOT_ALLOWED,
+                    401: "name or password is wrong",
+                    408: "the body did not come",
+                    409: "nobody can log in here: no credentials are set",
+                    413: "the body is too long",
+                    415: "the body is not application/json",
+                },
+                acts=True,
+            )
+        },
+    ),
+    ServedPath(
+        "/api/v1/logout",
+        "`POST`: ends the session",
+        {
+            "POST": Operation(
+                Answers.log_out, "Log out", models.Session, errors={403: _NOT_ALLOWED[403]}, acts=True
+            )
+        },
+    ),
+    ServedPath(
+        "/metrics",
+        "all numbers for Prometheus, in its text format",
+        {"GET": Operation(Answers.metrics, "All numbers for Prometheus", media_type=TEXT)},
+    ),
+    ServedPath(
+        "/healthz",
+        "200 while the daemon answers",
+        {"GET": Operation(Answers.alive, "Whether the daemon answers", models.Alive)},
+    ),
+    ServedPath(
+        "/readyz",
+        "200 while the unit measures, valid or not; else 503 with the reason",
+        {
+            "GET": Operation(
+                Answers.ready,
+                "Whether the unit measures",
+                models.Ready,
+                errors={503: "nothing was measured yet, or nothing new is"},
+            )
+        },
+    ),
+)
+"""In the order of ``docs/http.md``."""

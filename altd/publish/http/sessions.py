@@ -1,0 +1,61 @@
+"""Sessions of those who logged in: on the unit, few, and not for ever, by the clock that nobody sets."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from altd.ports import Clock
+
+MAX_SESSIONS = 16
+IDLE_S = 1800.0
+LONGEST_S = 8 * 3600.0
+
+
+@dataclass(slots=True)
+class _Session:
+    name: str
+    began_ns: int
+    used_ns: int
+
+
+class Sessions:
+    """Who is logged in. What identifies a session is kept as a hash, by which it is found."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._sessions: OrderedDict[bytes, _Session] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._sessions)
+
+    def begin(self, name: str) -> str:
+        """A new session; returns its secret. Where there are too many, the one longest unused ends."""
+        secret, now_ns = secrets.token_urlsafe(32), self._clock.monotonic_ns()
+        self._sessions[_key(secret)] = _Session(name, now_ns, now_ns)
+        while len(self._sessions) > MAX_SESSIONS:
+            self._sessions.popitem(last=False)
+        return secret
+
+    def name_of(self, secret: str) -> str | None:
+        """Whose session it is; None: there is no such session, or it is over."""
+        key, now_ns = _key(secret), self._clock.monotonic_ns()
+        session = self._sessions.get(key)
+        if session is None:
+            return None
+        if now_ns - session.used_ns > IDLE_S * 1e9 or now_ns - session.began_ns > LONGEST_S * 1e9:
+            del self._sessions[key]
+            return None
+        session.used_ns = now_ns
+        self._sessions.move_to_end(key)
+        return session.name
+
+    def end(self, secret: str) -> None:
+        """It is over, if there was one."""
+        self._sessions.pop(_key(secret), None)
+
+
+def _key(secret: str) -> bytes:
+    return hashlib.sha256(secret.encode("utf-8", "surrogatepass")).digest()

@@ -1,0 +1,165 @@
+"""The checked block: all that a controller needs in one read, with what it takes to check it.
+
+Message number, time stamp, source and CRC are the measures of a black channel (EN 50159, 7.3). The CRC
+is over every register before it in the order sent, so only a read of the whole block can be checked. A row is
+added in a gap; ``BLOCK_VERSION`` then stays. ``docs/proof.md`` is generated from this file.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from operator import attrgetter
+
+from altd.publish.modbus import values
+from altd.publish.modbus.registers import Register, RegisterImage, Type
+from altd.publish.modbus.values import Reading, Snapshot
+from altd.status.proof import Stamp, crc32
+
+BLOCK_VERSION = 1
+"""Counts up when a register changes its meaning or place."""
+
+FIRST, SIZE = 200, 80
+"""Where the block begins, and its registers."""
+
+FLOATS = 230
+"""Where its floating point values begin."""
+
+
+def _of_stamp(read: Callable[[Stamp], int | None]) -> Reading:
+    return lambda snapshot: read(snapshot.stamp) if snapshot.stamp else None
+
+
+def _published(snapshot: Snapshot) -> int:
+    return snapshot.published % 0xFFFF_FFFF
+
+
+HEAD = (
+    Register(200, "block_version", Type.U16, "", "version of this block", values.constant(BLOCK_VERSION)),
+    Register(
+        201,
+        "state",
+        Type.U16,
+        "",
+        "NAMUR NE 107: 0 good, 1 failure, 2 check function, 3 out of specification, 4 maintenance required",
+        attrgetter("state"),
+        is_ageing=True,
+    ),
+    Register(
+        202,
+        "unit",
+        Type.U32,
+        "",
+        "which unit: CRC-32 of its serial number",
+        _of_stamp(attrgetter("identity.unit")),
+    ),
+    Register(
+        204,
+        "session",
+        Type.U32,
+        "",
+        "drawn by chance when the daemon starts, never 0",
+        _of_stamp(attrgetter("identity.session")),
+    ),
+    Register(
+        206,
+        "message",
+        Type.U32,
+        "",
+        "counts the answers that this interface gave from this block",
+        _of_stamp(attrgetter("message")),
+        is_ageing=True,
+    ),
+    Register(
+        208,
+        "clock",
+        Type.U32,
+        "ms",
+        "since the daemon started, when this was answered",
+        _of_stamp(attrgetter("clock_ms")),
+        is_ageing=True,
+    ),
+    Register(210, "published", Type.U32, "", "counts the measurements since the daemon started", _published),
+    Register(212, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
+    Register(214, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970 in UTC", values.utc_s),
+    Register(216, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
+    Register(217, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
+    Register(
+        218,
+        "age",
+        Type.U32,
+        "ms",
+        "time since the middle of the exposures, when this was answered",
+        values.age_ms,
+        is_ageing=True,
+    ),
+    Register(220, "status", Type.U16, "", "status word as at address 0", values.status),
+    Register(221, "reason_unit", Type.U16, "", "as at address 2", values.reason(None)),
+    Register(222, "reason_front", Type.U16, "", "as at address 3", values.reason("front")),
+    Register(223, "reason_rear", Type.U16, "", "as at address 4", values.reason("rear")),
+)
+
+_QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
+    ("x", "mm", "beam at the reference plane, to the right as seen along the beam", values.number("x_mm")),
+    ("y", "mm", "beam at the reference plane, up", values.number("y_mm")),
+    ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
+    ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
+    ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
+    ("sigma_x", "mm", "standard deviation of x", values.sigma("x_mm")),
+    ("sigma_y", "mm", "standard deviation of y", values.sigma("y_mm")),
+    ("sigma_yaw", "°", "standard deviation of yaw", values.sigma("yaw_deg")),
+    ("sigma_pitch", "°", "standard deviation of pitch", values.sigma("pitch_deg")),
+    ("sigma_roll", "°", "standard deviation of roll; not known without one", values.sigma("roll_deg")),
+)
+"""Each takes the next two registers; there is room for 24 with those of now, before the CRC."""
+
+_AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
+
+_OF_NOW = tuple(
+    (
+        f"sigma_now_{name}",
+        unit,
+        f"standard deviation of {name} as a statement about the beam when this was answered",
+        values.sigma_now(key),
+    )
+    for name, unit, key in _AXES
+)
+"""They age, and follow the quantities; the rates follow them."""
+
+_RATES = tuple(
+    (f"rate_{name}", f"{unit}/s", f"how fast {name} changes", values.rate(key)) for name, unit, key in _AXES
+)
+
+CRC = Register(
+    FIRST + SIZE - 2,
+    "crc32",
+    Type.U32,
+    "",
+    f"CRC-32 of the {SIZE - 2} registers before it",
+    values.constant(None),  # it is made when all others stand
+)
+
+ROWS = (
+    *HEAD,
+    *(
+        Register(
+            FLOATS + 2 * row, name, Type.F32, unit, meaning, value, is_ageing=name.startswith("sigma_now_")
+        )
+        for row, (name, unit, meaning, value) in enumerate(_QUANTITIES + _OF_NOW + _RATES)
+    ),
+    CRC,
+)
+
+
+class CheckedBlock:
+    """The block as it is read: what ages, and the CRC, are made anew for each reading."""
+
+    def __init__(self) -> None:
+        self._image = RegisterImage(ROWS, FIRST, SIZE)
+
+    def at(self, snapshot: Snapshot) -> list[int]:
+        """All registers of a snapshot that has a stamp; true until the next call."""
+        words = self._image.at(snapshot)
+        checked = struct.pack(f">{SIZE - 2}H", *words[:-2])
+        words[-2:] = struct.unpack(">2H", crc32(checked).to_bytes(4, "big"))
+        return words

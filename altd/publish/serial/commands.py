@@ -1,0 +1,216 @@
+"""What can be asked on the console: each command takes words and gives text."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from textwrap import fill
+
+from altd.publish.serial import common_commands
+from altd.publish.serial.parts_text import calibration_text, health_text, spots_text
+from altd.publish.serial.past_text import SPANS_S, Past, history_text, log_text
+from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
+from altd.records import Measurement, Quantities
+from altd.status.health import Health
+from altd.status.self_check_desk import SelfCheckReport
+
+WATCH_INTERVAL_LIMITS_S = (0.1, 3600.0)
+"""The shortest and the longest interval of ``watch``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What the commands tell of."""
+
+    read: Callable[[], Measurement | None]
+    health: Health
+    quantities: Quantities
+    age_s: Callable[[], float | None] = lambda: None
+    """Of what is read, for the uncertainty that is true now."""
+    past: Past | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """The answer goes on: after ``text`` a line each ``interval_s``, until a key."""
+
+    text: str
+    interval_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Something would change: it is asked first, and done only after a ``y``."""
+
+    text: str
+    do: Callable[[], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """The answer has to be found first."""
+
+    find: Callable[[], Awaitable[str]]
+
+
+Answer = str | Watch | Question | Later
+
+
+class UsageError(Exception):
+    """A line that is no command, in words for the person who typed it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command; ``argument`` is what may follow its name."""
+
+    name: str
+    argument: str
+    does: str
+    run: Callable[..., Answer]
+
+    @property
+    def usage(self) -> str:
+        """The command as it is typed."""
+        return f"{self.name} {self.argument}".rstrip()
+
+
+def answer_to(asked: Asked, name: str, arguments: list[str]) -> Answer:
+    """What a command says; raises UsageError."""
+    command = _BY_NAME.get(name.lower())
+    if command is None:
+        raise UsageError(f"no command {name[:24]!r}; type help for what there is")
+    if len(arguments) > bool(command.argument):
+        raise UsageError(f"too much after {name}; it is used as: {command.usage}")
+    return command.run(asked, *arguments)
+
+
+def _help(_: Asked) -> str:
+    return "\n".join(f"{command.usage:<20}{command.does}" for command in COMMANDS.values())
+
+
+def _status(asked: Asked, whole: str = "") -> str:
+    if whole.lower() not in ("", "all"):
+        raise UsageError(f"status is used as: status [all], not {whole[:24]!r}")
+    return status_text(asked.read(), asked.health, asked.age_s(), whole=bool(whole))
+
+
+def _measure(asked: Asked) -> str:
+    return measurement_text(asked.read(), asked.age_s())
+
+
+def _spots(asked: Asked) -> str:
+    return spots_text(asked.read(), asked.health)
+
+
+def _health(asked: Asked) -> str:
+    return health_text(asked.health)
+
+
+def _calibration(asked: Asked) -> str:
+    return calibration_text(asked.health)
+
+
+def _version(asked: Asked) -> str:
+    facts = asked.health.facts
+    return f"altd {facts.get('version', 'of unknown version')}, unit {facts.get('serial', 'not known')}"
+
+
+def _self_check(asked: Asked, now: str = "") -> str | Question:
+    desk = asked.health.self_check
+    if now.lower() not in ("", "now"):
+        raise UsageError(f"selfcheck is used as: selfcheck [now], not {now[:24]!r}")
+    if desk.unavailable:
+        return _none(desk.unavailable)
+    if now:
+        return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(asked))
+    if desk.latest is None:
+        return "no self-check since the unit started"
+    return fill(f"{_time_of(desk.latest)}{desk.latest.sentence}", WIDTH, subsequent_indent="  ")
+
+
+def _ask(asked: Asked) -> str:
+    if why := asked.health.self_check.unavailable:  # meanwhile
+        return _none(why)
+    asked.health.self_check.ask("console")
+    return "asked for; it comes within ten seconds, then type selfcheck"
+
+
+def _none(why: str) -> str:
+    return fill(f"no self-check: {why}", WIDTH, subsequent_indent="  ")
+
+
+def _time_of(report: SelfCheckReport) -> str:
+    time = report.document.get("time")
+    return f"{time}: " if time else ""
+
+
+def _history(asked: Asked, span: str = "hour") -> str | Later:
+    span, past = span.lower(), asked.past
+    if span not in SPANS_S:
+        raise UsageError(f"history is used as: history [{'|'.join(SPANS_S)}], not {span[:24]!r}")
+    if past is None:
+        return _NO_PAST
+    return Later(lambda: history_text(past, asked.quantities, span))
+
+
+def _log(asked: Asked) -> str:
+    return _NO_PAST if asked.past is None else log_text(asked.past)
+
+
+def _leave(_: Asked) -> str:
+    return (
+        "there is nothing to leave: nobody is logged in, and the unit measures on.\n"
+        "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
+    )
+
+
+def _watch(asked: Asked, seconds: str = "1") -> Watch:
+    shortest, longest = WATCH_INTERVAL_LIMITS_S
+    try:
+        interval_s = float(seconds)
+    except ValueError:
+        interval_s = -1.0
+    if not shortest <= interval_s <= longest:
+        raise UsageError(f"watch wants seconds from {shortest:g} to {longest:g}, not {seconds!r}")
+    lines = ["any key ends it", watch_head(asked.quantities), watch_line(asked.read())]
+    return Watch("\n".join(lines), interval_s)
+
+
+def _identification(asked: Asked) -> str:
+    return common_commands.identification(asked.health)
+
+
+def _status_byte(asked: Asked) -> str:
+    return str(common_commands.status_byte(asked.read(), asked.health))
+
+
+def _test(asked: Asked) -> str:
+    return str(common_commands.test_result(asked.health))
+
+
+_NO_PAST = "this daemon remembers nothing"
+
+COMMANDS = {
+    command.name: command
+    for command in (
+        Command("help", "", "what can be typed here", _help),
+        Command("status", "[all]", "how the unit is, what is wrong and what to do; all: more", _status),
+        Command("measure", "", "the latest measurement with its sigma then and now", _measure),
+        Command("watch", "[SECONDS]", "a measurement every second, or every SECONDS, until a key", _watch),
+        Command("spots", "", "where the laser spots are, and what the cameras see", _spots),
+        Command("health", "", "the parts of the unit, with what they say and count", _health),
+        Command("selfcheck", "[now]", "what the last self-check said; now: check again", _self_check),
+        Command("calibration", "", "when and from what it was made, and where it holds", _calibration),
+        Command("history", "[day|month]", "the means of the last hour, day or month", _history),
+        Command("log", "", "what happened to the unit, the newest first", _log),
+        Command("version", "", "the software's version and the unit's serial number", _version),
+        Command("exit", "", "how to leave; the port has no session to end", _leave),
+        Command("quit", "", "the same", _leave),
+        Command("?", "", "the same as help", _help),
+        Command("*IDN?", "", "for programs: maker, kind, serial number, version", _identification),
+        Command("*STB?", "", "for programs: the status byte as a number", _status_byte),
+        Command("*TST?", "", "for programs: the last self-check as a number, 0 is good", _test),
+    )
+}
+_BY_NAME = {name.lower(): command for name, command in COMMANDS.items()}

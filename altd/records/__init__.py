@@ -1,0 +1,32 @@
+"""The nouns that travel from camera to publisher: frozen, slotted, units in their names.
+
+Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/conventions.md``.
+"""
+
+from altd.records.arrays import ComplexArray, FloatArray, PixelArray
+from altd.records.faults import Fault, origin_faults
+from altd.records.frames import CameraIdentity, Frame, Origin
+from altd.records.measurement import Measurement, Quantities, Quantity, Value, utc_text
+from altd.records.spots import FrameSet, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
+
+__all__ = [
+    "CameraIdentity",
+    "ComplexArray",
+    "Fault",
+    "FloatArray",
+    "Frame",
+    "FrameSet",
+    "MeanSpots",
+    "Measurement",
+    "NoSpot",
+    "Origin",
+    "PixelArray",
+    "Quantities",
+    "Quantity",
+    "Spot",
+    "SpotShape",
+    "TargetPoint",
+    "Value",
+    "origin_faults",
+    "utc_text",
+]

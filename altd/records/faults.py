@@ -1,0 +1,38 @@
+"""A reason with the target that it concerns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from altd.reasons import Reason
+from altd.records.frames import Origin
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One reason with the target it concerns (None: the whole unit) and a sentence for people."""
+
+    reason: Reason
+    target: str | None = None
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """The code that travels on the wires, such as ``front_spot_missing``."""
+        return f"{self.target}_{self.reason}" if self.target else str(self.reason)
+
+
+def origin_faults(origins: Mapping[str, Origin], played: Iterable[str] = ()) -> tuple[Fault, ...]:
+    """The warnings that frames of these cameras bring into each measurement; ``played`` play a recording."""
+    by_reason = {
+        Reason.PLAYBACK: ("a recording is played", sorted(played)),
+        Reason.SIMULATED: (
+            "simulated frames",
+            sorted(name for name, origin in origins.items() if origin is Origin.SIMULATED),
+        ),
+    }
+    return tuple(
+        Fault(reason, detail=f"{what}: {', '.join(names)}")
+        for reason, (what, names) in by_reason.items()
+        if names
+    )

@@ -1,0 +1,69 @@
+"""What a camera gives, and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from altd.records.arrays import PixelArray
+
+
+class Origin(StrEnum):
+    """How frames came to be: light fell on a camera, or a simulator computed them.
+
+    It travels with them: into recordings and calibrations, and what comes of simulated frames says so.
+    """
+
+    CAMERA = "camera"
+    SIMULATED = "simulated"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIdentity:
+    """Which camera this is, as its driver tells; None: not known."""
+
+    serial: str | None = None
+    model: str | None = None
+    driver: str | None = None
+
+    def difference_from(self, expected: CameraIdentity) -> str:
+        """What tells this camera from the expected one, in words; empty when nothing does.
+
+        What one of the two does not know tells nothing, and another driver names cameras otherwise.
+        """
+        if None not in (self.driver, expected.driver) and self.driver != expected.driver:
+            return ""
+        for what in ("serial", "model"):
+            is_, should_be = getattr(self, what), getattr(expected, what)
+            if None not in (is_, should_be) and is_ != should_be:
+                return f"its {what} is {is_!r}, expected {should_be!r}"
+        return ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One exposure of one camera.
+
+    ``pixels`` is read-only, (rows, columns), uint8 or uint16 with ``bits`` significant bits;
+    ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
+    those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
+    to, else None.
+    ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
+    ``playthrough`` counts how often a recording was played before: its pictures come again by intent.
+    """
+
+    camera: str
+    sequence: int
+    t_ns: int
+    pixels: PixelArray
+    bits: int = 8
+    leds_on: bool = False
+    exposure_ms: float | None = None
+    gain_db: float | None = None
+    changing: bool = False
+    playthrough: int = 0
+
+    @property
+    def full_scale(self) -> int:
+        """The largest grey value that a pixel can take."""
+        return (1 << self.bits) - 1

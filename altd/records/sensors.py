@@ -1,0 +1,58 @@
+"""What sensors beside the cameras say, each at its own time, and how far it can be used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Quality(StrEnum):
+    """How far a sensor's value can be used; all but the first two say why there is none."""
+
+    GOOD = "good"
+    REDUCED = "reduced"
+    """Outside the conditions of its best accuracy; sigma holds it."""
+    STARTING = "starting"
+    NO_PORT = "no_port"
+    NO_ANSWER = "no_answer"
+    BAD_ANSWER = "bad_answer"
+    """Damaged, foreign or echoed bytes."""
+    WRONG_SENSOR = "wrong_sensor"
+    """Another sensor than the config says, or one that is set up otherwise."""
+    INVALID_SETTING = "invalid_setting"
+    """The sensor itself says that it cannot measure as it is set up."""
+    OUT_OF_RANGE = "out_of_range"
+    FROZEN = "frozen"
+    NOISY = "noisy"
+    OLD = "old"
+    """The last reading is too old, and nothing more is known."""
+    DEFECT = "defect"
+    """A fault in the program; the log says more."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorValue:
+    """What a sensor says of a quantity with its sigma, or why it says nothing: then ``value`` is None.
+
+    ``t_ns`` is when it was measured, ``age_s`` how old it was when it was put into a measurement; after
+    ``expires_ns`` nobody shows it any more. ``detail`` is the sentence for people.
+    """
+
+    quality: Quality
+    detail: str = ""
+    value: float | None = None
+    sigma: float | None = None
+    t_ns: int = 0
+    age_s: float | None = None
+    expires_ns: int = 0
+
+    def at(self, now_ns: int) -> SensorValue:
+        """The same at that moment: without its value once that is too old."""
+        if self.value is None or now_ns <= self.expires_ns:
+            return self
+        return SensorValue(Quality.OLD, f"the last reading is {(now_ns - self.t_ns) * 1e-9:.1f} s old")
+
+
+def within_half_turn(angle_deg: float) -> float:
+    """The same direction from -180° to below 180°."""
+    return (angle_deg + 180.0) % 360.0 - 180.0

@@ -1,0 +1,117 @@
+"""What was found in frames: spots, frame sets, the mean spots of a window, the place on a target."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from altd.reasons import Reason, Scope
+from altd.records.arrays import FloatArray
+from altd.records.faults import Fault
+from altd.records.motion import SpotMotion
+
+
+@dataclass(frozen=True, slots=True)
+class SpotShape:
+    """The shape of a spot, E = peak · exp(−q^order), q = ½ (a du² + 2 b du dv + c dv²); a, b, c in 1/px²."""
+
+    a: float
+    b: float
+    c: float
+    order: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A laser spot in one frame: centroid, its noise, 1/e² diameter, peak over background in counts.
+
+    ``excess_px`` is the standard deviation, in u and in v, that light which one spot does not explain, and a
+    picture that moved, add to that of a good spot; averaging does not reduce it. ``shape`` is None where no
+    profile was fitted.
+    """
+
+    u_px: float
+    v_px: float
+    sigma_px: float
+    diameter_px: float
+    peak: float
+    excess_px: float = 0.0
+    shape: SpotShape | None = None
+
+    def __str__(self) -> str:
+        """For the technician who aims the beam."""
+        return (
+            f"spot at u {self.u_px:.1f} v {self.v_px:.1f} px, diameter {self.diameter_px:.0f} px, "
+            f"peak {self.peak:.0f} counts"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class NoSpot:
+    """Why a frame gives no spot."""
+
+    reason: Reason
+    detail: str = ""
+
+    def __str__(self) -> str:
+        """For the technician who looks for what is wrong."""
+        return f"{self.reason}, {self.detail}" if self.detail else str(self.reason)
+
+    def fault(self, target: str) -> Fault:
+        """The reason as a fault of the target, or of the whole unit where it concerns all of it."""
+        return Fault(self.reason, target if self.reason.scope is Scope.TARGET else None, self.detail)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSet:
+    """What the cameras saw at one instant: a spot, or the reason why there is none, per target.
+
+    ``t_ns`` is the mean of the frames' times; a target that is not in ``behind_ns`` was exposed just then,
+    another so much later.
+    """
+
+    sequence: int
+    t_ns: int
+    spots: Mapping[str, Spot | NoSpot]
+    behind_ns: Mapping[str, int] = field(default_factory=dict)
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Why this frame set cannot be used; empty when every target has its spot."""
+        return tuple(spot.fault(target) for target, spot in self.spots.items() if isinstance(spot, NoSpot))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanSpots:
+    """The mean spots of a window of exposures.
+
+    ``px`` (targets, 2) holds u, v in the order of ``targets``; ``covariance_px2`` (2 · targets, 2 · targets)
+    is that of the means, u and v of one target after the other: vibration moves all spots together.
+    ``shapes`` holds the mean shape of each target's spots, None where one was not fitted, ``excess_px`` what
+    averaging does not reduce of the sigma of each; the covariance holds it. ``t_ns`` is the mean time
+    of the ``frames`` exposures that were averaged; ``lost`` were not usable. ``motion`` is None where there
+    were too few to tell.
+    """
+
+    targets: tuple[str, ...]
+    px: FloatArray
+    covariance_px2: FloatArray
+    t_ns: int
+    frames: int
+    lost: int
+    shapes: tuple[SpotShape | None, ...] = ()
+    excess_px: tuple[float, ...] = ()
+    motion: SpotMotion | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetPoint:
+    """Where the beam meets one target, mm in the unit frame.
+
+    ``jacobian_mm_per_px`` is d(x, y)/d(u, v) there; ``covariance_mm2`` (2 × 2) is what print, speckle and
+    the map leave uncertain, without the scatter of the spot.
+    """
+
+    x_mm: float
+    y_mm: float
+    jacobian_mm_per_px: FloatArray
+    covariance_mm2: FloatArray

@@ -1,0 +1,241 @@
+"""One target's LEDs against their references: which are there, and how the picture moved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from altd.measuring.calibration import TargetCalibration
+from altd.records import FloatArray, Frame
+from altd.selfcheck.led_state import Seen, states_of
+from altd.selfcheck.lights import Lights, lights_of, pairs
+from altd.selfcheck.matching import TOLERANCE_PX, Indices, match
+from altd.selfcheck.records import LedState, LedView, Limits, Similarity, TargetDrift
+from altd.selfcheck.similarity import Fitted, chi2_limit, fit_similarity
+
+Chosen = npt.NDArray[np.bool_]
+
+_RASTER_PX = 0.003
+"""How much the raster of the pixels moves an LED's place when it comes to lie otherwise on it: 0.0025 px rms
+over 144 displaced LEDs of two simulated units (docs/selfcheck.md)."""
+_PRIOR_RATIO, _PRIOR_FREEDOM = 1.3, 8.0
+"""Places scatter 1.15 times as much as the frames' noise says; so much is believed before the pairs tell."""
+_MIN_SEEN_SHARE = 0.8
+_MISFIT_SIGMAS = 4.5
+_MODEL_SHARE = 0.05
+"""A lens bends a motion by so much of it from one LED to the next; more is no similarity."""
+_MISFIT_LIMIT_SHARE = 0.25
+_MANY_LIGHTS = 3
+_MIN_RADIUS_PX = 20.0
+"""LEDs nearer to each other tell nothing of a turn or a scale."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Places:
+    """The LEDs' places by pair, (p, n, 2) px, NaN where not seen, with their sigma (p, n) and peak (p, n)."""
+
+    px: FloatArray
+    sigma_px: FloatArray
+    peak: FloatArray
+    diameter_px: float
+    foreign: tuple[tuple[float, float, bool], ...]
+    rival: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Noise:
+    """Square of the scatter over what the frames say of it; variance of what moves a whole pair, px²."""
+
+    ratio2: float
+    common_px2: float
+
+
+def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits) -> TargetDrift:
+    """What the frames of one target show; ValueError for frames of another size than the calibration's."""
+    references = np.asarray(target.leds_px, dtype=np.float64)
+    if any(frame.pixels.shape != (target.height, target.width) for frame in (*view.lit, *view.dark)):
+        raise ValueError(f"{name}: frames are not {target.width} × {target.height} px")
+    number = len(references)
+    if number < limits.min_leds:
+        states = (LedState.DARK,) * number
+        text = f"the calibration knows {number} LEDs, {limits.min_leds} are needed"
+        return TargetDrift(name, number, 0, states, detail=text)
+    if _radius_px(references) < _MIN_RADIUS_PX:
+        text = "the calibration's LEDs lie all in one place"
+        return TargetDrift(name, number, 0, (LedState.DARK,) * number, detail=text)
+    taken = list(pairs(view))
+    places = _places(taken, references)
+    share = np.isfinite(places.px[:, :, 0]).mean(axis=0) if len(places.px) else np.zeros(number)
+    seen = share >= _MIN_SEEN_SHARE
+    means = np.full((number, 2), np.nan)
+    if seen.any():
+        means[seen] = np.nanmean(places.px[:, seen], axis=0)
+    about, radius = references.mean(axis=0), _radius_px(references)
+    expected = references
+    if seen.sum() >= 2:
+        first = fit_similarity(references[seen], means[seen], np.ones(int(seen.sum())), about, radius)
+        expected = first.similarity.now_px(references)
+    peaks = np.full(number, np.nan)
+    if seen.any():
+        peaks[seen] = np.nanmean(places.peak[:, seen], axis=0)
+    states = states_of(Seen(taken, expected, peaks, share, places.diameter_px))
+    used = np.array([state is LedState.USED for state in states])
+    if places.rival:
+        used[:] = False
+    found = int(used.sum())
+    foreign = tuple((u, v) for u, v, _ in places.foreign)
+    if found < limits.min_leds:
+        text = _sentence(states, places, found, few=True)
+        return TargetDrift(name, number, found, states, foreign, detail=text)
+    noise = _noise(places, used)
+    claimed = np.sqrt(np.nanmean(places.sigma_px[:, used] ** 2, axis=0) * noise.ratio2)
+    in_check = claimed / math.sqrt(len(places.px))
+    sigma = np.sqrt(in_check**2 + claimed**2 + _RASTER_PX**2)
+    fitted = fit_similarity(references[used], means[used], sigma, about, radius)
+    rms = float(np.sqrt(np.mean(fitted.residuals_px**2)))
+    is_similarity = _is_similarity(fitted, references[used], means[used], sigma, target, limits)
+    similarity = _with_covariance(fitted, noise, len(places.px))
+    vector = similarity.vector
+    significance = math.sqrt(float(vector @ np.linalg.solve(similarity.covariance, vector)))
+    detail = _sentence(states, places, found, few=False)
+    if not is_similarity:
+        detail = f"the LEDs' places disagree with any shift, turn and scale by {rms:.2f} px; {detail}"
+    return TargetDrift(
+        target=name,
+        leds_expected=number,
+        leds_found=found,
+        leds=states,
+        foreign_px=foreign,
+        similarity=similarity,
+        rms_px=rms,
+        significance=significance,
+        is_similarity=is_similarity,
+        led_sigma_px=float(np.sqrt(np.mean(in_check**2))),
+        detail=detail.rstrip("; "),
+    )
+
+
+def _places(taken: list[tuple[Frame, Frame]], references: FloatArray) -> _Places:
+    """The LEDs in each pair that shows enough of them to tell which is which."""
+    shape = len(references)
+    px, sigma, peak, diameters = [], [], [], []
+    lights: list[Lights] = []
+    matched: list[Indices] = []
+    rivals = 0
+    for lit, dark in taken:
+        found = lights_of(lit, dark, references)
+        matches = match(references, found.px, found.peak)
+        lights.append(found)
+        have = matches.lights >= 0
+        matched.append(matches.lights[have])
+        if not have.any():
+            continue
+        rivals += matches.rival
+        which = matches.lights[have]
+        px.append(_spread(found.px[which], have, (shape, 2)))
+        sigma.append(_spread(found.sigma_px[which], have, (shape,)))
+        peak.append(_spread(found.peak[which], have, (shape,)))
+        diameters += found.diameter_px[which].tolist()
+    return _Places(
+        px=np.array(px).reshape(-1, shape, 2),
+        sigma_px=np.array(sigma).reshape(-1, shape),
+        peak=np.array(peak).reshape(-1, shape),
+        diameter_px=float(np.median(diameters)) if diameters else 20.0,
+        foreign=_foreign(lights, matched),
+        rival=2 * rivals > len(px) > 0,
+    )
+
+
+def _spread(values: FloatArray, have: Chosen, shape: tuple[int, ...]) -> FloatArray:
+    """Values of some of the LEDs among all of them; NaN for the others."""
+    among = np.full(shape, np.nan)
+    among[have] = values
+    return among
+
+
+def _foreign(lights: list[Lights], matched: list[Indices]) -> tuple[tuple[float, float, bool], ...]:
+    """Places of lights that are no LED, and whether they shine in every pair."""
+    groups: list[tuple[FloatArray, int]] = []
+    for found, which in zip(lights, matched, strict=True):
+        for place in np.delete(found.px, which, axis=0):
+            for index, (known, count) in enumerate(groups):
+                if np.hypot(*(place - known)) <= 2 * TOLERANCE_PX:
+                    groups[index] = known, count + 1
+                    break
+            else:
+                groups.append((place, 1))
+    return tuple((float(place[0]), float(place[1]), count >= len(lights)) for place, count in groups)
+
+
+def _noise(places: _Places, used: Chosen) -> _Noise:
+    """How much the used LEDs' places scatter from pair to pair, each by itself and all together."""
+    px, sigma = places.px[:, used], places.sigma_px[:, used]
+    deviation = px - np.nanmean(px, axis=0)
+    common = np.nanmean(deviation, axis=1)
+    own = (deviation - common[:, None]) / sigma[:, :, None]
+    pairs_less_one, leds_less_one = len(px) - 1, px.shape[1] - 1
+    freedom = 2 * pairs_less_one * leds_less_one
+    ratio2 = (_PRIOR_FREEDOM * _PRIOR_RATIO + float(np.nansum(own**2))) / (_PRIOR_FREEDOM + freedom)
+    if pairs_less_one == 0:
+        return _Noise(ratio2, 0.0)
+    scatter = float((common**2).sum()) / (2 * pairs_less_one)
+    by_chance = ratio2 * float(np.nanmean(sigma**2)) / px.shape[1]
+    excess = scatter - by_chance * (1.0 + 3.0 / math.sqrt(pairs_less_one))
+    return _Noise(ratio2, scatter if excess > 0.0 else 0.0)
+
+
+def _with_covariance(fitted: Fitted, noise: _Noise, pairs_seen: int) -> Similarity:
+    """With what the residuals and a trembling picture add; the reference is taken to be of one pair."""
+    found = fitted.similarity
+    stretch = max(1.0, fitted.chi2 / fitted.degrees_of_freedom) if fitted.degrees_of_freedom else 1.0
+    covariance = found.covariance * stretch
+    covariance[:2, :2] += np.eye(2) * noise.common_px2 * (1.0 + 1.0 / pairs_seen)
+    return Similarity(
+        found.about_px, found.shift_px, found.turn_deg, found.scale_ppm, covariance, found.radius_px
+    )
+
+
+def _is_similarity(
+    fitted: Fitted,
+    then_px: FloatArray,
+    now_px: FloatArray,
+    sigma_px: FloatArray,
+    target: TargetCalibration,
+    limits: Limits,
+) -> bool:
+    """Whether noise, or a lens that bends the motion a little, explains what the similarity leaves."""
+    motion = np.hypot(*(now_px - then_px).T)
+    allowed = np.sqrt(sigma_px**2 + (_MODEL_SHARE * motion) ** 2)
+    chi2 = float(np.sum((fitted.residuals_px / allowed[:, None]) ** 2))
+    if chi2 <= chi2_limit(fitted.degrees_of_freedom, _MISFIT_SIGMAS):
+        return True
+    middle = target.map.hull_mm.mean(axis=0, keepdims=True)
+    mm_per_px = 1.0 / math.sqrt(abs(float(np.linalg.det(target.map.jacobian(middle)[0]))))
+    worst_mm = float(np.hypot(*fitted.residuals_px.T).max()) * mm_per_px
+    return worst_mm <= _MISFIT_LIMIT_SHARE * limits.suspect_mm
+
+
+def _radius_px(references: FloatArray) -> float:
+    return float(np.sqrt(np.sum((references - references.mean(axis=0)) ** 2, axis=1).mean()))
+
+
+def _sentence(states: tuple[LedState, ...], places: _Places, found: int, *, few: bool) -> str:
+    """What a person should know of the LEDs, empty when all are well."""
+    parts = []
+    if places.rival:
+        parts.append("two groups of lights look like the LEDs")
+    elif few:
+        parts.append(f"{found} of {len(states)} LEDs can be used" if found else "no LED can be used")
+        if len(places.foreign) >= _MANY_LIGHTS:
+            parts.append("the lights do not lie as the LEDs did")
+    for state in LedState:
+        which = [str(index + 1) for index, each in enumerate(states) if each is state]
+        if which and state is not LedState.USED:
+            parts.append(f"LED {', '.join(which)}: {state.replace('_', ' ')}")
+    for u, v, always in places.foreign:
+        when = "with the LEDs" if always else "by itself"
+        parts.append(f"a light that is no LED shines {when} at u {u:.0f} v {v:.0f} px")
+    return "; ".join(parts)

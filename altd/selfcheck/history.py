@@ -1,0 +1,172 @@
+"""The checks of days: a slow drift is found long before a limit (CUSUM, E. S. Page, Biometrika 41, 1954).
+
+Of each day the mean of its checks counts, so that neither a warm afternoon nor an hourly schedule makes a
+drift. Shift in u and v, and turn and scale as px at the LEDs, are summed up beyond an allowance K, each in
+both directions: S ← max(0, S ± x − K). A drift is told once S exceeds the limit H.
+
+K is at least five standard deviations of x, the reference's included, which is the same in all checks of a
+calibration. So chance lifts S off zero at all in less than one day of a hundred thousand; that bounds the
+false alarms without independence of the checks. 0.02 px a day pass K on the second day and H on the fifth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from altd.selfcheck.records import SelfCheck, Similarity
+
+MIN_ALLOWANCE_PX = 0.03
+"""K: a picture that moves by less and stays there, as with warmth, is no drift."""
+ALLOWANCE_SIGMAS = 5.0
+MIN_LIMIT_PX = 0.06
+LIMIT_SIGMAS = 5.0
+DAY_S = 86_400.0
+DAYS_KEPT = 30
+
+Numbers = tuple[float, float, float, float]
+"""Shift in u, shift in v, turn, scale, each as px at the LEDs."""
+_NOTHING: Numbers = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SlowDrift:
+    """A target whose camera wanders: how far from the calibration it is, and how fast it goes."""
+
+    target: str
+    shift_px: tuple[float, float]
+    turn_deg: float
+    scale_ppm: float
+    px_per_day: float
+
+
+@dataclass(frozen=True, slots=True)
+class Day:
+    """The checks of one day: its number, how many, the sum of what they found and of its variances."""
+
+    number: int
+    checks: int
+    sums: Numbers
+    variances: Numbers
+
+    @property
+    def mean(self) -> Numbers:
+        """Of what they found, px."""
+        return _four(np.array(self.sums) / self.checks)
+
+    @property
+    def sigma(self) -> Numbers:
+        """Of the mean, px: the reference's part is the same in all, so it is that of one check."""
+        return _four(np.sqrt(np.array(self.variances) / self.checks))
+
+
+@dataclass(frozen=True, slots=True)
+class TargetHistory:
+    """One target: the day that is not over, the last days, CUSUMs upwards and downwards, the LEDs' radius."""
+
+    today: Day
+    days: tuple[Day, ...] = ()
+    above: Numbers = _NOTHING
+    below: Numbers = _NOTHING
+    drifts: bool = False
+    radius_px: float = 1.0
+
+    def with_numbers(self, numbers: Numbers, variances: Numbers, number: int) -> TargetHistory:
+        """With one check more, of that day."""
+        if number <= self.today.number:  # a clock that was set back adds to the day that runs
+            today = Day(
+                self.today.number,
+                self.today.checks + 1,
+                _four(np.add(self.today.sums, numbers)),
+                _four(np.add(self.today.variances, variances)),
+            )
+            return replace(self, today=today)
+        return replace(self._closed(), today=Day(number, 1, numbers, variances))
+
+    def _closed(self) -> TargetHistory:
+        """With today summed up."""
+        mean, sigma = np.array(self.today.mean), np.array(self.today.sigma)
+        allowance = np.maximum(MIN_ALLOWANCE_PX, ALLOWANCE_SIGMAS * sigma)
+        limit = np.maximum(MIN_LIMIT_PX, LIMIT_SIGMAS * sigma)
+        above = np.maximum(0.0, np.array(self.above) + mean - allowance)
+        below = np.maximum(0.0, np.array(self.below) - mean - allowance)
+        return replace(
+            self,
+            days=(*self.days, self.today)[-DAYS_KEPT:],
+            above=_four(np.minimum(above, 2 * limit)),
+            below=_four(np.minimum(below, 2 * limit)),
+            drifts=bool((np.maximum(above, below) > limit).any()),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """What is remembered of the checks so far, by target; a new one starts with a new calibration."""
+
+    targets: Mapping[str, TargetHistory] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls) -> Self:
+        """Before the first check."""
+        return cls()
+
+    def with_check(self, check: SelfCheck, time_s: float) -> Self:
+        """With one check more, made at ``time_s`` (any clock that runs through a restart, such as UTC).
+
+        A target that the check could not judge is left as it is.
+        """
+        number = math.floor(time_s / DAY_S)
+        targets = dict(self.targets)
+        for name, drift in check.targets.items():
+            if drift.similarity is None or not drift.is_similarity:
+                continue
+            numbers, variances = _numbers(drift.similarity)
+            known = targets.get(name)
+            if known is None:
+                today = Day(number, 1, numbers, variances)
+                targets[name] = TargetHistory(today, radius_px=drift.similarity.radius_px)
+            else:
+                targets[name] = known.with_numbers(numbers, variances, number)
+        return replace(self, targets=targets)
+
+    def is_ahead_of(self, time_s: float) -> bool:
+        """Whether it holds a day that, by a time of the same clock, begins more than a day from now."""
+        today = math.floor(time_s / DAY_S)
+        return any(history.today.number > today + 1 for history in self.targets.values())
+
+    @property
+    def slow_drifts(self) -> tuple[SlowDrift, ...]:
+        """The targets that wander, by evidence that chance gives less than once in 10,000 checks."""
+        return tuple(_slow_drift(name, history) for name, history in self.targets.items() if history.drifts)
+
+
+def _numbers(similarity: Similarity) -> tuple[Numbers, Numbers]:
+    """A similarity as px at the LEDs, and the variances, px²."""
+    radius = similarity.radius_px
+    to_px = np.array([1.0, 1.0, math.radians(radius), 1e-6 * radius])
+    return _four(similarity.vector * to_px), _four(np.diag(similarity.covariance) * to_px**2)
+
+
+def _slow_drift(name: str, history: TargetHistory) -> SlowDrift:
+    recent = np.mean([day.mean for day in history.days[-3:]], axis=0)
+    days = np.array([day.number for day in history.days], dtype=np.float64)
+    means = np.array([day.mean for day in history.days])
+    from_middle = days - days.mean()
+    slopes = from_middle @ means / max(float(from_middle @ from_middle), 1e-9)
+    u, v, turn_px, scale_px = recent.tolist()
+    return SlowDrift(
+        target=name,
+        shift_px=(u, v),
+        turn_deg=math.degrees(turn_px / history.radius_px),
+        scale_ppm=1e6 * scale_px / history.radius_px,
+        px_per_day=float(np.linalg.norm(slopes)),
+    )
+
+
+def _four(values: np.typing.NDArray[np.float64]) -> Numbers:
+    first, second, third, fourth = values.tolist()
+    return first, second, third, fourth

@@ -1,0 +1,77 @@
+"""The history of checks as plain JSON types, and back; what comes back is checked as any input is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from itertools import pairwise
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from altd.selfcheck.history import DAYS_KEPT, Day, History, TargetHistory
+
+_Px = Annotated[float, Field(ge=-1e12, le=1e12)]
+_NotNegative = Annotated[float, Field(ge=0, le=1e18)]
+_FourPx = tuple[_Px, _Px, _Px, _Px]
+_FourNotNegative = tuple[_NotNegative, _NotNegative, _NotNegative, _NotNegative]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _DayTable(_Table):
+    number: Annotated[int, Field(ge=-1_000_000, le=4_000_000)]
+    checks: Annotated[int, Field(ge=1, le=1_000_000_000)]
+    sums: _FourPx
+    variances: _FourNotNegative
+
+    def day(self) -> Day:
+        return Day(self.number, self.checks, self.sums, self.variances)
+
+
+class _TargetTable(_Table):
+    today: _DayTable
+    days: Annotated[list[_DayTable], Field(max_length=DAYS_KEPT)]
+    above: _FourNotNegative
+    below: _FourNotNegative
+    drifts: bool
+    radius_px: Annotated[float, Field(gt=0, le=1e5)]
+
+    @model_validator(mode="after")
+    def _is_in_order(self) -> Self:
+        numbers = [day.number for day in (*self.days, self.today)]
+        if any(later <= earlier for earlier, later in pairwise(numbers)):
+            raise ValueError("the days are not in their order")
+        if self.drifts and not self.days:
+            raise ValueError("a drift without a day that shows it")
+        return self
+
+    def history(self) -> TargetHistory:
+        days = tuple(day.day() for day in self.days)
+        return TargetHistory(self.today.day(), days, self.above, self.below, self.drifts, self.radius_px)
+
+
+class _HistoryTable(_Table):
+    targets: dict[str, _TargetTable]
+
+
+def document_of(history: History) -> dict[str, Any]:
+    """The history as plain JSON types: at most some 10 kB for each target."""
+    return {"targets": {name: asdict(target) for name, target in history.targets.items()}}
+
+
+def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
+    """The history that a document of ``document_of`` holds; raises ValueError in one line.
+
+    ``targets`` are those of the calibration; one that is none of them is an error.
+    """
+    try:
+        table = _HistoryTable.model_validate(document)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from error
+    if foreign := set(table.targets) - set(targets):
+        raise ValueError(f"targets.{min(foreign)}: the calibration has no such target")
+    return History({name: target.history() for name, target in table.targets.items()})

@@ -1,0 +1,142 @@
+"""Which light is which LED: the similarity on which most of them agree."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from altd.records import ComplexArray, FloatArray
+
+MAX_TURN_DEG = 5.0
+MAX_SCALE = 0.05
+MAX_SHIFT_PX = 40.0
+"""Farther no camera moves and still shows its LEDs; a symmetric layout fits itself again at 180°."""
+TOLERANCE_PX = 2.0
+"""How far an LED may lie from the similarity of two others and agree with it; the fit's own residuals judge
+afterwards."""
+_USUAL_MOTION_PX = 10.0
+_MAX_BASES = 60
+_MIN_AGREEING = 3
+_RIVAL_BRIGHTNESS = 0.5
+Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """The light of each LED, (n,), -1: none. ``rival``: other lights fit the layout as well, elsewhere."""
+
+    lights: Indices
+    rival: bool = False
+
+    @property
+    def count(self) -> int:
+        """How many LEDs have a light."""
+        return int((self.lights >= 0).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidates:
+    """Similarities z → a z + b, (h,) each, with the light that each gives each LED, (h, n)."""
+
+    lights: Indices
+    counts: Indices
+    cost: FloatArray
+
+
+def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match:
+    """Which of the lights (m, 2), with their peaks (m,), are the LEDs of the references (n, 2).
+
+    Each pair of LEDs with each pair of lights proposes a similarity; those that no camera does are dropped.
+    Of the rest the one wins with which most agree, of equals the one that is nearest to no motion. Where no
+    three agree, the lights that are where LEDs should be are those.
+    """
+    in_place = Match(_in_place(references_px, lights_px))
+    candidates = _candidates(references_px, lights_px)
+    if candidates is None or candidates.counts.max() < min(_MIN_AGREEING, len(references_px)):
+        return in_place
+    best = int(np.lexsort((candidates.cost, -candidates.counts))[0])
+    chosen = candidates.lights[best]
+    return Match(chosen, _has_rival(candidates, best, peaks))
+
+
+def _in_place(references_px: FloatArray, lights_px: FloatArray) -> Indices:
+    """The light that shines where each LED should be, (n,); -1: none."""
+    if not len(lights_px):
+        return np.full(len(references_px), -1)
+    distance = np.hypot(*(references_px[:, None] - lights_px[None]).transpose(2, 0, 1))
+    in_place = np.where(distance.min(axis=1) <= TOLERANCE_PX, distance.argmin(axis=1), -1)
+    taken, first = np.unique(in_place, return_index=True)  # a light is one LED's at most
+    alone = np.full_like(in_place, -1)
+    alone[first] = taken
+    return alone
+
+
+def _has_rival(candidates: _Candidates, best: int, peaks: FloatArray) -> bool:
+    """Whether about as many other lights, not much dimmer, lie in the same layout: a second picture of it."""
+    own = candidates.lights[best]
+    own_lights = own[own >= 0]
+    near = np.flatnonzero(candidates.counts >= max(_MIN_AGREEING, candidates.counts[best] - 1))
+    for other in np.unique(candidates.lights[near], axis=0):
+        of_other = other[other >= 0]
+        shared = np.isin(of_other, own_lights).sum()
+        as_bright = np.median(peaks[of_other]) > _RIVAL_BRIGHTNESS * np.median(peaks[own_lights])
+        if 2 * shared < len(of_other) and as_bright:
+            return True
+    return False
+
+
+def _candidates(references_px: FloatArray, lights_px: FloatArray) -> _Candidates | None:
+    """All plausible similarities of two LEDs to two lights; None without any."""
+    if len(references_px) < 2 or len(lights_px) < 2:
+        return None
+    references, lights = _complex(references_px), _complex(lights_px)
+    middle = references.mean()
+    first, second = _bases(references)
+    k, l = (part.ravel() for part in np.meshgrid(np.arange(len(lights)), np.arange(len(lights))))  # noqa: E741
+    k, l = k[k != l], l[k != l]  # noqa: E741
+    a = (lights[l] - lights[k])[None] / (references[second] - references[first])[:, None]
+    b = lights[k][None] - a * references[first][:, None]
+    moved = np.abs(a * middle + b - middle)
+    possible = (
+        (np.abs(np.abs(a) - 1.0) <= MAX_SCALE)
+        & (np.abs(np.angle(a)) <= math.radians(MAX_TURN_DEG))
+        & (moved <= MAX_SHIFT_PX)
+    )
+    if not possible.any():
+        return None
+    return _agreement(a[possible], b[possible], references, lights)
+
+
+def _bases(references: ComplexArray) -> tuple[Indices, Indices]:
+    """Pairs of LEDs, the farthest apart first, as many as are needed."""
+    every = np.array(list(itertools.combinations(range(len(references)), 2)), dtype=np.int64)
+    apart = np.abs(references[every[:, 0]] - references[every[:, 1]])
+    every = every[apart > TOLERANCE_PX]
+    order = np.argsort(-apart[apart > TOLERANCE_PX], kind="stable")[:_MAX_BASES]
+    return every[order, 0], every[order, 1]
+
+
+def _agreement(
+    a: ComplexArray, b: ComplexArray, references: ComplexArray, lights: ComplexArray
+) -> _Candidates:
+    """Who agrees with each of these similarities; a light is one LED's at most."""
+    predicted = a[:, None] * references[None] + b[:, None]
+    distance = np.abs(predicted[:, :, None] - lights[None, None, :])
+    nearest = distance.argmin(axis=2)
+    off = np.take_along_axis(distance, nearest[:, :, None], axis=2)[:, :, 0]
+    taken = np.where(off <= TOLERANCE_PX, nearest, -1)
+    ordered = np.sort(taken, axis=1)
+    twice = ((np.diff(ordered, axis=1) == 0) & (ordered[:, 1:] >= 0)).any(axis=1)
+    counts = np.where(twice, 0, (taken >= 0).sum(axis=1))
+    motion = np.abs(predicted - references[None]).max(axis=1)
+    misfit = np.where(taken >= 0, off, 0.0)
+    cost = (motion / _USUAL_MOTION_PX) ** 2 + (misfit**2).sum(axis=1) / TOLERANCE_PX**2
+    return _Candidates(taken, counts.astype(np.int64), cost)
+
+
+def _complex(points_px: FloatArray) -> ComplexArray:
+    return np.asarray(points_px[:, 0] + 1j * points_px[:, 1], dtype=np.complex128)

@@ -1,0 +1,147 @@
+"""The verdict of one check: LEDs on and off against the calibration (thesis 3.4, DESIGN §5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from altd.measuring.calibration import Calibration
+from altd.records import Value
+from altd.selfcheck.drift import drift_of
+from altd.selfcheck.effect import WorstEffect, beam_effects, place_effect, worst_effect
+from altd.selfcheck.records import LedState, LedView, Limits, SelfCheck, TargetDrift, Verdict
+
+NOT_LOOKED_AT = "no frames with the LEDs on and off"
+SIGNIFICANT = 7.0
+"""The Mahalanobis distance from which a drift is none of chance: 6 in 10⁹ with four degrees of freedom, and
+still below 1 in 10,000 where the noise is known to 15 % only (``benchmarks.selfcheck places``)."""
+_SIGMAS = 3.0
+"""A limit must be so many sigmas away from what is not seen, for the verdict to be good."""
+_ORDER = (Verdict.GOOD, Verdict.UNKNOWN, Verdict.SUSPECT, Verdict.BAD)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opinion:
+    """A verdict and why it is not good."""
+
+    verdict: Verdict
+    reason: str = ""
+
+
+def judge(
+    views: Mapping[str, LedView],
+    calibration: Calibration,
+    at: Mapping[str, tuple[float, float]] | None,
+    limits: Limits,
+    *,
+    previous: Verdict | None = None,
+    reference_plane_mm: float = 0.0,
+) -> SelfCheck:
+    """What LEDs on and off, by target, say of the unit's geometry. Pure; takes 10 to 50 ms a target.
+
+    ``at`` is where the spots stand now, (u, v) px by target, uncorrected; of a target that is not in it, or
+    without it, the middle of the calibrated area counts. ``previous`` is, for the hysteresis, the last
+    verdict that was not unknown. ``reference_plane_mm`` is where x and y are told. A target of the
+    calibration that is not in ``views`` makes the verdict unknown, as does one without LED references; a view
+    of a target that the calibration does not know raises KeyError, frames of another size ValueError.
+    """
+    known = {target.name: target for target in calibration.targets}
+    seen = {name: drift_of(name, view, known[name], limits) for name, view in views.items()}
+    drifts = {
+        name: seen.get(name) or TargetDrift(name, len(known[name].leds_px), 0, (), detail=NOT_LOOKED_AT)
+        for name in known
+    }
+    worst = {
+        name: worst_effect(known[name], drift.similarity)
+        for name, drift in drifts.items()
+        if drift.similarity is not None
+    }
+    opinions = [_of_target(drift, worst.get(name), limits, previous) for name, drift in drifts.items()]
+    if len(worst) >= 2:
+        z_mm = [known[name].z_mm for name in worst]
+        significant = any(_is_significant(drifts[name]) for name in worst)
+        opinions.append(
+            _of_direction(list(worst.values()), max(z_mm) - min(z_mm), significant, limits, previous)
+        )
+    opinions.sort(key=lambda opinion: -_ORDER.index(opinion.verdict))
+    return SelfCheck(
+        verdict=opinions[0].verdict,
+        targets=drifts,
+        effects=_effects(drifts, calibration, at or {}, reference_plane_mm),
+        reasons=tuple(opinion.reason for opinion in opinions if opinion.verdict is not Verdict.GOOD),
+    )
+
+
+def _effects(
+    drifts: Mapping[str, TargetDrift],
+    calibration: Calibration,
+    at: Mapping[str, tuple[float, float]],
+    reference_plane_mm: float,
+) -> Mapping[str, Value]:
+    """By the beam's keys; empty unless every target of two or more was judged."""
+    places = []
+    for target in calibration.targets:
+        drift = drifts[target.name]
+        if drift.similarity is None:
+            return {}
+        places.append(place_effect(target, drift.similarity, at.get(target.name)))
+    if len(places) < 2:
+        return {}
+    return beam_effects([target.z_mm for target in calibration.targets], places, reference_plane_mm)
+
+
+def _of_target(
+    drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
+) -> _Opinion:
+    """What one target's drift is worth."""
+    name = drift.target
+    if worst is None:
+        return _Opinion(Verdict.UNKNOWN, f"{name}: {drift.detail}")
+    bounds = (limits.suspect_mm, limits.bad_mm)
+    opinion = _against(
+        f"{name}: the picture moved by up to", "mm", worst, bounds, (_is_significant(drift), limits, previous)
+    )
+    displaced = LedState.DISPLACED in drift.leds
+    if (not drift.is_similarity or displaced) and opinion.verdict is not Verdict.BAD:
+        return _Opinion(Verdict.SUSPECT, f"{name}: {drift.detail}")
+    return opinion
+
+
+def _of_direction(
+    worst: list[WorstEffect], distance_mm: float, significant: bool, limits: Limits, previous: Verdict | None
+) -> _Opinion:
+    """What the drifts of all targets are worth for yaw and pitch, wherever the beam meets each of them."""
+    error = sum(effect.error_mm for effect in sorted(worst, key=lambda effect: -effect.error_mm)[:2])
+    sigma = math.hypot(*(effect.sigma_mm for effect in worst))
+    turned = WorstEffect(math.degrees(error / distance_mm), math.degrees(sigma / distance_mm))
+    bounds = (limits.suspect_deg, limits.bad_deg)
+    return _against("yaw or pitch are off by up to", "°", turned, bounds, (significant, limits, previous))
+
+
+def _against(
+    what: str,
+    unit: str,
+    worst: WorstEffect,
+    bounds: tuple[float, float],
+    state: tuple[bool, Limits, Verdict | None],
+) -> _Opinion:
+    """An error and its sigma against (suspect, bad); a verdict once reached ends below a share of it."""
+    significant, limits, previous = state
+    suspect, bad = bounds
+    if previous is Verdict.BAD:
+        bad *= limits.release_share
+    if previous in (Verdict.SUSPECT, Verdict.BAD):
+        suspect *= limits.release_share
+    text = f"{what} {worst.error_mm:.3f} {unit}, known to {worst.sigma_mm:.3f} {unit}"
+    if significant and worst.error_mm > bad:
+        return _Opinion(Verdict.BAD, text)
+    if significant and worst.error_mm > suspect:
+        return _Opinion(Verdict.SUSPECT, text)
+    if worst.error_mm > suspect or _SIGMAS * worst.sigma_mm > bounds[0]:
+        return _Opinion(Verdict.UNKNOWN, f"{text}: too uncertain to tell")
+    return _Opinion(Verdict.GOOD)
+
+
+def _is_significant(drift: TargetDrift) -> bool:
+    return drift.significance is not None and drift.significance > SIGNIFICANT

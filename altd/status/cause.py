@@ -1,0 +1,154 @@
+"""Why the unit's state is what it is: causes, held long enough to be seen, and the worst of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from altd.reasons import Reason, Signal
+from altd.status.availability import Availability
+from altd.status.conditions import Condition
+
+Kind = Reason | Condition
+"""What both tables of causes have: code, signal, brief, remedy, meaning."""
+
+HOLD_S = 2.0
+"""A cause is shown for so long after it was last true: who reads once a second misses none, and one that
+comes and goes with the exposures is one cause and not twenty a second."""
+
+MAINTENANCE_DELAY_S = 10.0
+"""Before maintenance is asked for, its cause was true for so long, with pauses of no more than this: a frame
+that is lost now and then sends nobody. What is worse than maintenance is shown at once, for a state must
+never be better than the measurement."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Something that is wrong now; ``of`` names the target or component, None: the whole unit."""
+
+    kind: Kind
+    of: str | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownCause:
+    """A cause, since when it is there (monotonic ns), whether it is true just now, how often it came."""
+
+    cause: Cause
+    since_ns: int
+    is_active: bool
+    times: int
+
+    @property
+    def signal(self) -> Signal:
+        """What the unit shows for it."""
+        return signal_of(self.cause.kind)
+
+
+def signal_of(kind: Kind) -> Signal:
+    """The signal of a cause. Whatever is wrong is never good: not even where its table says so."""
+    signal = getattr(kind, "signal", None)
+    if not isinstance(signal, Signal) or signal is Signal.GOOD:
+        return Signal.FAILURE
+    return signal
+
+
+def worst(causes: Iterable[ShownCause]) -> Signal:
+    """The signal that is shown for all of them; good when there are none."""
+    return max((cause.signal for cause in causes), key=lambda signal: signal.severity, default=Signal.GOOD)
+
+
+@dataclass(slots=True)
+class _Seen:
+    cause: Cause
+    since_ns: int
+    last_ns: int
+    is_active: bool = True
+    times: int = 1
+
+
+class CauseFilter:
+    """Holds causes that come and go, so that the state does not flicker; time is handed in."""
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[Kind, str | None], _Seen] = {}
+
+    def update(self, causes: Iterable[Cause], now_ns: int) -> tuple[ShownCause, ...]:
+        """Take what is wrong at this moment; returns what is shown, the worst first, then the oldest."""
+        now = {(cause.kind, cause.of): cause for cause in causes}
+        for key, seen in list(self._seen.items()):
+            if key not in now:
+                seen.is_active = False
+            if not seen.is_active and now_ns - seen.last_ns > _hold_ns(seen.cause.kind):
+                del self._seen[key]
+        for key, cause in now.items():
+            known = self._seen.get(key)
+            if known is None:
+                self._seen[key] = _Seen(cause, now_ns, now_ns)
+                continue
+            known.times += not known.is_active
+            known.cause, known.last_ns, known.is_active = cause, now_ns, True
+        shown = [
+            ShownCause(seen.cause, seen.since_ns, seen.is_active, seen.times)
+            for seen in self._seen.values()
+            if _is_shown(seen)
+        ]
+        return tuple(sorted(shown, key=lambda cause: (-cause.signal.severity, cause.since_ns)))
+
+
+def _hold_ns(kind: Kind) -> int:
+    is_maintenance = signal_of(kind) is Signal.MAINTENANCE_REQUIRED
+    return round((MAINTENANCE_DELAY_S if is_maintenance else HOLD_S) * 1e9)
+
+
+def _is_shown(seen: _Seen) -> bool:
+    if signal_of(seen.cause.kind) is not Signal.MAINTENANCE_REQUIRED:
+        return True
+    return seen.last_ns - seen.since_ns >= MAINTENANCE_DELAY_S * 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class StateReport:
+    """The unit's state at one moment: what is shown, since when, and every cause."""
+
+    signal: Signal
+    since_ns: int
+    now_ns: int
+    causes: tuple[ShownCause, ...]
+    availability: Availability
+
+    @property
+    def needs_attention(self) -> bool:
+        """Whether something beside the measurement is wrong just now that somebody has to see to."""
+        return any(
+            isinstance(shown.cause.kind, Condition)
+            and shown.is_active
+            and shown.signal is not Signal.CHECK_FUNCTION
+            for shown in self.causes
+        )
+
+    def as_object(self) -> dict[str, object]:
+        """The state as plain JSON types."""
+        return {
+            "signal": str(self.signal),
+            "number": self.signal.number,
+            "for_s": self._for_s(self.since_ns),
+            "causes": [
+                {
+                    "code": str(shown.cause.kind),
+                    "signal": str(shown.signal),
+                    "of": shown.cause.of,
+                    "active": shown.is_active,
+                    "for_s": self._for_s(shown.since_ns),
+                    "times": shown.times,
+                    "brief": shown.cause.kind.brief,
+                    "remedy": shown.cause.kind.remedy,
+                    "detail": shown.cause.detail,
+                }
+                for shown in self.causes
+            ],
+        }
+
+    def _for_s(self, since_ns: int) -> float:
+        return round((self.now_ns - since_ns) * 1e-9, 1)

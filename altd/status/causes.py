@@ -1,0 +1,101 @@
+"""What is wrong just now, by the latest measurement and by what the components say of themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from altd.reasons import Reason
+from altd.records import Fault, Measurement
+from altd.status.cause import Cause
+from altd.status.conditions import Condition
+from altd.status.health import MEASURING, Component, State
+
+START_S = 2.0
+"""A daemon that started so recently is starting, whatever else it says: cameras take time to open."""
+
+MAX_START_S = 15.0
+"""A component that is still starting after this long does not come up."""
+
+_WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAILED}
+"""What is no failure while the unit starts."""
+
+_FACES = {"modbus_tcp", "modbus_rtu", "http", "local", "serial"}
+"""The first words of the names of components that are faces to the outside."""
+
+
+def causes_now(
+    measurement: Measurement | None, components: Iterable[Component], now_ns: int, running_s: float
+) -> list[Cause]:
+    """Every cause that is true at this moment, of a daemon that runs for so long.
+
+    ``measurement`` is what the board shows now; None: nothing yet.
+    """
+    causes = [*_of_measurement(measurement), *_of_components(components, now_ns)]
+    is_measuring = measurement is not None and measurement.valid
+    if running_s < START_S and not is_measuring:
+        causes = [cause for cause in causes if cause.kind not in _WHILE_CAMERAS_OPEN]
+        return [Cause(Condition.STARTING), *causes]
+    if measurement is None:
+        causes.insert(0, Cause(Condition.NOTHING_MEASURED))
+    return causes
+
+
+def _of_measurement(measurement: Measurement | None) -> Iterator[Cause]:
+    if measurement is None:
+        return
+    for fault in measurement.status:
+        yield _of_fault(fault)
+    if not measurement.valid and all(is_warning(fault) for fault in measurement.status):
+        yield Cause(Condition.UNKNOWN_REASON, detail="a measurement is invalid and does not say why")
+
+
+def _of_fault(fault: Fault) -> Cause:
+    reason: object = fault.reason
+    if isinstance(reason, Reason):
+        return Cause(reason, fault.target, fault.detail)
+    return Cause(Condition.UNKNOWN_REASON, fault.target, str(reason))
+
+
+def is_warning(fault: Fault) -> bool:
+    """Whether a measurement with this fault may be valid; a reason that is not known is no warning."""
+    return isinstance(fault.reason, Reason) and fault.reason.is_warning
+
+
+def _of_components(components: Iterable[Component], now_ns: int) -> Iterator[Cause]:
+    for component in components:
+        if (silent_s := component.silent_s(now_ns)) is not None:
+            yield Cause(Condition.COMPONENT_SILENT, component.name, f"for {silent_s:.1f} s")
+        condition = _of_component(component, now_ns)
+        if condition is not None:
+            yield Cause(condition, component.name, component.message)
+
+
+def _of_component(component: Component, now_ns: int) -> Condition | None:
+    """What a component's state means for the unit; None: nothing is wrong, or the measurement says it."""
+    first_word = component.name.partition(" ")[0]
+    match component.state:
+        case State.OK:
+            return None
+        case State.STARTING:
+            is_late = now_ns - component.since_ns > MAX_START_S * 1e9
+            return Condition.NOT_STARTED if is_late else None
+        case State.DEGRADED:
+            if component.name == MEASURING:
+                return None
+            return Condition.CAMERA_DEGRADED if first_word == "camera" else Condition.COMPONENT_DEGRADED
+        case State.ENDED if first_word == "camera":
+            return Condition.RECORDING_ENDED
+        case State.FAILED if first_word in _FACES:
+            return Condition.FACE_FAILED
+        case State.FAILED:
+            return _FAILED.get(first_word, Condition.COMPONENT_FAILED)
+    return Condition.COMPONENT_FAILED
+
+
+_FAILED = {
+    "camera": Condition.CAMERA_FAILED,
+    "lamps": Condition.LAMPS_FAILED,
+    "indicators": Condition.INDICATORS_FAILED,
+    "inclinometer": Condition.SENSOR_FAILED,
+    "temperature": Condition.TEMPERATURE_UNKNOWN,
+}

@@ -1,0 +1,196 @@
+"""What happened to the unit: the newest events, for the history and for faces; who notes never waits."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+
+from altd.errors import one_line
+from altd.ports import Clock
+
+MAX_EVENTS = 1000
+"""In memory; older ones are in the history alone."""
+
+MAX_OF_ONE_IN_WINDOW = 10
+"""Events of one kind about one thing that are noted in ``WINDOW_S``; the others are counted."""
+
+MAX_IN_WINDOW = 200
+"""Events of any kind in that time."""
+
+WINDOW_S = 60.0
+MAX_TEXT_CHARACTERS = 500
+_NO_TIME = datetime.fromtimestamp(0, UTC)
+"""Of a clock that does not know UTC, which no daemon has."""
+
+
+class EventKind(StrEnum):
+    """A row of the table: code, severity where nothing else is said, meaning.
+
+    The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the
+    least severe first, so what is rare and explains much stands higher than its harm.
+    """
+
+    STARTED = "started", 2, "the daemon started"
+    STOPPED = "stopped", 2, "the daemon was told to end, and ended"
+    NOT_ENDED = "not_ended", 4, "the daemon before this one was not told to end: a crash, or a power cut"
+    STATE = "state", 0, "the unit's state changed"
+    CAUSE_CAME = "cause_came", 0, "something is wrong that was not before"
+    CAUSE_WENT = "cause_went", 0, "what was wrong is so no more"
+    CONFIG = "config", 3, "the settings are others than at the last start"
+    CALIBRATION = "calibration", 3, "the calibration is another than at the last start"
+    VERSION = "version", 3, "the program is another than at the last start"
+    SELF_CHECK = "self_check", 0, "a self-check ended"
+    REQUEST = "request", 1, "somebody asked the unit for something"
+    RECORDING = "recording", 1, "frames of the last seconds were kept as a recording, or could not be"
+    CLOCK = "clock", 3, "the time of day was set"
+    HISTORY = "history", 1, "the history itself: begun anew, moved aside, short of room, or with a gap"
+
+    severity: int
+    meaning: str
+
+    def __new__(cls, code: str, severity: int, meaning: str) -> EventKind:
+        """A member that is equal to its code."""
+        kind = str.__new__(cls, code)
+        kind._value_ = code
+        kind.severity, kind.meaning = severity, meaning
+        return kind
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened.
+
+    ``number`` counts the events of this daemon from 1, ``of`` names the target, component or face, ``detail``
+    holds plain JSON types. ``held_back`` are those of its kind before it that were counted and not noted;
+    ``is_recorded``: the history has it already.
+    """
+
+    number: int
+    t_ns: int
+    time: datetime
+    kind: EventKind
+    severity: int
+    text: str
+    of: str | None = None
+    detail: Mapping[str, object] = field(default_factory=dict)
+    held_back: int = 0
+    is_recorded: bool = False
+
+
+@dataclass(slots=True)
+class _Window:
+    """Events of one kind about one thing since ``begun_ns``; ``last`` is the newest that was held back."""
+
+    begun_ns: int
+    noted: int = 0
+    held_back: int = 0
+    last: Event | None = None
+
+
+_Key = tuple[EventKind, str | None, object]
+"""What repeats is told by this: kind, what it is about, and the code of a cause."""
+
+
+class EventLog:
+    """Takes events of one daemon, keeps the newest, and limits those that repeat.
+
+    What flaps is noted ``MAX_OF_ONE_IN_WINDOW`` times; then the newest of those held back follows when the
+    window ends, with the number of the others: the last that is noted is always how things are.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._count = 0
+        self._windows: dict[_Key, _Window] = {}
+        self._all = _Window(clock.monotonic_ns())
+        self._changed = asyncio.Event()
+
+    def note(
+        self,
+        kind: EventKind,
+        text: str,
+        of: str | None = None,
+        severity: int | None = None,
+        detail: Mapping[str, object] | None = None,
+    ) -> None:
+        """Something happened just now; ``severity`` None: that of its kind.
+
+        Control letters in its words are written as escapes.
+        """
+        now_ns = self._clock.monotonic_ns()
+        self.release(now_ns)
+        event = self._event(kind, text, detail or {})
+        self._limit(
+            replace(
+                event,
+                of=None if of is None else one_line(of[:MAX_TEXT_CHARACTERS]),
+                severity=kind.severity if severity is None else severity,
+            )
+        )
+
+    def note_recorded(self, kind: EventKind, text: str, detail: Mapping[str, object]) -> None:
+        """Something that the history found out, and has written already."""
+        self._keep(replace(self._event(kind, text, detail), is_recorded=True), _Window(0))
+
+    def _event(self, kind: EventKind, text: str, detail: Mapping[str, object]) -> Event:
+        now_ns = self._clock.monotonic_ns()
+        time = self._clock.utc(now_ns) or _NO_TIME
+        return Event(0, now_ns, time, kind, kind.severity, one_line(text[:MAX_TEXT_CHARACTERS]), None, detail)
+
+    def _limit(self, event: Event) -> None:
+        window = self._window_of((event.kind, event.of, event.detail.get("code")), event.t_ns)
+        if window.noted < MAX_OF_ONE_IN_WINDOW and self._all.noted < MAX_IN_WINDOW:
+            window.noted += 1
+            self._all.noted += 1
+            self._keep(event, window)
+        else:
+            window.held_back += 1
+            window.last = event
+
+    def release(self, now_ns: int) -> None:
+        """Note what was held back where its time is over; called regularly, so that the last one comes."""
+        if now_ns - self._all.begun_ns >= WINDOW_S * 1e9:
+            self._all = _Window(now_ns)
+        for key, window in list(self._windows.items()):
+            if now_ns - window.begun_ns < WINDOW_S * 1e9:
+                continue
+            if window.last is None:
+                del self._windows[key]
+                continue
+            last, window.last = window.last, None
+            window.held_back -= 1
+            window.begun_ns, window.noted = now_ns, 1
+            self._keep(last, window)
+
+    @property
+    def count(self) -> int:
+        """How many events were noted so far."""
+        return self._count
+
+    def after(self, number: int) -> list[Event]:
+        """The events with a larger number that are still in memory, oldest first."""
+        missing = self._count - number
+        return list(self._events)[-missing:] if missing > 0 else []
+
+    async def noted_after(self, number: int) -> int:
+        """How many events were noted, once it is more than ``number``."""
+        while self._count <= number:
+            await self._changed.wait()
+        return self._count
+
+    def _window_of(self, key: _Key, now_ns: int) -> _Window:
+        if key not in self._windows and len(self._windows) >= MAX_IN_WINDOW:
+            key = (key[0], None, None)  # names without end cost no memory without end
+        return self._windows.setdefault(key, _Window(now_ns))
+
+    def _keep(self, event: Event, window: _Window) -> None:
+        self._count += 1
+        held_back, window.held_back = window.held_back, 0
+        self._events.append(replace(event, number=self._count, held_back=held_back))
+        self._changed.set()
+        self._changed = asyncio.Event()

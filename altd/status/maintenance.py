@@ -1,0 +1,146 @@
+"""What wants maintenance, or lies outside the specification, before a measurement is invalid by it.
+
+Each class is a watch of ``altd.status.state``: asked for an instant of the monotonic clock it says what is
+wrong then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+from altd.config import Maintenance
+from altd.measuring.spot_locator import Located
+from altd.measuring.spot_trend import DustShare, Trend, residual_share
+from altd.records import NoSpot
+from altd.status.cause import Cause
+from altd.status.conditions import Condition
+from altd.status.health import Component
+
+TEMPERATURE_HYSTERESIS_K = 1.0
+"""A limit that was passed holds until the temperature is back by so much."""
+
+_RECOVERY = 1.1
+"""What fell below a share is well again at so many times of it, what rose above it below the inverse."""
+
+_MAX_CLOCK_ERROR = timedelta(days=1)
+"""Time zones and slow clocks make a day; more is a clock that was never set."""
+
+
+class CalibrationAge:
+    """Whether the calibration is due, by the time of day: it was made on another computer.
+
+    A time without a zone, as a file that was written by hand may have it, is taken for UTC.
+    """
+
+    def __init__(self, created: datetime, due_days: float, utc: Callable[[int], datetime | None]) -> None:
+        self._created = created if created.tzinfo is not None else created.replace(tzinfo=UTC)
+        self._due = timedelta(days=due_days)
+        self._utc = utc
+
+    def __call__(self, now_ns: int) -> Iterator[Cause]:
+        """Nothing where the time of day is not known."""
+        now = self._utc(now_ns)
+        if now is None:
+            return
+        age = now - self._created
+        if age < -_MAX_CLOCK_ERROR:
+            yield Cause(
+                Condition.CLOCK_WRONG, detail=f"it is {now:%Y-%m-%d}, calibrated {self._created:%Y-%m-%d}"
+            )
+        elif age > self._due:
+            yield Cause(
+                Condition.CALIBRATION_DUE, detail=f"made {self._created:%Y-%m-%d}, {age.days} days ago"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureLimits:
+    """What a temperature may be, °C."""
+
+    lowest: float
+    highest: float
+
+
+class Temperatures:
+    """Whether temperatures are within their limits; one that is not known is said by its component."""
+
+    def __init__(
+        self, limits: Mapping[str, TemperatureLimits], component: Callable[[str], Component]
+    ) -> None:
+        self._limits = {name: (component(f"temperature {name}"), limit) for name, limit in limits.items()}
+        self._passed: dict[str, Condition] = {}
+
+    def __call__(self, now_ns: int) -> Iterator[Cause]:
+        """Each temperature that is too low or too high."""
+        for name, (component, limits) in self._limits.items():
+            celsius = component.figures.get("celsius")
+            if not isinstance(celsius, float):
+                continue
+            passed = _passed_limit(celsius, limits, self._passed.get(name))
+            if passed is None:
+                self._passed.pop(name, None)
+                continue
+            self._passed[name] = passed
+            yield Cause(passed, name, f"{celsius:.1f} C")
+
+
+def _passed_limit(celsius: float, limits: TemperatureLimits, before: Condition | None) -> Condition | None:
+    above = TEMPERATURE_HYSTERESIS_K * (before is Condition.TOO_HOT)
+    below = TEMPERATURE_HYSTERESIS_K * (before is Condition.TOO_COLD)
+    if celsius > limits.highest - above:
+        return Condition.TOO_HOT
+    if celsius < limits.lowest + below:
+        return Condition.TOO_COLD
+    return None
+
+
+class SpotTrends:
+    """The trends of each target's light, residuals and dust, against what they may become."""
+
+    def __init__(self, targets: Iterable[str], limits: Maintenance) -> None:
+        self._targets = tuple(targets)
+        self.light = {target: Trend() for target in self._targets}
+        self.residual = {target: Trend() for target in self._targets}
+        self.dust = {target: DustShare() for target in self._targets}
+        self._limits = limits
+        self._warned: set[tuple[Condition, str]] = set()
+
+    def add(self, target: str, located: Located) -> None:
+        """Take what was located in a frame of a target's camera."""
+        if isinstance(located.spot, NoSpot):
+            return
+        if located.light_per_ms is not None:
+            self.light[target].add(located.t_ns, located.light_per_ms)
+        if located.dust is not None:
+            self.dust[target].add(located.dust)
+        self.residual[target].add(located.t_ns, residual_share(located.spot))
+
+    def __call__(self, now_ns: int) -> Iterator[Cause]:
+        """Each target whose light has fallen, whose residuals have risen or that is dusty."""
+        for target in self._targets:
+            share = self.light[target].figures().share
+            if self._is_below(Condition.LASER_WEAK, target, share, self._limits.min_light_share):
+                yield Cause(Condition.LASER_WEAK, target, f"{share:.0%} of its reference's light")
+        for target in self._targets:
+            recent = self.residual[target].figures().recent
+            if self._is_above(Condition.RESIDUALS_RISING, target, recent, self._limits.max_residual_share):
+                yield Cause(Condition.RESIDUALS_RISING, target, f"{recent:.0%} of what makes it distorted")
+        for target in self._targets:
+            covered = self.dust[target].share
+            if self._is_above(Condition.DUSTY, target, covered, self._limits.max_dust_share):
+                yield Cause(Condition.DUSTY, target, f"{covered:.2%} of the area under the spot are covered")
+
+    def _is_below(self, condition: Condition, target: str, value: float | None, limit: float) -> bool:
+        """Whether a value is too small; after that, until it is well above."""
+        limit *= _RECOVERY if (condition, target) in self._warned else 1
+        return self._warns(condition, target, is_bad=value is not None and value < limit)
+
+    def _is_above(self, condition: Condition, target: str, value: float | None, limit: float) -> bool:
+        limit /= _RECOVERY if (condition, target) in self._warned else 1
+        return self._warns(condition, target, is_bad=value is not None and value > limit)
+
+    def _warns(self, condition: Condition, target: str, *, is_bad: bool) -> bool:
+        (self._warned.add if is_bad else self._warned.discard)((condition, target))
+        return is_bad

@@ -1,0 +1,28 @@
+"""Where a target is measured: what who draws it needs to know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+AREA_MM = (140.0, 110.0)
+"""Width and height of the area that the unit is made for (App. A.1), its middle in the unit frame's zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetArea:
+    """One target: ``valid_mm`` are the corners of the area in which spots are valid, in the unit frame."""
+
+    name: str
+    z_mm: float
+    valid_mm: tuple[tuple[float, float], ...]
+
+
+def as_object(areas: tuple[TargetArea, ...]) -> dict[str, object]:
+    """The targets in beam order, as plain JSON types."""
+    return {
+        "area_mm": list(AREA_MM),
+        "targets": [
+            {"name": area.name, "z_mm": area.z_mm, "valid_mm": [list(corner) for corner in area.valid_mm]}
+            for area in areas
+        ],
+    }

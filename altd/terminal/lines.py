@@ -1,0 +1,66 @@
+"""Lines of text for a person: wrapped, and with numbers that stand below each other."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+
+from altd.terminal.documents import CauseDocument, SelfCheckDocument, Shown, StatusDocument
+
+_SPANS = {"last_hour": "of the last hour", "last_day": "of the last day", "since_start": "since the start"}
+
+
+def state_text(signal: str) -> str:
+    """A state as it is called out: ``good``, ``MAINTENANCE REQUIRED``."""
+    text = signal.replace("_", " ")
+    return text if signal == "good" else text.upper()
+
+
+def cause_text(cause: CauseDocument) -> str:
+    """What is wrong and what to do, in the words of the table of causes."""
+    of = f" ({cause.of})" if cause.of else ""
+    just_now = "" if cause.active else ", just now"
+    detail = f" [{cause.detail}]" if cause.detail else ""
+    return f"{cause.brief}{of}{just_now}{detail}: {cause.remedy}"
+
+
+def number_text(number: Shown, valid: bool) -> str:
+    """A quantity in one line of 68 characters at most."""
+    if number.value is None:
+        return f"{number.label:<7}{'not available' if valid else '-':>13}"
+    sigma = "" if number.sigma is None else f"+/- {number.sigma:.{number.decimals}f}"
+    now = "" if number.sigma_now is None else f"now {number.sigma_now:.{number.decimals}f}"
+    text = f"{number.label:<7}{number.value:>10.{number.decimals}f} {number.unit:<4}{sigma:<13}{now:<12}"
+    if number.also is not None and number.also[0] is not None:
+        value, unit, decimals = number.also
+        text += f"= {value:>9.{decimals}f} {unit}"
+    return text.rstrip()
+
+
+def availability_text(status: StatusDocument) -> str:
+    """The share of time in which the unit measured, of each span; rounded down."""
+    told = [
+        f"{int(span.share * 1e4) / 100:.2f} % {_SPANS.get(name, name)}"
+        for name, span in status.availability.items()
+        if span.share is not None
+    ]
+    return "; ".join(told) or "not known yet"
+
+
+def self_check_text(check: SelfCheckDocument) -> str:
+    """The last self-check in a sentence."""
+    reasons = "; ".join(check.reasons)
+    if check.verdict is None:
+        return f"none: {reasons}" if reasons else "none"
+    text = f"{check.verdict}: {reasons}" if reasons else check.verdict
+    return f"{check.time}: {text}" if check.time else text
+
+
+def hanging(head: str, text: str, width: int, indent: int) -> list[str]:
+    """The text behind ``head``, its further lines below its first one."""
+    return wrap(
+        text,
+        width,
+        initial_indent=f"{head:<{indent}}",
+        subsequent_indent=" " * indent,
+        break_on_hyphens=False,
+    ) or [head]

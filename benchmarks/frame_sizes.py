@@ -1,0 +1,169 @@
+"""``python -m benchmarks.frame_sizes`` (``make bench-sizes``): the real daemon on frames of several sizes.
+
+How soon it answers, and how late its event loop comes to what is due.
+
+Large frames are those of hw_sim, enlarged, with noise of their own; so their spots are larger, too, and the
+unit is calibrated with frames of that size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from altd.calibration.calibrating import calibrate
+from altd.recording.reader import open_recording
+from altd.records import PixelArray
+from benchmarks.cameras import Source
+from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watch
+from benchmarks.material import CAMERAS, FPS, SEED, Material, make_config, make_pairs
+from benchmarks.ticking import Ticker
+from hw_sim import unit as simulated
+from hw_sim.flat import record_flat
+from hw_sim.ports import free_port
+from hw_sim.scan import Grid, record_scan
+from hw_sim.stage import Stage
+
+SIZES = (752, 480), (2448, 2048), (4096, 3000)
+
+_GRID = Grid(pitch_mm=14.0, columns=4, rows=4)
+"""About the beam's places; a scan of the whole area would take minutes."""
+_FLAT_EXPOSURES = 4
+_PAIRS = 8
+_START_TIMEOUT_S = 30.0
+_NOISE_COUNTS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class SizeFigures:
+    """A daemon at work on frames of a size, ``FPS`` pairs/s, with a Modbus TCP client that polls it.
+
+    ``modbus`` is from request to answer, in the client's process; ``stalls`` how late the loop comes to what
+    is due every millisecond.
+    """
+
+    width: int
+    height: int
+    seconds: float
+    pairs: int
+    lost: int
+    cpu_share: float
+    value: Latency
+    modbus: Latency
+    stalls: Latency
+
+
+def measure_size(material: Material, seconds: float) -> SizeFigures:
+    """Run the daemon and watch it."""
+    return asyncio.run(_measured(material, seconds))
+
+
+async def _measured(material: Material, seconds: float) -> SizeFigures:
+    source, port = Source(material, FPS), free_port()
+    async with running(source, make_config(modbus_port=port)) as daemon:
+        waits_ns: list[int] = []
+        watching = asyncio.create_task(watch(daemon, source, waits_ns))
+        await asyncio.sleep(SETTLE_S)
+        async with asyncio.timeout(_START_TIMEOUT_S):
+            while not waits_ns:  # noqa: ASYNC110  what a large unit makes of its calibration takes a second
+                await asyncio.sleep(0.05)
+        await asyncio.sleep(SETTLE_S)
+        seen, lost_before, begun_s, cpu_s = len(waits_ns), lost(daemon), time.monotonic(), time.process_time()
+        poller = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "benchmarks.poller", str(port), str(seconds), stdout=asyncio.subprocess.PIPE
+        )
+        with Ticker() as ticker:
+            printed, _ = await poller.communicate()
+        wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
+        watching.cancel()
+        rows, columns = material.pairs[0][0].pixels.shape
+        return SizeFigures(
+            columns,
+            rows,
+            wall_s,
+            len(waits_ns) - seen,
+            lost(daemon) - lost_before,
+            cpu_s / wall_s,
+            latency_of(np.array(waits_ns[seen:]) * 1e-6),
+            latency_of(np.array(json.loads(printed))),
+            latency_of(np.array(ticker.late_ns) * 1e-6),
+        )
+
+
+def make_large_material(width: int, height: int, pairs: int) -> Material:
+    """The material of an ordinary unit whose cameras have larger chips behind the same lenses."""
+    rng = np.random.default_rng(SEED)
+
+    def enlarged(pixels: PixelArray) -> PixelArray:
+        return _enlarged(pixels, width, height, rng)
+
+    large = [
+        (replace(front, pixels=enlarged(front.pixels)), replace(rear, pixels=enlarged(rear.pixels)))
+        for front, rear in make_pairs(pairs)
+    ]
+    still = simulated.Unit(simulated.UnitConfig(seed=SEED))
+    with tempfile.TemporaryDirectory(prefix="altd-bench-") as folder:
+        scan, flat = Path(folder, "scan"), Path(folder, "flat")
+        record_scan(scan, still, Stage(np.random.default_rng(SEED)), 1, lambda done, planned: None, _GRID)
+        record_flat(flat, still, _FLAT_EXPOSURES, lambda done, planned: None)
+        for recorded in (scan, flat):
+            _enlarge_recording(recorded, enlarged, width, height)
+        calibration = calibrate([open_recording(scan)], open_recording(flat)).calibration
+    return Material(tuple(large), calibration, calibration)
+
+
+def _enlarged(pixels: PixelArray, width: int, height: int, rng: np.random.Generator) -> PixelArray:
+    """As large as it fits, the rest of the chip as its border; 8 bits."""
+    rows, columns = pixels.shape
+    scale = min(width / columns, height / rows)
+    size = round(columns * scale), round(rows * scale)
+    picture = cv2.resize(pixels, size, interpolation=cv2.INTER_CUBIC)
+    whole = cv2.copyMakeBorder(picture, 0, height - size[1], 0, width - size[0], cv2.BORDER_REPLICATE)
+    noise = _NOISE_COUNTS * rng.standard_normal(whole.shape, dtype=np.float32)
+    large: PixelArray = np.clip(np.rint(whole + noise), 0, 255).astype(np.uint8)
+    large.flags.writeable = False
+    return large
+
+
+def _enlarge_recording(
+    folder: Path, enlarged: Callable[[PixelArray], PixelArray], width: int, height: int
+) -> None:
+    for camera in CAMERAS:
+        for file in sorted((folder / camera).glob("*.png")):
+            picture = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            assert picture is not None  # noqa: S101  hw_sim has just written it
+            cv2.imwrite(str(file), enlarged(picture.astype(np.uint8)))
+    header = json.loads((folder / "recording.json").read_text())
+    for camera in header["cameras"].values():
+        camera |= {"width": width, "height": height}
+    (folder / "recording.json").write_text(json.dumps(header) + "\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.frame_sizes", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0, help="for each size")
+    seconds = parser.parse_args(arguments).seconds
+    print(f"{FPS:g} pairs/s, a Modbus TCP client beside; each p50, p99, max in ms; core: share of one core")
+    print("      frames  pairs  lost  core      value in hands       Modbus answer       loop comes late")
+    for width, height in SIZES:
+        figures = measure_size(make_large_material(width, height, _PAIRS), seconds)
+        columns = (figures.value, figures.modbus, figures.stalls)
+        spans = "".join(f"{each.p50_ms:8.2f}{each.p99_ms:6.2f}{each.max_ms:7.2f}" for each in columns)
+        size = f"{width} × {height}"
+        print(f"{size:>12}{figures.pairs:7}{figures.lost:6}{figures.cpu_share:6.2f}{spans}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

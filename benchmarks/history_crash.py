@@ -1,0 +1,177 @@
+"""What a history loses when its daemon is killed: ``python -m benchmarks.history_crash --times 200``.
+
+A child process records as the daemon does, with its board, its recorder and the real clock, 100 measurements
+a second, and writes down when it published which. It is killed (SIGKILL) at a random moment, again and again
+on one file. After each kill the file must be whole by SQLite's own check, hold every measurement that was
+published a second or more before the kill, and none that was not published.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import random
+import signal
+import sqlite3
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NoReturn
+
+RATE_HZ = 100
+MAX_LOST_S = 1.0
+_NOTE = struct.Struct("<qq")
+FIRST_SEQUENCE_STEP = 1_000_000
+
+
+class HistoryLostError(Exception):
+    """A file that is not whole, or lacks more than it may."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What a kill cost: measurements, and the time from the first of them to the last one published."""
+
+    measurements: int
+    lost_s: float
+    published: int
+
+
+def write(path: Path, first: int, note: Callable[[int, int], object]) -> NoReturn:
+    """Record for ever; ``note`` is told the number of each measurement, and its monotonic time, ns."""
+    from altd.history.batch import About
+    from altd.history.columns import columns_of
+    from altd.history.recorder import HistoryRecorder
+    from altd.history.store import Store
+    from altd.instruments.beam.quantities import QUANTITIES
+    from altd.records import Measurement, Value
+    from altd.runtime.clock import SystemClock
+    from altd.status.board import Board
+    from altd.status.event_log import EventLog
+    from altd.status.health import Health
+    from altd.status.state import UnitState
+
+    async def run() -> None:
+        clock = SystemClock()
+        board, health = Board(clock, 1.0, QUANTITIES), Health(clock)
+        store = Store(path, 400 * 10**6, About(columns_of(QUANTITIES, ("front", "rear"))))
+        state = UnitState(board, health, clock)
+        recorder = HistoryRecorder(store, EventLog(clock), state.read, health.component("history"), clock)
+        board.on_publish = recorder.take
+        recording = asyncio.create_task(recorder.run())
+        keys = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
+        point = {"x_mm": Value(1.0), "y_mm": Value(2.0)}
+        sequence = first
+        while not recording.done():
+            values = {key: Value(random.uniform(-50, 50), 0.004) for key in keys}
+            now_ns = time.monotonic_ns()
+            targets = {"front": point, "rear": point}
+            board.publish(Measurement(sequence, now_ns, datetime.now(UTC), 20, QUANTITIES, values, targets))
+            note(sequence, now_ns)
+            sequence += 1
+            await asyncio.sleep(1 / RATE_HZ)
+        recording.result()
+
+    asyncio.run(run())
+    sys.exit(1)
+
+
+def kill_once(path: Path, number: int, after_s: float) -> Loss:
+    """Record, kill, and judge what is left; raises HistoryLostError."""
+    first = number * FIRST_SEQUENCE_STEP
+    reading, writing = os.pipe()
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.history_crash",
+        "--write",
+        str(path),
+        str(first),
+        str(writing),
+    ]
+    process = subprocess.Popen(  # noqa: S603
+        command, pass_fds=(writing,), stderr=subprocess.PIPE
+    )
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        content = pipe.read(_NOTE.size)  # it publishes: from here on time counts
+        time.sleep(after_s)
+        process.send_signal(signal.SIGKILL)
+        content += pipe.read()
+    _, said = process.communicate()
+    if not content:
+        raise HistoryLostError(f"the recording did not begin: {said.decode()[-500:]}")
+    whole = len(content) - len(content) % _NOTE.size
+    published = dict(_NOTE.iter_unpack(content[:whole]))
+    return loss_of(published, first, judged(path, first))
+
+
+def judged(path: Path, first: int) -> int:
+    """How many measurements from this number on are in the file; raises HistoryLostError if it is not whole.
+
+    None of them may be missing in between, and the summaries must hold as many.
+    """
+    connection = sqlite3.connect(path)
+    try:
+        (said,) = connection.execute("PRAGMA integrity_check").fetchone()
+        if said != "ok":
+            raise HistoryLostError(f"the file is damaged: {said}")
+        if not connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
+            return 0  # cut before the first batch: there is a file, and nothing in it
+        rows = connection.execute(
+            "SELECT sequence FROM measurements WHERE sequence >= ? AND sequence < ? ORDER BY id",
+            (first, first + FIRST_SEQUENCE_STEP),
+        ).fetchall()
+        (counted,) = connection.execute(
+            "SELECT coalesce(sum(n), 0) FROM seconds WHERE epoch = (SELECT max(epoch) FROM epochs)"
+        ).fetchone()
+    except sqlite3.Error as error:
+        raise HistoryLostError(f"the file cannot be read: {error}") from error
+    finally:
+        connection.close()
+    stored = [sequence for (sequence,) in rows]
+    if stored != list(range(first, first + len(stored))):
+        raise HistoryLostError(f"measurements are missing in between: {stored[-5:]}")
+    if stored and counted != len(stored):
+        raise HistoryLostError(f"the summaries hold {counted} of {len(stored)} measurements")
+    return len(stored)
+
+
+def loss_of(published: Mapping[int, int], first: int, stored: int) -> Loss:
+    """What is lacking of what was published (number: monotonic ns); raises HistoryLostError for too much."""
+    if stored > len(published) + 1:
+        raise HistoryLostError(f"{stored} are stored, and {len(published)} were published")
+    lost = [t_ns for sequence, t_ns in published.items() if sequence >= first + stored]
+    return Loss(len(lost), (max(lost) - min(lost)) * 1e-9 if lost else 0.0, len(published))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Kill so often; say the worst loss. Status 1 when more was lost than may be."""
+    parser = argparse.ArgumentParser(prog="benchmarks.history_crash")
+    parser.add_argument("--times", type=int, default=200)
+    parser.add_argument("--write", nargs=3, metavar=("FILE", "FIRST", "DESCRIPTOR"), help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.write:
+        path, first, notes = options.write
+        write(Path(path), int(first), lambda *said: os.write(int(notes), _NOTE.pack(*said)))
+    draw = random.Random(1)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "history.db"
+        losses = [kill_once(path, number, draw.uniform(0.0, 2.5)) for number in range(options.times)]
+        size_mb = path.stat().st_size / 1e6
+    lost_s = sorted(loss.lost_s for loss in losses)
+    published = sum(loss.published for loss in losses)
+    print(f"{len(losses)} kills, {published} measurements published, {size_mb:.1f} MB, no file damaged")
+    print(f"lost: {lost_s[len(lost_s) // 2]:.2f} s in the median, {lost_s[-1]:.2f} s at most")
+    return 0 if lost_s[-1] <= MAX_LOST_S else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

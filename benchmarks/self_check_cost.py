@@ -1,0 +1,205 @@
+"""``python -m benchmarks.self_check_cost`` (``make bench-selfcheck``): what a self-check costs.
+
+The real daemon on cameras in memory that see the frame LEDs as its lamps were switched, 20 exposures a
+second, a Modbus TCP client that polls it 50 times a second, and beside them processes that only work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from altd.acquisition.self_check.schedule import REST_S
+from altd.app.daemon import Daemon
+from altd.reasons import Reason
+from benchmarks.cameras import Source
+from benchmarks.daemon import SETTLE_S, running
+from benchmarks.led_material import LedLine, make_led_material
+from benchmarks.material import FPS, Material, make_config
+from hw_sim.ports import free_port
+
+POLLS_PER_S = 50.0
+BUSY_PROCESSES = 0, 1, 2, 4
+_PAIRS = 40
+_AFTER_S = 2.0
+"""So long after its answer a check counts as the cause of what is polled: a window is filled by then."""
+_WITHIN_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Polls:
+    """What the client was told in a part of the time; ``reasons`` of the invalid polls."""
+
+    count: int
+    invalid: int
+    largest_age_ms: int
+    longest_gap_s: float
+    """Between two new measurements, in the daemon."""
+    reasons: Counter[str]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckCost:
+    """Of each check in turn; polls from the request to ``_AFTER_S`` after the answer, and those between."""
+
+    verdicts: Counter[str]
+    lost: list[int]
+    lit_s: list[float]
+    answer_s: list[float]
+    checking: Polls
+    between: Polls
+
+
+@dataclass(frozen=True, slots=True)
+class _Poll:
+    sent_s: float
+    header: list[int]
+
+    @property
+    def is_valid(self) -> bool:
+        return bool(self.header[0] & 1)
+
+    @property
+    def age_ms(self) -> int:
+        return self.header[6]
+
+    @property
+    def reasons(self) -> str:
+        codes = [code for code in self.header[2:5] if code]
+        return ", ".join(sorted({str(reason) for reason in Reason if reason.modbus_code in codes}))
+
+
+def measure_checks(material: Material, line: LedLine, checks: int, busy: int) -> CheckCost:
+    """Ask for checks one after the other, beside so many busy processes."""
+    return asyncio.run(_measured(material, line, checks, busy))
+
+
+async def _measured(material: Material, line: LedLine, checks: int, busy: int) -> CheckCost:
+    port = free_port()
+    line.forget()
+    async with running(Source(material, FPS), make_config(modbus_port=port), line) as daemon:
+        desk = daemon.health.self_check
+        async with asyncio.timeout(_WITHIN_S):
+            await desk.report(1)
+        published_s: list[float] = []
+        watching = asyncio.create_task(_watch(daemon, published_s))
+        spans, verdicts, lost, answer_s = [], Counter[str](), [], []
+        try:
+            async with _busy(busy), _polling(port) as polls:
+                await asyncio.sleep(SETTLE_S)
+                first_s, before = time.monotonic(), len(line.lit_s)
+                for _ in range(checks):
+                    await asyncio.sleep(REST_S)
+                    begun_s = time.monotonic()
+                    async with asyncio.timeout(_WITHIN_S):
+                        document = (await desk.report(desk.ask())).document
+                    answer_s.append(time.monotonic() - begun_s)
+                    await asyncio.sleep(_AFTER_S)
+                    spans.append((begun_s, time.monotonic()))
+                    verdicts[str(document["verdict"])] += 1
+                    lost.append(int(str(document["exposures_lost"])))
+                last_s = time.monotonic()
+        finally:
+            watching.cancel()
+        rests = list(
+            zip([first_s, *(end for _, end in spans)], [begin for begin, _ in spans] + [last_s], strict=True)
+        )
+        return CheckCost(
+            verdicts,
+            lost,
+            line.lit_s[before:],
+            answer_s,
+            _told(polls, published_s, spans),
+            _told(polls, published_s, rests),
+        )
+
+
+def _told(polls: list[_Poll], published_s: list[float], spans: list[tuple[float, float]]) -> Polls:
+    def falls(at_s: float) -> bool:
+        return any(begin <= at_s < end for begin, end in spans)
+
+    here = [poll for poll in polls if falls(poll.sent_s)]
+    invalid = [poll for poll in here if not poll.is_valid]
+    return Polls(
+        len(here),
+        len(invalid),
+        max(poll.age_ms for poll in here),
+        max(after - before for before, after in pairwise(published_s) if falls(before)),
+        Counter(poll.reasons for poll in invalid),
+    )
+
+
+async def _watch(daemon: Daemon, published_s: list[float]) -> None:
+    cursor = daemon.board.cursor()
+    while True:
+        await cursor.next()
+        published_s.append(time.monotonic())
+
+
+@contextlib.asynccontextmanager
+async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
+    """What a client polls meanwhile, there once the block has ended."""
+    polls: list[_Poll] = []
+    client = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "benchmarks.steady_poller",
+        str(port),
+        str(POLLS_PER_S),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    yield polls
+    printed, _ = await client.communicate(b"\n")
+    polls += [_Poll(sent_s, header) for sent_s, _, *header in json.loads(printed)]
+
+
+@contextlib.asynccontextmanager
+async def _busy(count: int) -> AsyncIterator[None]:
+    """So many processes that only work."""
+    processes = [
+        await asyncio.create_subprocess_exec(sys.executable, "-c", "while True: pass") for _ in range(count)
+    ]
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            await process.wait()
+
+
+def _rows(cost: CheckCost) -> Iterator[str]:
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(cost.verdicts.items()))
+    lost = f"{min(cost.lost)} to {max(cost.lost)}"
+    yield f"{verdicts:>20}{lost:>9}{max(cost.lit_s, default=0.0):9.3f}{max(cost.answer_s):11.2f}"
+    for what, told in (("checking", cost.checking), ("between", cost.between)):
+        reasons = "; ".join(f"{count} {reason}" for reason, count in told.reasons.most_common())
+        figures = f"{told.longest_gap_s:9.2f}{told.largest_age_ms:9}{told.count:9}{told.invalid:9}"
+        yield f"{what:>20}{figures}  {reasons}"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.self_check_cost", description=__doc__)
+    parser.add_argument("--checks", type=int, default=5, help="beside each number of busy processes")
+    checks = parser.parse_args(arguments).checks
+    material, line = make_led_material(_PAIRS)
+    print(f"{FPS:g} exposures/s, {POLLS_PER_S:g} polls/s")
+    print(f"{'busy':>6}{'verdicts':>20}{'lost':>9}{'lit, s':>9}{'answer, s':>11}   largest of each")
+    print(f"{'':6}{'polls':>20}{'gap, s':>9}{'age, ms':>9}{'polls':>9}{'invalid':>9}  why")
+    for busy in BUSY_PROCESSES:
+        first, *more = _rows(measure_checks(material, line, checks, busy))
+        print(f"{busy:6}{first}", *(f"      {row}" for row in more), sep="\n", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,110 @@
+"""Two units that differ in their serial numbers alone, each with all its faces, in a process of its own.
+
+``python -m benchmarks.wire_errors.served PORTS`` takes the serial ports of both as JSON and says, as one line
+of JSON, on which TCP ports they serve. It ends when its standard input does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from altd.config import HttpSettings, ModbusRtuPortSettings, ModbusTcpSettings, TelegramPortSettings
+from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.solver import Beam
+from altd.publish.http.publisher import HttpPublisher
+from altd.publish.modbus.rtu import ModbusRtuPublisher
+from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.publish.serial.publisher import TelegramPublisher
+from altd.records import Measurement, Value
+from altd.runtime.clock import SystemClock
+from altd.runtime.supervision import Publisher
+from altd.status.board import Board
+from altd.status.health import Health
+from altd.status.proof import Identity
+
+SERIALS = ("ALT-0007", "ALT-0008")
+RATE_HZ = 40.0
+_AGE_S = 0.005
+_BAUD: Final = 230400
+
+
+class _Unit:
+    """A board that is measured on, and its faces."""
+
+    def __init__(self, serial: str, ports: dict[str, list[str]]) -> None:
+        self.clock = SystemClock()
+        self.board = Board(self.clock, 1.0, QUANTITIES, Identity.drawn(serial))
+        health = Health(self.clock)
+        component = health.component(serial)
+        self.http = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), self.board, health, component)
+        self.tcp = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=0), self.board, component)
+        self.serial: list[Publisher] = [
+            TelegramPublisher(
+                TelegramPortSettings(
+                    device=Path(device), speaks="telegram", baud=_BAUD, interval_s=0.05, checked=True
+                ),
+                self.board,
+                component,
+                self.clock,
+            )
+            for device in ports["telegram"]
+        ]
+        self.serial += [
+            ModbusRtuPublisher(
+                ModbusRtuPortSettings(device=Path(device), speaks="modbus_rtu", baud=_BAUD),
+                self.board,
+                component,
+            )
+            for device in ports["rtu"]
+        ]
+
+    def faces(self) -> Iterator[Publisher]:
+        yield self.http
+        yield self.tcp
+        yield from self.serial
+
+    async def measure(self) -> None:
+        """Publish measurements that differ, for ever."""
+        sequence = 0
+        while True:
+            sequence += 1
+            self.board.publish(self._measurement(sequence))
+            await asyncio.sleep(1 / RATE_HZ)
+
+    def _measurement(self, sequence: int) -> Measurement:
+        t_ns = self.clock.monotonic_ns() - round(_AGE_S * 1e9)
+        x_mm = 10 + sequence % 1000 / 1000
+        beam = Beam(x_mm, 4.987, 1.1459, -1.7184, 0.004, 0.004, 0.0011, 0.0011)
+        points = {"front": {"x_mm": Value(x_mm), "y_mm": Value(4.987)}}
+        blank = Measurement(sequence, t_ns, self.clock.utc(t_ns), 20, QUANTITIES, {}, points)
+        return replace(blank, values=values_of(beam))
+
+
+async def _run(face: Publisher, ready: asyncio.Event) -> None:
+    await face.run(ready.set)
+
+
+async def _serve(ports: list[dict[str, list[str]]]) -> None:
+    units = [_Unit(serial, of_unit) for serial, of_unit in zip(SERIALS, ports, strict=True)]
+    async with asyncio.TaskGroup() as tasks:
+        served = []
+        for unit in units:
+            served.append(tasks.create_task(unit.measure()))
+            for face in unit.faces():
+                ready = asyncio.Event()
+                served.append(tasks.create_task(_run(face, ready)))
+                await ready.wait()
+        print(json.dumps([{"tcp": unit.tcp.port, "http": unit.http.port} for unit in units]), flush=True)
+        await asyncio.to_thread(sys.stdin.read)
+        for task in served:
+            task.cancel()
+
+
+if __name__ == "__main__":
+    asyncio.run(_serve(json.loads(sys.argv[1])))

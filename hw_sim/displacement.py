@@ -1,0 +1,52 @@
+"""A camera that no longer stands to its target as it did: its lens as it is then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from hw_sim.image import Image
+from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens, rotation
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """What a camera's picture does, about its principal point: shift, turn from u to v, scale.
+
+    The chip is shifted in its plane, the camera rolls about its axis, the lens gets longer (as a camera that
+    comes nearer, but without the perspective that changes with it).
+    """
+
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0
+    scale_ppm: float = 0.0
+
+    def of(self, lens: Lens) -> Lens:
+        """The lens of a camera that is displaced so."""
+        roll = rotation(0.0, 0.0, math.radians(self.turn_deg))
+        return replace(
+            lens,
+            focal_mm=lens.focal_mm * (1.0 + 1e-6 * self.scale_ppm),
+            principal_px=(
+                lens.principal_px[0] + self.shift_px[0],
+                lens.principal_px[1] + self.shift_px[1],
+            ),
+            rotation=roll @ lens.rotation,
+            translation_mm=roll @ lens.translation_mm,
+        )
+
+
+def carried(texture: Image, before: Lens, after: Lens) -> Image:
+    """A surface texture, (rows, columns), as the displaced camera sees it: it moves with the target."""
+    columns, rows = np.meshgrid(np.arange(WIDTH_PX, dtype=np.float64), np.arange(HEIGHT_PX, dtype=np.float64))
+    u, v = before.project(*after.unproject(columns, rows))
+    return cv2.remap(
+        texture,
+        u.astype(np.float32),
+        v.astype(np.float32),
+        cv2.INTER_LANCZOS4,
+        borderMode=cv2.BORDER_REFLECT,
+    ).astype(np.float32)

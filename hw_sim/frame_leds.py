@@ -1,0 +1,57 @@
+"""The frame LEDs one by one, and lights that are none of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from hw_sim.image import Image
+from hw_sim.targets import LED_DIAMETER_MM, LED_POSITIONS_MM, soft_disc
+
+ALL_LIT = (1.0,) * len(LED_POSITIONS_MM)
+"""The brightness of each LED when all is well, in the order of LED_POSITIONS_MM."""
+
+
+class Shines(StrEnum):
+    """When a light that is no frame LED shines."""
+
+    WITH_LEDS = "with_leds"
+    """A reflection of the LEDs."""
+    BY_ITSELF = "by_itself"
+    """In every second exposure on average, whatever the LEDs do."""
+    ALWAYS = "always"
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """A round light on a target that is no frame LED; ``level`` 1 is as bright as one."""
+
+    x_mm: float
+    y_mm: float
+    diameter_mm: float = LED_DIAMETER_MM
+    level: float = 1.0
+    shines: Shines = Shines.WITH_LEDS
+
+
+def led_coverage(x_mm: Image, y_mm: Image, softness_mm: float, levels: tuple[float, ...] = ALL_LIT) -> Image:
+    """Light of the frame LEDs in a small cell at points of the frame, 1 within one as bright as usual.
+
+    ``levels`` is the brightness of each; 0 is dark.
+    """
+    cover = np.zeros_like(x_mm)
+    for (led_x, led_y), level in zip(LED_POSITIONS_MM, levels, strict=True):
+        if level:
+            distance = np.hypot(x_mm - np.float32(led_x), y_mm - np.float32(led_y))
+            cover += np.float32(level) * soft_disc(distance, LED_DIAMETER_MM / 2.0, softness_mm)
+    return cover
+
+
+def stray_coverage(x_mm: Image, y_mm: Image, softness_mm: float, strays: tuple[Stray, ...]) -> Image:
+    """Light of the strays in the same measure."""
+    cover = np.zeros_like(x_mm)
+    for stray in strays:
+        distance = np.hypot(x_mm - np.float32(stray.x_mm), y_mm - np.float32(stray.y_mm))
+        cover += np.float32(stray.level) * soft_disc(distance, stray.diameter_mm / 2.0, softness_mm)
+    return cover

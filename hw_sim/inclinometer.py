@@ -1,0 +1,163 @@
+"""Two inclinometers on a pseudo-terminal that speak Modbus RTU: Balluff BSI R11A0 and WitMotion WT901C485.
+
+They turn with ``roll_deg`` and ``pitch_deg``, have noise and a temperature, and can be made to fail.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import struct
+import threading
+import time
+import tty
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Self
+
+HOLDING, INPUT = 3, 4
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
+_REQUEST_BYTES = 8
+_WAIT_S = 0.05
+
+Registers = dict[tuple[int, int], int]
+"""By function and address."""
+
+
+def crc(data: bytes) -> bytes:
+    """Modbus' CRC-16, low byte first (Modbus over Serial Line V1.02, 6.2.2)."""
+    register = 0xFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register = register >> 1 ^ (0xA001 if register & 1 else 0)
+    return struct.pack("<H", register)
+
+
+class Inclinometer:
+    """``with Inclinometer.balluff() as sensor``: it answers on ``sensor.device``.
+
+    ``roll_deg``, ``pitch_deg``, ``temperature_c`` and ``noise_deg`` may be changed at any time, and so may
+    the faults: ``answers`` (else it is silent), ``frozen``, ``corrupts`` (every CRC is wrong), ``echoes``
+    (the line gives back what is sent), ``late_s`` (it answers so late) and ``address``.
+    ``settings`` are its holding registers.
+    """
+
+    def __init__(
+        self, address: int, settings: Mapping[int, int], measure: Callable[[Inclinometer], Registers]
+    ) -> None:
+        self.address = address
+        self.settings = dict(settings)
+        self.roll_deg = self.pitch_deg = 0.0
+        self.temperature_c, self.noise_deg = 21.5, 0.02
+        self.answers, self.frozen, self.corrupts, self.echoes = True, False, False, False
+        self.late_s = 0.0
+        self.requests = 0
+        self.random = random.Random(1)
+        self._measure = measure
+        self._measured: Registers = measure(self)
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="inclinometer", daemon=True)
+        self._terminal, self._line = os.openpty()
+        tty.setraw(self._line)
+        self.device = Path(os.ttyname(self._line))
+
+    @classmethod
+    def balluff(cls) -> Self:
+        """One axis, address 1, 19200 baud; as it leaves the factory."""
+        return cls(1, {132: 1, 133: 1, 134: 0, 135: 0, 136: 0, 200: 1, 201: 192}, _balluff)
+
+    @classmethod
+    def witmotion(cls) -> Self:
+        """Two axes, address 0x50, 9600 baud."""
+        return cls(0x50, {0x04: 2, 0x1A: 0x50}, _witmotion)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join()
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Pull the USB adapter: the port is gone."""
+        terminal, line, self._terminal, self._line = self._terminal, self._line, -1, -1
+        for descriptor in (terminal, line):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+    def angle_deg(self, angle_deg: float) -> float:
+        """An angle with the noise of a reading."""
+        return angle_deg + self.random.gauss(0.0, self.noise_deg)
+
+    def _serve(self) -> None:
+        heard = b""
+        while not self._ending.is_set() and (terminal := self._terminal) >= 0:
+            try:
+                if not select.select([terminal], [], [], _WAIT_S)[0]:
+                    heard = b""  # a silence ends a frame
+                    continue
+                heard += os.read(terminal, 256)
+                if self.echoes:
+                    os.write(terminal, heard)
+                while len(heard) >= _REQUEST_BYTES:
+                    request, heard = heard[:_REQUEST_BYTES], heard[_REQUEST_BYTES:]
+                    self._answer(terminal, request)
+            except (OSError, ValueError):  # unplugged
+                return
+
+    def _answer(self, terminal: int, request: bytes) -> None:
+        if request[0] != self.address or request[-2:] != crc(request[:-2]):
+            return
+        self.requests += 1
+        answer = self.response(request[1:-2])
+        if self.late_s:
+            time.sleep(self.late_s)
+        if self.answers:
+            frame = bytes([self.address]) + answer
+            check = crc(frame)
+            os.write(terminal, frame + (bytes(255 - byte for byte in check) if self.corrupts else check))
+
+    def response(self, request: bytes) -> bytes:
+        """The answer to a request, both from the function on."""
+        function, first, count = struct.unpack(">BHH", request)
+        if not self.frozen:
+            self._measured = self._measure(self)
+        known = self._measured | {(HOLDING, at): word for at, word in self.settings.items()}
+        if function not in (HOLDING, INPUT):
+            return bytes([function | 0x80, ILLEGAL_FUNCTION])
+        if not 1 <= count <= 125:
+            return bytes([function | 0x80, ILLEGAL_VALUE])
+        words = [known.get((function, address)) for address in range(first, first + count)]
+        if None in words:
+            return bytes([function | 0x80, ILLEGAL_ADDRESS])
+        return struct.pack(f">BB{count}H", function, 2 * count, *words)
+
+
+def _balluff(sensor: Inclinometer) -> Registers:
+    """Input registers 0, 10, 17, 18; 55555 in register 0 where a setting is none."""
+    angle = round(sensor.angle_deg(sensor.roll_deg) * 100) % 36000
+    turned = -angle if sensor.settings[135] else angle
+    shown = (turned + 18000) % 36000 - 18000 if sensor.settings[136] else turned % 36000
+    is_bad = not 1 <= sensor.settings[133] <= 20 or sensor.settings[135] > 1 or sensor.settings[136] > 1
+    temperature = round((sensor.temperature_c + sensor.random.gauss(0.0, 0.02)) * 100)
+    return {
+        (INPUT, 0): 55555 if is_bad else angle,
+        (INPUT, 10): temperature & 0xFFFF,
+        (INPUT, 17): shown >> 16 & 0xFF,
+        (INPUT, 18): shown & 0xFFFF,
+    }
+
+
+def _witmotion(sensor: Inclinometer) -> Registers:
+    """Holding registers 0x34 to 0x40: acceleration, rate, magnetic field, angles, temperature."""
+    noise = [round(sensor.random.gauss(0.0, 3.0)) for _ in range(9)]
+    at_rest = (0, 0, 2048, 0, 0, 0, 120, -40, 300)  # 1 g of 16 g
+    angles = (sensor.angle_deg(sensor.roll_deg), sensor.angle_deg(sensor.pitch_deg), 12.0)
+    words = [value + moved for value, moved in zip(at_rest, noise, strict=True)]
+    words += [round(angle / 180.0 * 32768.0) for angle in angles]
+    words.append(round((sensor.temperature_c + sensor.random.gauss(0.0, 0.02)) * 100))
+    return {(HOLDING, 0x34 + n): word & 0xFFFF for n, word in enumerate(words)}

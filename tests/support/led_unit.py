@@ -1,0 +1,168 @@
+"""A daemon in this process on simulated cameras whose frame LEDs follow the daemon's lamps, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from altd.app.daemon import Daemon
+from altd.config import Config
+from altd.measuring.calibration import Calibration
+from altd.ports import LampsError
+from altd.records import Frame, Measurement
+from altd.status.self_check_desk import SelfCheckReport
+from hw_sim.camera import Schedule, SimulatedCamera
+from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
+from support.clock import stop
+from support.unit_toml import TARGETS
+
+POLL_S = 0.01
+
+
+class TimedLeds:
+    """The LEDs behind ``altd.ports.Lamps``, with the times at which their line was switched.
+
+    ``follow`` is what the LEDs do when the line is at a level; a test spoils it.
+    """
+
+    def __init__(self) -> None:
+        self.line: list[tuple[int, bool]] = [(0, False)]
+        self.refuses = ""
+        self.follow: Callable[[bool, int], bool] = lambda level, t_ns: level
+
+    def open(self) -> None:
+        self.switch(False)
+
+    def switch(self, on: bool) -> None:
+        if self.refuses:
+            raise LampsError(self.refuses)
+        if on is not self.line[-1][1]:
+            self.line.append((time.monotonic_ns(), on))
+
+    def close(self) -> None:
+        if self.line[-1][1]:
+            self.line.append((time.monotonic_ns(), False))
+
+    def level_at(self, t_ns: int) -> bool:
+        return next(on for since_ns, on in reversed(self.line) if since_ns <= t_ns)
+
+    @property
+    def lit_s(self) -> list[float]:
+        """For how long each time."""
+        edges = self.line[1:]
+        return [
+            (off_ns - on_ns) * 1e-9 for (on_ns, _), (off_ns, _) in zip(edges[::2], edges[1::2], strict=True)
+        ]
+
+
+class _LitUnit:
+    """The unit as a camera sees it: its LEDs as they were at a frame's time, however late it is made."""
+
+    def __init__(self, unit: Unit, leds: TimedLeds) -> None:
+        self._unit = unit
+        self._leds = leds
+        self.alter: Callable[[Frame], Frame] = lambda frame: frame
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._unit, name)
+
+    def expose(self, camera: str, sequence: int, t_ns: int) -> Frame:
+        self._unit.switch_leds(camera, self._leds.follow(self._leds.level_at(t_ns), t_ns))
+        return self.alter(self._unit.expose(camera, sequence, t_ns))
+
+
+def config(**self_check: object) -> Config:
+    camera = {
+        "driver": "aravis",
+        "device": "stands for the simulated one",
+        "exposure": {"control": "fixed", "exposure_ms": 1.6},
+    }
+    measuring = self_check.pop("measuring", {})
+    assert isinstance(measuring, dict)
+    return Config.model_validate(
+        {
+            "unit": {"serial": "SIM-3", "calibration": "unused.json"},
+            "targets": TARGETS,
+            "cameras": {FRONT: camera, REAR: camera},
+            "measuring": {"pair_by": "time", **measuring},
+            "self_check": self_check,
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Poll:
+    """What one look at the board gave."""
+
+    at_s: float
+    measurement: Measurement | None
+    published: int
+    age_s: float | None
+
+
+@dataclass
+class LedUnit:
+    """The running daemon, the unit before it, and what a poller saw."""
+
+    daemon: Daemon
+    unit: Unit
+    leds: TimedLeds
+    seen: _LitUnit
+    polls: list[Poll] = field(default_factory=list)
+
+    async def report(self, number: int, timeout_s: float = 30.0) -> SelfCheckReport:
+        """What check ``number`` said, once it has ended."""
+        async with asyncio.timeout(timeout_s):
+            return await self.daemon.health.self_check.report(number)
+
+    async def check(self) -> SelfCheckReport:
+        """Ask for a check."""
+        return await self.report(self.daemon.health.self_check.ask())
+
+    async def measured(self, **wanted: bool) -> Measurement:
+        """The next measurement, or the next that is ``valid`` or is not."""
+        board = self.daemon.board
+        async with asyncio.timeout(20):
+            while True:
+                await board.published_after(board.published)
+                measurement = board.read()
+                assert measurement is not None
+                if all(getattr(measurement, name) is value for name, value in wanted.items()):
+                    return measurement
+
+    async def lit(self) -> None:
+        """Wait until the LEDs are switched on; no measurement may come before they are dark again."""
+        async with asyncio.timeout(20):
+            while not self.leds.line[-1][1]:  # noqa: ASYNC110  switched by a thread that knows no loop
+                await asyncio.sleep(POLL_S)
+
+    async def poll(self) -> None:
+        board = self.daemon.board
+        while True:
+            self.polls.append(Poll(time.monotonic(), board.read(), board.published, board.age_s()))
+            await asyncio.sleep(POLL_S)
+
+
+@contextlib.asynccontextmanager
+async def led_unit(
+    calibration: Calibration,
+    settings: Config,
+    prepare: Callable[[LedUnit], None] = lambda running: None,
+) -> AsyncIterator[LedUnit]:
+    """The unit with seed 3, whose calibration it is; ``prepare`` is called before its daemon starts."""
+    unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
+    seen = _LitUnit(unit, leds)
+    schedule = Schedule(unit.config.period_ns, real_time=True)
+    cameras = {name: SimulatedCamera(seen, name, schedule, waits=False) for name in CAMERAS}  # type: ignore[arg-type]
+    running = LedUnit(Daemon(settings, calibration, cameras, lamps=leds), unit, leds, seen)
+    prepare(running)
+    tasks = [asyncio.create_task(running.daemon.run()), asyncio.create_task(running.poll())]
+    try:
+        yield running
+    finally:
+        for task in tasks:
+            await stop(task)

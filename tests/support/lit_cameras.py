@@ -1,0 +1,98 @@
+"""Cameras and frame LEDs on a test's clock: what a frame shows depends on when it was exposed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.ports import LampsError
+from altd.records import Frame
+from altd.status.health import Health
+from support.clock import FakeClock, settle
+
+PERIOD_S = 0.05
+CAMERAS = ("front", "rear")
+DARK = np.zeros((8, 8), np.uint8)
+LIT = np.full((8, 8), 200, np.uint8)
+
+
+class Leds:
+    """LEDs that switch at once; ``refuses`` makes them fail."""
+
+    def __init__(self) -> None:
+        self.lit = False
+        self.refuses = ""
+        self.switched: list[bool] = []
+
+    def open(self) -> None:
+        self.lit = False
+
+    def switch(self, on: bool) -> None:
+        if self.refuses:
+            raise LampsError(self.refuses)
+        if on is not self.lit:
+            self.switched.append(on)
+        self.lit = on
+
+    def close(self) -> None:
+        self.lit = False
+
+
+class QuickLamps(FrameLamps):
+    """The daemon's side of the LEDs without a thread, which would not know the test's clock."""
+
+    def __init__(self, leds: Leds, clock: FakeClock) -> None:
+        super().__init__(leds, Health(clock).component("lamps"), clock)
+        self.leds = leds
+        self.lost = ""
+
+    @property
+    def complaint(self) -> str:
+        return self.lost
+
+    async def switch(self, on: bool) -> None:
+        self.leds.switch(on)
+
+    def darken(self) -> None:
+        self.leds.lit = False
+
+
+@dataclass
+class Sink:
+    """Takes the frames that are handed on."""
+
+    frames: list[Frame] = field(default_factory=list)
+
+    def put(self, frame: Frame, wait: bool) -> None:
+        self.frames.append(frame)
+
+    def close(self) -> None:
+        pass
+
+
+class LitCameras:
+    """Two cameras at 20 exposures a second, of 2 ms; a frame comes 5 ms after its middle."""
+
+    def __init__(self, clock: FakeClock, leds: Leds) -> None:
+        self.clock = clock
+        self.leds = leds
+        self.sequence = 0
+        self.silent: set[str] = set()
+        self.changing: set[int] = set()
+
+    async def expose(self, sink: object, count: int = 1) -> None:
+        """Let so many exposures pass, and hand their frames to a sink."""
+        for _ in range(count):
+            await self.clock.advance(PERIOD_S - 0.005)
+            t_ns, lit = self.clock.monotonic_ns(), self.leds.lit
+            await self.clock.advance(0.005)
+            for camera in CAMERAS:
+                if camera not in self.silent:
+                    pixels = LIT if lit else DARK
+                    changing = self.sequence in self.changing
+                    frame = Frame(camera, self.sequence, t_ns, pixels, exposure_ms=2.0, changing=changing)
+                    sink.put(frame, False)  # type: ignore[attr-defined]
+            self.sequence += 1
+            await settle()

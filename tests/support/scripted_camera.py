@@ -1,0 +1,115 @@
+"""Cameras that do what a test's script says."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.acquisition.latest_frames import keep_mark
+from altd.acquisition.latest_of_each import LatestOfEach
+from altd.config import ExposureSettings
+from altd.ports import ExposureRange
+from altd.records import Frame, Origin
+from altd.runtime.clock import SystemClock
+from support.frames import Blob, frame, light
+
+PIXELS = frame(light(Blob(300, 200))).pixels
+
+
+class ScriptedCamera:
+    """Each call of next_frame does what the next line of the script says; then frames for ever.
+
+    A number lets so many frames be lost.
+    """
+
+    name = "front"
+    origin = Origin.CAMERA
+    playback = False
+    waits = False
+    exposure_range = None
+    identity = None
+
+    def __init__(self, *script: Exception | str | int) -> None:
+        self.script = list(script)
+        self.calls: list[str] = []
+        self.hang = threading.Event()
+        self.number = 0
+
+    def open(self) -> None:
+        self.calls.append("open")
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        step = self.script.pop(0) if self.script else "frame"
+        if isinstance(step, Exception):
+            raise step
+        if step == "hang":
+            self.hang.wait(20)
+        if isinstance(step, int):
+            self.number += step
+        time.sleep(0.002)
+        self.number += 1
+        return Frame("front", self.number, time.monotonic_ns(), PIXELS)
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        self.calls.append(f"expose {exposure_ms:g} ms {gain_db:g} dB")
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+class LyingCamera(ScriptedCamera):
+    """Stamps each frame off by what the next line of the script says, s."""
+
+    def __init__(self, *off_s: float) -> None:
+        super().__init__()
+        self.off_s = list(off_s)
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        frame = super().next_frame(timeout_s)
+        off_s = self.off_s.pop(0) if self.off_s else 0.0
+        return replace(frame, t_ns=frame.t_ns + round(off_s * 1e9))
+
+
+class SettableCamera(ScriptedCamera):
+    """Uses a setting from the third frame after it on, and writes into the pixels how many ms it had."""
+
+    exposure_range = ExposureRange(1.0, 200.0, 0.0, 0.0)
+
+    def __init__(self, *script: Exception | str | int) -> None:
+        super().__init__(*script)
+        self.used_ms = 1.0
+        self.coming: list[float] = [1.0] * 2
+        self.refusal: Exception | None = None
+
+    def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
+        super().set_exposure(exposure_ms, gain_db)
+        if self.refusal is not None:
+            raise self.refusal
+        self.used_ms = exposure_ms
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        taken = super().next_frame(timeout_s)
+        self.coming.append(self.used_ms)
+        pixels = np.full((4, 4), round(self.coming.pop(0)), np.uint8)
+        return Frame("front", taken.sequence, taken.t_ns, pixels)
+
+
+def newest() -> LatestOfEach[Frame]:
+    return LatestOfEach(["front"], SystemClock(), keep_mark)
+
+
+async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.005)
+
+
+def exposure_of(exposure_ms: float = 10.0) -> ExposureControl:
+    return ExposureControl(ExposureSettings(control="fixed", exposure_ms=exposure_ms), 4.0, 20)

@@ -1,0 +1,28 @@
+"""Fixtures: a clock that a test moves, and a board and health that tell its time."""
+
+from __future__ import annotations
+
+import pytest
+
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.status.board import Board
+from altd.status.health import Health
+from altd.status.proof import Identity
+from support.clock import FakeClock
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    return FakeClock(8_000_000_000)
+
+
+@pytest.fixture
+def board(clock: FakeClock) -> Board:
+    return Board(clock, 1.0, QUANTITIES, Identity.drawn("ALT-0007"))
+
+
+@pytest.fixture
+def health(clock: FakeClock) -> Health:
+    health = Health(clock)
+    health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
+    return health

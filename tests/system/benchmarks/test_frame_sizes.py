@@ -1,0 +1,30 @@
+"""The daemon on large frames: what is measured of it is there, and a loop that stands still is seen."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+
+from benchmarks.frame_sizes import make_large_material, measure_size
+from benchmarks.ticking import Ticker
+
+
+@pytest.mark.alone
+def test_values_and_answers_come_from_frames_of_another_size() -> None:
+    figures = measure_size(make_large_material(1504, 960, 8), 2.0)
+    assert (figures.width, figures.height) == (1504, 960)
+    assert figures.pairs >= 30
+    assert figures.modbus.count >= 50
+    assert figures.stalls.count >= 500
+    assert 0 < figures.modbus.p50_ms <= figures.modbus.p99_ms <= figures.modbus.max_ms
+
+
+async def test_a_loop_that_stands_still_for_30_ms_comes_so_late() -> None:
+    with Ticker() as ticker:
+        await asyncio.sleep(0.01)
+        time.sleep(0.03)  # noqa: ASYNC251  this is what is to be seen
+        await asyncio.sleep(0.01)
+    assert 28e6 < max(ticker.late_ns) < 200e6
+    assert len(ticker.late_ns) >= 10

@@ -1,0 +1,33 @@
+"""A plate with four dark LEDs, and the calibration that is made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.plates import FRONT, REAR, View, plate_light, write_plate
+
+from altd.calibration.calibrating import calibrate
+from altd.calibration.result import CalibrationResult
+from altd.recording.reader import open_recording
+
+
+@pytest.fixture(scope="module")
+def two_dark(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the plate; two LEDs of each target are dark."""
+    folder = tmp_path_factory.mktemp("plate") / "rec"
+    return write_plate(folder, plate_light(FRONT, [(2, 1), (3, 3)]), plate_light(REAR, [(5, 4), (3, 2)]))
+
+
+@pytest.fixture(scope="module")
+def result(two_dark: Path) -> CalibrationResult:
+    """What is calibrated from it."""
+    return calibrate([open_recording(two_dark)])
+
+
+def misses_mm(result: CalibrationResult, name: str, view: View) -> np.ndarray:
+    """How far the map of a target puts points of the plate from where they are."""
+    target = result.calibration.target(name)
+    assert target is not None
+    return view.misses_mm(lambda px: target.inverse.to_mm(px)[0])

@@ -1,0 +1,5 @@
+"""A clock that a test moves, and a board and health that tell its time."""
+
+from support.status_fixtures import board, clock, health
+
+__all__ = ["board", "clock", "health"]

@@ -1,0 +1,80 @@
+"""The OpenAPI document drives a served unit: schemathesis asks for what it promises, and for other things."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from support.history import START_S, batch, event, sample, store
+from support.measurements import measurement
+
+from altd.config import HttpSettings
+from altd.credentials.changing import change
+from altd.credentials.hashes import new_token, token_digest
+from altd.history.history import History
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.publish.http.openapi import document_of
+from altd.publish.http.paths import PATHS
+from altd.publish.http.publisher import HttpPublisher
+from altd.status.board import Board
+from altd.status.health import Health
+from altd.status.self_check_desk import SelfCheckReport
+
+SCHEMATHESIS = (sys.executable, "-m", "schemathesis.cli", "run", "--no-color", "--checks", "all")
+OPTIONS = ("--max-examples", "20", "--request-timeout", "5", "--generation-deterministic")
+NO_END = ("--exclude-path", "/api/v1/stream")
+"""The stream never ends: ``tests/unit/publish/http/test_stream.py`` reads it."""
+
+
+@pytest.fixture
+async def port(board: Board, health: Health, tmp_path: Path) -> AsyncIterator[int]:
+    """That of a unit which measures, checks itself, and asks for a token."""
+    board.publish(measurement())
+    desk = health.self_check
+    report = SelfCheckReport(1, "good", {"verdict": "good", "reasons": []})
+    desk.open(lambda: asyncio.get_running_loop().call_soon(desk.put_up, report) and None)
+    digest = token_digest(new_token())
+    change(tmp_path / "credentials", "press", lambda known: known.with_token("press", digest))
+    settings = HttpSettings(host="127.0.0.1", port=0, credentials=tmp_path / "credentials")
+    kept = store(tmp_path)
+    kept.write(batch(START_S + 61, [sample(START_S + t, 0.1 * t, t) for t in range(60)], [event(1, START_S)]))
+    kept.end(None)
+    history = History(tmp_path / "history.db")
+    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
+    ready = asyncio.Event()
+    task = asyncio.create_task(publisher.run(ready.set))
+    await ready.wait()
+    yield publisher.port
+    task.cancel()
+    await asyncio.wait({task})
+    await history.end()
+
+
+async def tried(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    line = [*SCHEMATHESIS, *OPTIONS, *arguments]
+    return await asyncio.to_thread(
+        subprocess.run, line, cwd=folder, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+async def test_the_unit_answers_as_its_document_says(port: int, tmp_path: Path) -> None:
+    done = await tried(*NO_END, f"http://127.0.0.1:{port}/api/v1/openapi.json", folder=tmp_path)
+    assert done.returncode == 0, done.stdout[-5000:]
+    assert "No issues found" in done.stdout
+    count = sum(len(path.operations) + ("GET" in path.operations) for path in PATHS if not path.is_old)
+    # all but the stream, which has GET and HEAD, and the document that it has read already
+    assert f"Tested: {count - 3}" in done.stdout
+
+
+async def test_a_document_that_is_not_true_is_found_out(port: int, tmp_path: Path) -> None:
+    document = document_of(PATHS, QUANTITIES, "0.1.0")
+    document["components"]["schemas"]["Alive"]["properties"]["alive"]["const"] = False
+    (tmp_path / "wrong.json").write_text(json.dumps(document))
+    url = f"http://127.0.0.1:{port}"
+    done = await tried("--include-path", "/healthz", "--url", url, "wrong.json", folder=tmp_path)
+    assert done.returncode == 1, done.stdout[-5000:]

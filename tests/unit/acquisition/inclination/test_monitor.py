@@ -1,0 +1,237 @@
+"""The inclinometer's task: what a measurement gets while its sensor does what it likes."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+
+import pytest
+from support.clock import stop
+from support.measurements import BEAM, beam_of, measurement
+
+from altd.acquisition.inclination import monitor
+from altd.acquisition.inclination.divergence import PitchDivergence
+from altd.acquisition.inclination.monitor import InclinationMonitor
+from altd.config import InclinometerSettings, Installation
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.ports import (
+    InclinometerAccuracy,
+    InclinometerDisturbedError,
+    InclinometerError,
+    InclinometerNotFoundError,
+    InclinometerReading,
+    InclinometerRefusedError,
+    InclinometerTimeoutError,
+    InclinometerWrongError,
+)
+from altd.reasons import Reason
+from altd.records import Measurement
+from altd.records.sensors import Quality
+from altd.runtime.clock import SystemClock
+from altd.status.health import Component, Health, State
+
+INTERVAL_S = 0.05
+
+
+class Sensor:
+    """An inclinometer that does what a test says; each reading differs from the one before."""
+
+    name = "a sensor"
+    accuracy = InclinometerAccuracy(0.1, 10.0, 40.0, 0.15, 0.1, 0.01)
+
+    def __init__(self) -> None:
+        self.failure: Exception | None = None
+        self.refuses_to_open: Exception | None = None
+        self.hang = threading.Event()
+        self.hang.set()
+        self.opened = self.closed = 0
+        self.pitch_deg: float | None = None
+        self._number = itertools.count()
+        self._random = random.Random(1)
+
+    def open(self) -> None:
+        self.opened += 1
+        if self.refuses_to_open:
+            raise self.refuses_to_open
+
+    def read(self) -> InclinometerReading:
+        self.hang.wait()
+        if self.failure:
+            raise self.failure
+        angle_deg = 2.0 + self._random.gauss(0.0, 0.02)
+        words = (next(self._number),)
+        return InclinometerReading(time.monotonic_ns(), angle_deg, self.pitch_deg, 20.0, words)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Bench:
+    """A keeper that runs, and what a measurement gets of it."""
+
+    def __init__(self) -> None:
+        self.sensor = Sensor()
+        self.component: Component = Health(SystemClock()).component("inclinometer")
+        table = {
+            "driver": "balluff_bsi_r11a0",
+            "device": "/dev/ttyS9",
+            "interval_s": INTERVAL_S,
+            "max_age_s": 0.3,
+            "frozen_after_s": 0.3,
+        }
+        self.monitor = InclinationMonitor(
+            self.sensor,
+            InclinometerSettings.model_validate(table),
+            QUANTITIES,
+            Installation(sign_pitch=-1, offset_pitch_deg=0.5),
+            self.component,
+            SystemClock(),
+        )
+        self.task = asyncio.create_task(self.monitor.run())
+
+    def now(self) -> Measurement:
+        return self.monitor.complete(measurement())
+
+    @property
+    def quality(self) -> Quality:
+        return self.now().from_sensors["roll_deg"].quality
+
+    async def wait_for(self, reached: Callable[[], bool], timeout_s: float = 3.0) -> None:
+        async with asyncio.timeout(timeout_s):
+            while not reached():  # noqa: ASYNC110  nothing says that a thread has got on
+                await asyncio.sleep(0.005)
+
+
+@pytest.fixture
+async def bench(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bench]:
+    monkeypatch.setattr(monitor, "_CALL_TIMEOUT_S", 0.3)
+    bench = Bench()
+    yield bench
+    bench.sensor.hang.set()
+    await stop(bench.task)
+    assert bench.sensor.closed > 0
+
+
+async def known(bench: Bench) -> None:
+    await bench.wait_for(lambda: bench.quality is Quality.GOOD)
+
+
+async def test_before_the_first_reading_there_is_no_roll_and_a_beam() -> None:
+    bench = Bench()
+    shown = bench.now()
+    assert shown.number("roll_deg") is None
+    assert beam_of(shown) == BEAM
+    assert [str(fault) for fault in shown.status] == ["roll_missing"]
+    await stop(bench.task)
+
+
+async def test_what_is_read_stands_in_the_measurement_with_sigma_and_age(bench: Bench) -> None:
+    await known(bench)
+    shown = bench.now()
+    assert shown.number("roll_deg") == pytest.approx(2.0, abs=0.1)
+    assert shown.sigma("roll_deg") == pytest.approx(0.085, abs=0.02)
+    age_s = shown.from_sensors["roll_deg"].age_s
+    assert age_s is not None
+    assert 0.0 <= age_s < 0.3
+    assert shown.status == ()
+    assert beam_of(shown) == BEAM
+    assert bench.component.state is State.OK
+    assert bench.component.figures["roll_deg"] == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("error", "quality"),
+    [
+        (InclinometerNotFoundError("gone"), Quality.NO_PORT),
+        (InclinometerWrongError("another"), Quality.WRONG_SENSOR),
+        (InclinometerRefusedError("55555"), Quality.INVALID_SETTING),
+        (ZeroDivisionError("a defect"), Quality.DEFECT),
+    ],
+)
+async def test_a_failure_that_does_not_pass_ends_roll_at_once(
+    bench: Bench, error: Exception, quality: Quality
+) -> None:
+    await known(bench)
+    bench.sensor.failure = bench.sensor.refuses_to_open = error
+    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 0.2)
+    assert bench.quality is quality
+    assert bench.component.state is State.FAILED
+    assert str(error) in bench.component.message
+    assert beam_of(bench.now()) == BEAM
+    bench.sensor.failure = bench.sensor.refuses_to_open = None
+    await known(bench)
+
+
+@pytest.mark.parametrize(
+    ("error", "quality"),
+    [
+        (InclinometerTimeoutError("silence"), Quality.NO_ANSWER),
+        (InclinometerDisturbedError("damaged"), Quality.BAD_ANSWER),
+    ],
+)
+async def test_an_answer_that_is_lost_does_no_harm_but_many_end_roll(
+    bench: Bench, error: InclinometerError, quality: Quality
+) -> None:
+    await known(bench)
+    failures = bench.component.counters.get("failures", 0)
+    bench.sensor.failure = error
+    await bench.wait_for(lambda: bench.component.counters.get("failures", 0) > failures)
+    assert bench.now().number("roll_deg") is not None
+    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 1.0)
+    assert bench.quality is quality
+    await bench.wait_for(lambda: bench.sensor.opened > 1)
+    bench.sensor.failure = None
+    await known(bench)
+
+
+async def test_a_port_that_hangs_holds_up_nobody_and_its_roll_grows_old(bench: Bench) -> None:
+    await known(bench)
+    bench.sensor.hang.clear()
+    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 0.5)
+    assert bench.quality in (Quality.OLD, Quality.NO_PORT)
+    await bench.wait_for(lambda: bench.quality is Quality.NO_PORT, 1.0)
+    assert "hangs" in bench.component.message
+    bench.sensor.hang.set()
+    await known(bench)
+
+
+async def test_a_missing_port_is_looked_for_again(bench: Bench) -> None:
+    bench.sensor.refuses_to_open = InclinometerNotFoundError("there is no such port now")
+    bench.sensor.failure = bench.sensor.refuses_to_open
+    await bench.wait_for(lambda: bench.quality is Quality.NO_PORT)
+    bench.sensor.refuses_to_open = bench.sensor.failure = None
+    await known(bench)
+
+
+async def test_a_slow_change_of_the_beams_inclination_is_warned_of_and_nothing_else(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """BEAM's pitch of -1.7184 is 2.2184 in the unit frame: sign -1, offset 0.5; with -2.2184 it is level."""
+    bench.sensor.pitch_deg = -2.2184
+    await known(bench)
+    added: list[float] = []
+    monkeypatch.setattr(
+        PitchDivergence, "add", lambda _, t_ns, inclination_deg: added.append(inclination_deg)
+    )
+    bench.now()
+    assert added == [pytest.approx(0.0, abs=1e-9)]
+    added.clear()
+    bench.monitor.complete(measurement(160, 8_000_000_000, Reason.SPOT_MISSING))
+    assert added == []
+    for divergence_deg, warned in ((0.49, []), (-0.51, ["pitch_diverges"]), (None, [])):
+        monkeypatch.setattr(PitchDivergence, "divergence_deg", lambda _, now_ns, it=divergence_deg: it)
+        shown = bench.now()
+        assert [str(fault) for fault in shown.status] == warned
+        assert shown.valid
+        assert beam_of(shown) == BEAM
+
+
+async def test_one_axis_has_nothing_to_compare(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    await known(bench)
+    monkeypatch.setattr(PitchDivergence, "add", lambda *_: pytest.fail("there is no pitch"))
+    assert bench.now().valid
+    assert "gravity_pitch_deg" not in bench.component.figures

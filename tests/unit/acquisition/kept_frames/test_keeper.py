@@ -1,0 +1,245 @@
+"""What is written after a fault and on request, by a clock that the test moves; the disk is a real one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from support.clock import FakeClock, stop
+from support.frames import Blob, frame, light
+
+from altd.acquisition.exposures_writer import RecordingPlan
+from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
+from altd.acquisition.kept_frames.ring import FrameRing
+from altd.acquisition.kept_frames.store import RecordingStore
+from altd.config import KeptFrames, Measuring
+from altd.reasons import Reason
+from altd.recording.header import UnitHeader
+from altd.recording.reader import open_recording
+from altd.records import Frame, Origin
+from altd.status.availability import Availability
+from altd.status.cause import Cause, Kind, ShownCause, StateReport, worst
+from altd.status.conditions import Condition
+from altd.status.health import Component, Health, State
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+PERIOD_NS = 50_000_000
+CAMERAS = "front", "rear"
+PIXELS = frame(light(Blob(60, 40), width=120, height=80)).pixels
+SETTINGS = KeptFrames(before_s=2.0, after_s=0.5, again_after_s=60.0)
+FAULT = Cause(Reason.SPOT_MISSING, "front")
+
+
+class Camera:
+    identity = None
+    origin = Origin.SIMULATED
+    playback = False
+
+
+class NoSink:
+    def put(self, frame: Frame, wait: bool) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@dataclass
+class Unit:
+    """A keeper, the causes that it is shown, and cameras that deliver as its clock goes on."""
+
+    folder: Path
+    settings: KeptFrames = SETTINGS
+    clock: FakeClock = field(default_factory=lambda: FakeClock(100 * 10**9))
+    causes: list[Cause] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.ring = FrameRing(NoSink(), 1 << 24, 4 * 10**9, lambda _: None)
+        plan = RecordingPlan(0.0, UnitHeader(serial="ALT-7", target_distance_mm=280.0), by="altd run")
+        cameras = {name: Camera() for name in CAMERAS}
+        source = Source(self.ring, cameras, Measuring(), plan)  # type: ignore[arg-type]
+        self.component: Component = Health(self.clock).component("kept frames")
+        self.store = RecordingStore(self.folder, self.settings.disk_mb << 20)
+        self.keeper = FrameKeeper(source, self.settings, self.store, self.report, self.component)
+
+    def report(self) -> StateReport:
+        now_ns = self.clock.monotonic_ns()
+        shown = tuple(ShownCause(cause, now_ns, True, 1) for cause in self.causes)
+        return StateReport(worst(shown), 0, now_ns, shown, Availability(0))
+
+    async def expose(self, exposures: int, **marks: object) -> None:
+        for _ in range(exposures):
+            await self.clock.advance(PERIOD_NS * 1e-9)
+            number = self.clock.now_ns // PERIOD_NS
+            for camera in CAMERAS:
+                self.ring.put(Frame(camera, number, number * PERIOD_NS, PIXELS, **marks), False)  # type: ignore[arg-type]
+
+    async def written(self, count: int) -> KeptRecording:
+        """The newest recording, once there are so many."""
+        async with asyncio.timeout(20):
+            while len(self.keeper.recordings) < count:  # noqa: ASYNC110  a real disk, not this clock
+                await asyncio.sleep(0.005)
+        return self.keeper.recordings[0]
+
+    async def nothing_more(self, count: int) -> None:
+        await self.expose(100)
+        await asyncio.sleep(0.05)
+        assert len(self.keeper.recordings) == count
+
+
+@contextlib.asynccontextmanager
+async def running(unit: Unit) -> AsyncIterator[Unit]:
+    task = asyncio.create_task(unit.keeper.run())
+    try:
+        async with asyncio.timeout(20):
+            while unit.component.state is State.STARTING:  # noqa: ASYNC110  a real disk, not this clock
+                await asyncio.sleep(0.001)
+        yield unit
+    finally:
+        await stop(task)
+
+
+def times_s(unit: Unit, kept: KeptRecording) -> list[float]:
+    return [row.t_s for row in open_recording(unit.keeper.folder_of(kept.name)).rows if row.camera == "front"]
+
+
+async def test_after_a_fault_the_seconds_before_and_after_it_are_written(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(100)
+        unit.causes.append(FAULT)
+        await unit.expose(40)
+        kept = await unit.written(1)
+        assert kept.why == "spot_missing front"
+        assert kept.name == "20261120T080143Z-spot_missing-front"  # 2 s before 105 s
+        assert kept.start.startswith("2026-11-20T08:01:43.")
+        at_s = times_s(unit, kept)
+        assert at_s[-1] - at_s[0] == pytest.approx(2.5, abs=0.06)
+        assert kept.exposures == len(at_s) == round(kept.seconds * 20)
+        recording = open_recording(unit.keeper.folder_of(kept.name))
+        assert recording.header.kind == "measurement"
+        assert recording.header.unit.serial == "ALT-7"
+        assert recording.header.note == "altd run, simulated"
+        assert recording.header.cameras["front"].origin is Origin.SIMULATED
+        assert (recording.frame(next(iter(recording.rows))).pixels == PIXELS).all()
+
+
+async def test_a_fault_that_stays_is_written_once_and_again_when_it_comes_back_much_later(
+    tmp_path: Path,
+) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(60)
+        unit.causes.append(FAULT)
+        await unit.expose(20)
+        await unit.written(1)
+        await unit.nothing_more(1)
+        unit.causes.clear()
+        await unit.expose(20)
+        unit.causes.append(FAULT)
+        await unit.nothing_more(1)
+        unit.causes.clear()
+        await unit.expose(round(20 * SETTINGS.again_after_s))
+        unit.causes.append(FAULT)
+        await unit.expose(20)
+        assert (await unit.written(2)).why == "spot_missing front"
+
+
+async def test_another_fault_is_written_too(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(60)
+        unit.causes.append(FAULT)
+        await unit.expose(20)
+        await unit.written(1)
+        unit.causes.append(Cause(Reason.CAMERA_SILENT, "rear"))
+        await unit.expose(20)
+        assert (await unit.written(2)).why == "camera_silent rear"
+
+
+@pytest.mark.parametrize(
+    "kind", [Condition.STARTING, Condition.CALIBRATION_DUE, Reason.SIMULATED, Reason.PLAYBACK]
+)
+async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(60)
+        unit.causes.append(Cause(kind))
+        await unit.nothing_more(0)
+
+
+async def test_by_its_settings_it_writes_only_when_asked(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path, SETTINGS.model_copy(update={"on_fault": False}))) as unit:
+        await unit.expose(60)
+        unit.causes.append(FAULT)
+        await unit.nothing_more(0)
+        kept = await unit.keeper.keep("asked by http 10.0.0.7")
+        assert kept.why == "asked by http 10.0.0.7"
+        assert kept.name.endswith("-asked-by-http-10-0-0-7")
+        assert 1.9 < kept.seconds <= 2.1
+        assert unit.keeper.recordings == (kept,)
+        assert unit.component.state is State.OK
+        assert unit.component.message == "1 recording, 0 of 2000 MB"
+
+
+async def test_exposures_of_a_change_are_left_out_and_lit_ones_say_so(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(10)
+        await unit.expose(5, changing=True)
+        await unit.expose(3, leds_on=True)
+        kept = await unit.keeper.keep("asked")
+        rows = open_recording(unit.keeper.folder_of(kept.name)).rows
+        assert [row.leds_on for row in rows if row.camera == "rear"] == [False] * 10 + [True] * 3
+
+
+async def test_without_a_frame_there_is_nothing_to_keep_and_it_is_said(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        with pytest.raises(NotKeptError, match="no frame came in the last seconds"):
+            await unit.keeper.keep("asked")
+        assert (unit.component.state, unit.component.counters) == (State.DEGRADED, {"not_kept": 1})
+        await unit.expose(3)
+        await unit.keeper.keep("asked")
+        assert (unit.component.state, unit.component.counters) == (State.OK, {"not_kept": 1, "kept": 1})
+
+
+async def test_one_camera_alone_makes_no_exposure(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        for number in range(10):
+            unit.ring.put(Frame("front", number, unit.clock.now_ns - number, PIXELS), False)
+        with pytest.raises(NotKeptError, match="no exposure of all cameras"):
+            await unit.keeper.keep("asked")
+
+
+async def test_a_flood_of_requests_is_refused(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(40)
+        answers = await asyncio.gather(
+            *(unit.keeper.keep(f"asked {n}") for n in range(50)), return_exceptions=True
+        )
+        refused = [answer for answer in answers if isinstance(answer, NotKeptError)]
+        assert len(refused) == 46
+        assert str(refused[0]) == "4 recordings are being written already"
+        assert len(unit.keeper.recordings) == 4
+
+
+async def test_a_folder_that_cannot_be_had_is_told_and_nothing_else_happens(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    async with running(Unit(tmp_path / "file" / "recordings")) as unit:
+        await unit.expose(60)
+        assert unit.component.state is State.DEGRADED
+        assert "recordings cannot be kept" in unit.component.message
+        unit.causes.append(FAULT)
+        await unit.expose(20)
+        async with asyncio.timeout(20):
+            while not unit.component.counters:  # noqa: ASYNC110  a real disk, not this clock
+                await asyncio.sleep(0.005)
+        assert unit.component.message.startswith("spot_missing front was not recorded: ")
+
+
+async def test_the_frames_are_let_go_once_they_are_written(tmp_path: Path) -> None:
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(40)
+        frames = unit.ring.between(0, unit.clock.now_ns)
+        assert len(frames) == 80
+        assert len(list(unit.keeper._pairs(frames))) == 40  # noqa: SLF001
+        assert not frames

@@ -1,0 +1,173 @@
+"""Recordings on the disk: whole or not at all, within their space, marked ones for ever."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from altd.acquisition.kept_frames.store import RecordingStore, Written
+from altd.errors import BadInputError
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+START = datetime(2026, 11, 20, 1, 23, 45, tzinfo=UTC)
+KIB = 1024
+
+
+def content(size: int) -> object:
+    def write(folder: Path) -> Written:
+        folder.mkdir()
+        (folder / "frame").write_bytes(b"x" * size)
+        return Written(exposures=3, seconds=0.15)
+
+    return write
+
+
+class Shelf:
+    """A store, and recordings a second apart."""
+
+    def __init__(self, folder: Path, max_bytes: int = 1 << 20) -> None:
+        self.folder = folder
+        self.store = RecordingStore(folder, max_bytes)
+        self.store.open()
+        self._number = 0
+
+    def add(self, size: int = 10 * KIB, why: str = "front_spot_missing front") -> KeptRecording:
+        self._number += 1
+        return self.store.add(why, START + timedelta(seconds=self._number), size, content(size))  # type: ignore[arg-type]
+
+    def names(self) -> list[str]:
+        return [kept.name for kept in RecordingStore(self.folder, 0).open()]
+
+
+def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path / "new" / "recordings")
+    kept = shelf.add()
+    assert kept.name == "20261120T012346Z-front_spot_missing-front"
+    assert kept.start == "2026-11-20T01:23:46.000Z"
+    assert (kept.exposures, kept.seconds, kept.is_marked) == (3, 0.15, False)
+    assert 10 * KIB <= kept.bytes <= 24 * KIB
+    assert shelf.store.recordings() == (kept,)
+    assert (shelf.store.folder_of(kept.name) / "frame").stat().st_size == 10 * KIB
+
+
+def test_two_of_one_second_have_two_names(tmp_path: Path) -> None:
+    store = RecordingStore(tmp_path, 1 << 20)
+    names = [store.add("asked", START, KIB, content(KIB)).name for _ in range(3)]  # type: ignore[arg-type]
+    assert names == ["20261120T012345Z-asked", "20261120T012345Z-asked-2", "20261120T012345Z-asked-3"]
+
+
+def test_a_clock_that_knows_no_time_gives_no_invented_one(tmp_path: Path) -> None:
+    kept = RecordingStore(tmp_path, 1 << 20).add("asked", None, KIB, content(KIB))  # type: ignore[arg-type]
+    assert (kept.name, kept.start) == ("unknown-time-asked", "")
+
+
+def test_the_oldest_make_room(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path, max_bytes=100 * KIB)
+    kept = [shelf.add(20 * KIB) for _ in range(8)]
+    there = shelf.names()
+    assert there == [each.name for each in reversed(kept[-len(there) :])]
+    assert 3 <= len(there) <= 5
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) <= 100 * KIB
+
+
+def test_a_marked_one_stays(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path, max_bytes=100 * KIB)
+    marked = shelf.add(20 * KIB)
+    assert shelf.store.mark(marked.name, is_marked=True).is_marked
+    for _ in range(6):
+        last = shelf.add(20 * KIB)
+    assert marked.name in shelf.names()
+    assert last.name in shelf.names()
+
+
+def test_where_marked_ones_take_all_the_room_nothing_is_removed_and_it_is_said(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path, max_bytes=60 * KIB)
+    for _ in range(2):
+        shelf.store.mark(shelf.add(20 * KIB).name, is_marked=True)
+    before = shelf.names()
+    with pytest.raises(NotKeptError, match="recordings that are marked take 0 MB of 0 MB"):
+        shelf.add(30 * KIB)
+    assert shelf.names() == before
+    shelf.store.mark(before[0], is_marked=False)
+    shelf.add(15 * KIB)
+    assert before[0] not in shelf.names()
+
+
+def test_a_disk_that_is_nearly_full_keeps_room_for_the_history(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf = Shelf(tmp_path)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=201 << 20))
+    shelf.add(KIB)
+    with pytest.raises(NotKeptError, match="the disk is nearly full"):
+        shelf.add(2 << 20)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), BadInputError("rec", "is odd")])
+def test_what_fails_while_it_is_written_leaves_nothing(tmp_path: Path, error: Exception) -> None:
+    def write(folder: Path) -> Written:
+        folder.mkdir()
+        (folder / "half").write_bytes(b"x")
+        raise error
+
+    store = RecordingStore(tmp_path, 1 << 20)
+    with pytest.raises(NotKeptError, match=r"No space left on device|rec: is odd"):
+        store.add("asked", START, KIB, write)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_without_an_exposure_is_none(tmp_path: Path) -> None:
+    store = RecordingStore(tmp_path, 1 << 20)
+    with pytest.raises(NotKeptError, match="no exposure of all cameras"):
+        store.add("asked", START, KIB, lambda _: Written(0, 0.0))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_daemon_left_half_done_is_removed_at_the_next_start(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path)
+    kept = shelf.add()
+    (tmp_path / ".under-way-99").mkdir()
+    (tmp_path / ".under-way-99" / "half").write_bytes(b"x")
+    assert RecordingStore(tmp_path, 1 << 20).open() == (kept,)
+    assert [path.name for path in tmp_path.iterdir()] == [kept.name]
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "a\x00b", "x" * 200, "ä", ".under-way-1"])
+def test_no_name_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
+    shelf = Shelf(tmp_path / "recordings")
+    (tmp_path / "kept.json").write_text("{}")
+    for call in (shelf.store.folder_of, lambda name: shelf.store.mark(name, is_marked=True)):
+        with pytest.raises(NotKeptError, match="there is no such recording"):
+            call(name)
+
+
+@pytest.mark.parametrize(
+    "about",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"{}",
+        b'{"why": 1}',
+        b'{"why":"a","start":"","seconds":"x","exposures":1,"bytes":1}',
+        b"\xff",
+    ],
+)
+def test_a_damaged_one_is_passed_over_and_never_removed(tmp_path: Path, about: bytes) -> None:
+    shelf = Shelf(tmp_path, max_bytes=60 * KIB)
+    damaged = shelf.add()
+    (tmp_path / damaged.name / "kept.json").write_bytes(about)
+    last = [shelf.add(20 * KIB) for _ in range(4)][-1]
+    assert shelf.names()[0] == last.name
+    assert (tmp_path / damaged.name / "frame").exists()
+
+
+def test_what_is_written_about_a_recording_are_plain_facts(tmp_path: Path) -> None:
+    kept = Shelf(tmp_path).add()
+    about = json.loads((tmp_path / kept.name / "kept.json").read_text())
+    assert about == kept.as_object()

@@ -1,0 +1,128 @@
+"""The frames of a check, by cameras and LEDs on the test's clock."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+import pytest
+from support.clock import FakeClock, settle
+from support.lit_cameras import CAMERAS, Leds, LitCameras, QuickLamps, Sink
+
+from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
+from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.light import LedLog, Light
+
+EXPOSURES = 3
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.clock = FakeClock(10**9)
+        self.leds = Leds()
+        self.cameras = LitCameras(self.clock, self.leds)
+        self.sink = Sink()
+        log = LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000))
+        self.frames = MarkedFrames(self.sink, log, CAMERAS)
+        self.lamps = QuickLamps(self.leds, self.clock)
+        self.exposer = CheckExposer(self.lamps, log, self.frames, self.clock, EXPOSURES, 1e4)
+        self.task: asyncio.Task[CheckFrames] = asyncio.create_task(self.exposer.expose())
+
+    async def expose(self, count: int) -> None:
+        await settle()
+        await self.cameras.expose(self.frames, count)
+
+
+async def test_a_check_has_frames_of_each_light_and_ends_dark() -> None:
+    bench = Bench()
+    await bench.expose(20)
+    found = await bench.task
+    for light, frames in (("dark", found.before), ("lit", found.lit), ("dark", found.after)):
+        assert {camera: len(of) for camera, of in frames.items()} == dict.fromkeys(CAMERAS, EXPOSURES)
+        wanted = 200 if light == "lit" else 0
+        assert all(int(frame.pixels.max()) == wanted for of in frames.values() for frame in of)
+    assert bench.leds.switched == [True, False]
+
+
+async def test_every_frame_is_handed_on_and_those_under_leds_are_marked() -> None:
+    bench = Bench()
+    await bench.expose(20)
+    await bench.task
+    assert len(bench.sink.frames) == 40
+    assert all(frame.leds_on for frame in bench.sink.frames if np.any(frame.pixels))
+    marked = [frame for frame in bench.sink.frames if frame.leds_on]
+    lost = {camera: sum(frame.camera == camera for frame in marked) for camera in CAMERAS}
+    assert lost["front"] == lost["rear"] <= EXPOSURES + 2
+    counted = bench.frames.marked
+    assert lost["front"] == counted[Light.ON]["front"] + counted[Light.SWITCHED]["front"]
+
+
+async def test_what_a_camera_says_of_leds_that_it_does_not_switch_does_not_count() -> None:
+    bench = Bench()
+    await bench.expose(20)
+    await bench.task
+    assert not bench.sink.frames[-1].leds_on
+    assert [f.leds_on for f in bench.sink.frames[:4]] == [False] * 4
+
+
+async def test_exposures_during_a_change_are_not_taken() -> None:
+    bench = Bench()
+    bench.cameras.changing = {1, 5, 6, 12}
+    await bench.expose(24)
+    found = await bench.task
+    frames = [f for of in (found.before, found.lit, found.after) for each in of.values() for f in each]
+    assert not any(frame.changing for frame in frames)
+
+
+async def test_a_camera_that_falls_silent_under_leds_ends_the_check_and_the_light() -> None:
+    bench = Bench()
+    await bench.expose(5)
+    assert bench.leds.lit
+    bench.cameras.silent = {"rear"}
+    await bench.expose(6)
+    with pytest.raises(
+        CheckFailedError, match="not every camera had 3 steady exposures with the LEDs on"
+    ) as e:
+        await bench.task
+    assert e.value.has_begun
+    assert not bench.leds.lit
+
+
+async def test_without_frames_the_leds_are_not_lit_at_all() -> None:
+    bench = Bench()
+    bench.cameras.silent = {"rear"}
+    await bench.expose(5)
+    with pytest.raises(CheckFailedError, match="off, before they were lit") as error:
+        await bench.task
+    assert not error.value.has_begun
+    assert bench.leds.switched == []
+
+
+async def test_leds_that_cannot_be_switched_are_named() -> None:
+    bench = Bench()
+    bench.leds.refuses = "GPIO chip 'unit': 'LED_A' taken by 'torch'"
+    await bench.expose(6)
+    with pytest.raises(CheckFailedError, match="could not be switched: GPIO chip 'unit': 'LED_A' taken by"):
+        await bench.task
+    await bench.expose(25)
+    assert not bench.sink.frames[-1].leds_on  # it measures on
+
+
+async def test_leds_that_are_not_at_hand_are_named_and_take_no_exposure() -> None:
+    bench = Bench()
+    bench.lamps.lost = "GPIO chip 'unit' is gone; trying again"
+    await bench.expose(6)
+    with pytest.raises(CheckFailedError, match="could not be switched: GPIO chip 'unit' is gone"):
+        await bench.task
+    assert not any(frame.leds_on for frame in bench.sink.frames)
+    assert bench.leds.switched == []
+
+
+async def test_a_daemon_that_ends_during_a_check_leaves_no_light() -> None:
+    bench = Bench()
+    await bench.expose(5)
+    assert bench.leds.lit
+    bench.task.cancel()
+    await asyncio.gather(bench.task, return_exceptions=True)
+    assert bench.task.cancelled()
+    assert not bench.leds.lit

@@ -1,0 +1,125 @@
+"""The service of checks: who asks cannot make valid what no check has looked at."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from support import evidence
+from support.clock import FakeClock, settle, stop
+from support.measurements import measured
+
+from altd.acquisition.self_check.exposing import CheckFailedError
+from altd.acquisition.self_check.light import LedLog, Light
+from altd.acquisition.self_check.memory import CheckMemory
+from altd.acquisition.self_check.schedule import REST_S, Cause, Schedule
+from altd.acquisition.self_check.service import CheckParts, SelfChecks
+from altd.acquisition.self_check.standing import Standing
+from altd.config import SelfCheckSettings
+from altd.selfcheck.records import Limits
+from altd.status.health import Component
+from altd.status.self_check_desk import SelfCheckDesk
+
+CAMERAS = ("front", "rear")
+
+
+class Exposer:
+    """Fails each time, before the LEDs are lit or after, and counts how often it was asked."""
+
+    def __init__(self, clock: FakeClock, has_begun: bool) -> None:
+        self._clock, self._has_begun = clock, has_begun
+        self.asked_s: list[float] = []
+
+    async def expose(self) -> Any:
+        self.asked_s.append(self._clock.now_ns * 1e-9)
+        await self._clock.sleep(3.0)
+        raise CheckFailedError("no camera had steady exposures", has_begun=self._has_begun)
+
+
+class Running:
+    """The service with what it needs of others made by hand."""
+
+    def __init__(self, has_begun: bool, **settings: object) -> None:
+        self.clock, self.desk = FakeClock(), SelfCheckDesk()
+        checked = SelfCheckSettings.model_validate(settings)
+        standing = Standing(checked, Limits(), evidence.calibration(), self.clock)
+        parts = CheckParts(
+            LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000)),
+            Schedule(self.clock, checked.interval_s, checked.enabled),
+            SimpleNamespace(),  # type: ignore[arg-type]  no check comes so far that it is judged
+            standing,
+            SimpleNamespace(apply=lambda standing: None),  # type: ignore[arg-type]
+            CheckMemory(evidence.calibration(), self.clock),
+        )
+        component = Component("self-check", self.clock)
+        self.checks = SelfChecks(
+            parts, dict(zip(CAMERAS, CAMERAS, strict=True)), self.desk, component, self.clock
+        )
+        self.exposer = Exposer(self.clock, has_begun)
+
+    async def __aenter__(self) -> Running:
+        marked = {light: dict.fromkeys(CAMERAS, 0) for light in (Light.ON, Light.SWITCHED)}
+        lamps, frames = SimpleNamespace(complaint=""), SimpleNamespace(marked=marked)
+        self._task = asyncio.create_task(self.checks.run(self.exposer, lamps, frames))  # type: ignore[arg-type]
+        await settle()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await stop(self._task)
+
+    @property
+    def passed(self) -> tuple[bool, list[str]]:
+        """Whether a measurement that is valid stays so, and what it says."""
+        measurement = self.checks.pass_on(measured())
+        assert measurement is not None
+        return measurement.valid, [str(fault) for fault in measurement.status]
+
+
+@pytest.mark.parametrize("cause", [Cause.REQUEST, Cause.SHOCK, None])
+async def test_a_check_that_could_not_begin_is_not_the_first_whoever_asked_for_it(
+    cause: Cause | None,
+) -> None:
+    running = Running(has_begun=False)
+    if cause is Cause.REQUEST:
+        running.desk.ask()
+    elif cause is Cause.SHOCK:
+        running.checks._schedule.ask(cause)  # noqa: SLF001
+    async with running:
+        assert running.passed == (False, ["self_checking"])
+        await running.clock.advance(3.1)
+        assert running.desk.latest is not None
+        assert running.desk.latest.sentence == "unknown: no camera had steady exposures"
+        assert running.passed == (False, ["self_checking"])
+        for _ in range(5):
+            running.desk.ask()
+            await running.clock.advance(3.1)
+            assert running.passed == (False, ["self_checking"])
+
+
+async def test_one_that_began_and_came_to_nothing_is_without_a_verdict() -> None:
+    async with Running(has_begun=True) as running:
+        await running.clock.advance(3.1)
+        assert running.passed == (True, ["geometry_unknown"])
+
+
+async def test_a_flood_of_requests_lights_the_leds_no_more_often_than_the_rest_allows() -> None:
+    async with Running(has_begun=True) as running:
+        for _ in range(600):
+            for _ in range(50):
+                running.desk.ask()
+            await running.clock.advance(0.1)
+    asked_s = running.exposer.asked_s
+    assert 6 <= len(asked_s) <= 8
+    assert all(after - before >= 3.0 + REST_S for before, after in itertools.pairwise(asked_s))
+
+
+async def test_a_requested_check_that_could_not_begin_answers_who_waits() -> None:
+    async with Running(has_begun=False) as running:
+        waiting = asyncio.create_task(running.desk.report(running.desk.ask()))
+        await running.clock.advance(3.1)
+        await running.clock.advance(3.1)
+        assert (await waiting).number == 2
+        assert running.desk.waiting == 0

@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+
+import pytest
+from support.clock import stop
+from support.scripted_camera import LyingCamera, ScriptedCamera, newest, until
+
+from altd.acquisition.acquiring import acquire
+from altd.acquisition.auto_exposure.control import ExposureControl
+from altd.config import ExposureSettings
+from altd.ports import CameraMistimedError, ExposureRange
+from altd.records import Frame
+from altd.status.health import Component, State
+
+
+@pytest.mark.parametrize(
+    ("off_s", "why"),
+    [
+        (3600.0, "stamped 3"),
+        (-10.0, " s old"),
+        (-1.0, " s before the one before it"),
+    ],
+)
+async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
+    component: Component, off_s: float, why: str
+) -> None:
+    camera = LyingCamera(0.0, 0.0, off_s)
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
+    taken: list[Frame] = []
+    while component.counters.get("mistimed", 0) < 1 or len(taken) < 5:
+        taken += await frames.take(wake_for_each=False)
+    assert all(earlier.t_ns < later.t_ns for earlier, later in itertools.pairwise(taken))
+    assert max(frame.t_ns for frame in taken) <= time.monotonic_ns()
+    assert component.counters["mistimed"] == 1
+    assert component.state is State.DEGRADED
+    assert component.message.startswith("not measured: exposure 3 is ")
+    assert why in component.message
+    await stop(task)
+
+
+class SettableLyingCamera(LyingCamera):
+    exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
+
+
+async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(component: Component) -> None:
+    camera = SettableLyingCamera(3600.0)
+    exposure = ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component, exposure))
+    (first,) = await frames.take(wake_for_each=False)
+    assert first.changing
+    await until(lambda: component.counters.get("mistimed") == 1)
+    await stop(task)
+
+
+async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is_not_lost(
+    component: Component,
+) -> None:
+    """Exposure 2 came and was left out; the camera stays open."""
+    camera = ScriptedCamera("frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
+    taken: list[Frame] = []
+    while len(taken) < 5:
+        taken += await frames.take(wake_for_each=False)
+    await until(lambda: component.counters.get("mistimed") == 1)
+    assert "lost" not in component.counters
+    assert component.message == "not measured: exposure 2 came late"
+    await stop(task)
+    assert camera.calls.count("open") == 1
+
+
+async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component) -> None:
+    camera = LyingCamera(*[3600.0] * 20)
+    camera.waits = True
+    frames = newest()
+    task = asyncio.create_task(acquire(camera, frames, component))
+    assert len(await frames.take(wake_for_each=False)) == 1
+    assert "mistimed" not in component.counters
+    await stop(task)

@@ -1,0 +1,180 @@
+"""``altd export`` and ``altd events``: hand-made histories, read by pandas' peers: csv and pyarrow."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import sqlite3
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from support.cli import altd_here, refusal
+from support.history import START_S, batch, event, sample, state, store, write_seconds
+
+from altd.reasons import Reason
+from altd.status.event_log import EventKind
+
+
+@pytest.fixture
+def history(tmp_path: Path) -> Path:
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0, None, 11.5], rate=2)
+    items = [state(START_S + 5, 3, "simulated"), sample(START_S + 5.2, 12.0, 9, Reason.SIMULATED)]
+    events = [
+        event(1, START_S + 1, EventKind.CAUSE_CAME, 2, "no laser\x1b[2J spot"),
+        event(2, START_S + 2, EventKind.REQUEST, 1, "a self-check was asked for"),
+    ]
+    writing.write(batch(START_S + 6, items, events))
+    writing.end(None)
+    return tmp_path / "history.db"
+
+
+def table(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+class TestExport:
+    def test_seconds_as_csv(self, history: Path) -> None:
+        said = altd_here("export", "--history", history, "--to", "2026-11-20T08:00:05Z")
+        assert (said.status, said.err) == (0, "")
+        first, second, third = table(said.out)
+        assert (first["time"], first["n"], first["n_valid"]) == ("2026-11-20T08:00:00.000Z", "2", "2")
+        assert (first["x_mm"], first["sigma_x_mm"], first["min_x_mm"]) == ("10.0", "0.004", "10.0")
+        assert (first["worst"], first["lost_to"]) == ("good", "")
+        assert (second["n"], second["n_valid"], second["x_mm"], second["max_yaw_deg"]) == ("2", "0", "", "")
+        assert (second["worst"], second["worst_cause"]) == ("out_of_specification", "spot_missing")
+        assert second["lost_to"] == "front_spot_missing"
+        assert third["x_mm"] == "11.5"
+
+    def test_measurements_into_a_file_as_parquet(self, history: Path, tmp_path: Path) -> None:
+        to = tmp_path / "t.parquet"
+        said = altd_here(
+            "export", "--history", history, "--every", "measurement", "--format", "parquet", "-o", to
+        )
+        assert (said.status, said.out, said.err) == (0, "", "")
+        read = pyarrow.parquet.read_table(to)
+        rows = read.to_pylist()
+        assert [row["valid"] for row in rows] == [True, True, False, False, True, True, True]
+        assert rows[-1]["time"] == datetime(2026, 11, 20, 8, 0, 5, 200_000, UTC)
+        assert (rows[-1]["x_mm"], rows[-1]["rear_y_mm"], rows[-1]["status"]) == (12.0, -3.413, "simulated")
+        assert (rows[2]["x_mm"], rows[2]["sigma_x_mm"], rows[2]["front_x_mm"]) == (None, None, None)
+        assert read.schema.field("yaw_deg").metadata[b"unit"] == "°".encode()
+        assert json.loads(read.schema.metadata[b"altd.unit_serial"]) == "TEST-1"
+
+    @pytest.mark.parametrize("every", ["minute", "hour"])
+    def test_minutes_and_hours(self, history: Path, every: str) -> None:
+        (row,) = table(altd_here("export", "--history", history, "--every", every).out)
+        assert (row["n"], row["n_valid"], row["x_mm"], row["max_x_mm"]) == ("7", "5", "11.0", "12.0")
+
+    def test_a_time_is_utc_or_so_long_ago(self, history: Path) -> None:
+        ranges = {
+            ("--from", "2026-11-20T08:00:02"): 2,
+            ("--from", "2026-11-20T09:00:02+01:00"): 2,
+            ("--from", "2026-11-20T08:00:01Z", "--to", "2026-11-20T08:00:02Z"): 1,
+            ("--from", "2026-11-20"): 4,
+            ("--to", "-2h"): 4,
+            ("--from", "-1s"): 0,
+            ("--to", "-99999d"): None,
+            ("--from", "-100000000d"): None,
+        }
+        for given, count in ranges.items():
+            said = altd_here("export", "--history", history, *given)
+            if count is None:
+                assert "is no time; possible: 2026-11-20T08:15:30Z, or -2h" in refusal(said)
+            else:
+                assert len(table(said.out)) == count
+
+    def test_while_it_is_written_and_from_a_copy(self, history: Path, tmp_path: Path) -> None:
+        writing = store(tmp_path)
+        writing.write(batch(START_S + 21, [sample(START_S + 20, 20.0)]))
+        assert table(altd_here("export", "--history", history).out)[-1]["x_mm"] == "20.0"
+        writing.end(None)
+        copy = tmp_path / "laptop" / "of_unit.db"
+        copy.parent.mkdir()
+        shutil.copy(history, copy)
+        assert table(altd_here("export", "--history", copy).out)[-1]["x_mm"] == "20.0"
+
+    @pytest.mark.parametrize(
+        ("arguments", "line"),
+        [
+            (("--history", "none.db"), "none.db: No such file or directory"),
+            (("--history", "."), ".: is no regular file"),
+            (("--history", "text.db"), "text.db: cannot be read: file is not a database"),
+            (("--history", "h.db", "--config", "altd.toml"), "--config: says where the history is"),
+            (
+                ("--history", "h.db", "--from", "2026-11-20", "--to", "2026-11-19"),
+                "--to: is not after --from",
+            ),
+            (("--history", "h.db", "--format", "parquet"), "--format parquet: needs a file: -o FILE"),
+            (("--history", "h.db", "-o", "h.db"), "h.db: is what is read"),
+            (("--history", "h.db", "--from", "yesterday"), "--from: 'yesterday' is no time; possible: "),
+            ((), "missing, or --config FILE, for there is no "),
+        ],
+    )
+    def test_what_cannot_be_is_one_line(
+        self,
+        history: Path,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        arguments: tuple[str, ...],
+        line: str,
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        history.rename("h.db")
+        Path("text.db").write_text("x" * 1000)
+        assert line in refusal(altd_here("export", *arguments))
+
+    @pytest.mark.parametrize(
+        "statement",
+        [
+            "UPDATE columns SET key = 'x\n\x1b[2J' WHERE number = 0",
+            "UPDATE columns SET decimals = -400 WHERE number = 0",
+            "UPDATE columns SET key = 'x', unit = x'00ff' WHERE number = 0",
+            "UPDATE seconds SET above_0 = NULL",
+            "UPDATE seconds SET mean_0 = 1e308",
+            "INSERT INTO columns VALUES (900, 'z', 'mm', 4, 'z', 1, 0)",
+            "INSERT INTO columns VALUES (40, 'z', 'mm', 4, 'z', 1, 0)",
+            "UPDATE columns SET key = 'sigma_x_mm', is_summarised = 1 WHERE number = 1",
+            "DROP TABLE seconds; CREATE VIEW seconds AS WITH RECURSIVE r(i) AS (SELECT 1 UNION ALL "
+            "SELECT i + 1 FROM r) SELECT i AS key, 1 AS n, 1 AS n_valid, 1 AS worst, 1 AS lost FROM r",
+        ],
+    )
+    def test_a_forged_history_is_one_line(self, history: Path, statement: str) -> None:
+        with sqlite3.connect(history) as foreign:
+            foreign.executescript(statement)
+        foreign.close()
+        said = altd_here("export", "--history", history)
+        assert said.status == 2
+        assert said.err.count("\n") == 1
+        assert said.err.startswith("altd export: ")
+        assert "\x1b" not in said.err
+
+
+class TestEvents:
+    def test_are_lines_in_their_order_without_control_letters(self, history: Path) -> None:
+        said = altd_here("events", "--history", history, "--from", "2026-11-20")
+        assert (said.status, said.err) == (0, "")
+        lines = said.out.splitlines()
+        assert lines[1:] == [
+            "2026-11-20T08:00:01.000Z cause_came  no laser\\x1b[2J spot",
+            "2026-11-20T08:00:02.000Z request     a self-check was asked for",
+        ]
+        assert lines[0].endswith("history     a new history was begun")
+
+    def test_of_a_kind_and_a_time(self, history: Path) -> None:
+        said = altd_here("events", "--history", history, "--kind", "request", "--format", "jsonl")
+        (found,) = said.objects
+        assert (found["time"], found["kind"], found["severity"]) == ("2026-11-20T08:00:02.000Z", "request", 1)
+        assert altd_here("events", "--history", history, "--to", "2026-11-20T07:00").out == ""
+
+    def test_as_csv(self, history: Path) -> None:
+        rows = table(altd_here("events", "--history", history, "--format", "csv").out)
+        assert [row["kind"] for row in rows] == ["history", "cause_came", "request"]
+
+    def test_a_kind_that_there_is_not_is_refused(self, history: Path) -> None:
+        line = refusal(altd_here("events", "--history", history, "--kind", "requst"))
+        assert line.endswith("did you mean `request`?")

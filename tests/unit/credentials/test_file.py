@@ -1,0 +1,178 @@
+"""The file of credentials: what it may hold, who may read it, and that it never shows what it holds."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from altd.credentials.changing import change
+from altd.credentials.file import MAX_ENTRIES, Credentials, load_credentials, save_credentials
+from altd.credentials.hashes import PasswordHash, new_token, token_digest
+from altd.credentials.keeper import CredentialsKeeper
+from altd.errors import BadInputError
+
+HASH = PasswordHash(2, 1, 1, bytes(16), PasswordHash(2, 1, 1, bytes(16), bytes(32)).hashed("open sesame"))
+TOKEN = new_token()
+KNOWN = Credentials({"ana": HASH}, {"press": token_digest(TOKEN)})
+GOOD = f"password ana scrypt 2 1 1 {'00' * 16} {HASH.digest.hex()}\ntoken press sha256 {'ab' * 32}\n"
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "credentials"
+
+
+def written(path: Path, text: str, mode: int = 0o600) -> Path:
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+def test_what_was_saved_is_read_again_and_holds_no_secret(path: Path) -> None:
+    save_credentials(path, KNOWN)
+    path.chmod(0o640)
+    assert load_credentials(path) == KNOWN
+    assert TOKEN not in path.read_text()
+    assert "sesame" not in path.read_text()
+
+
+def test_who_fits() -> None:
+    assert KNOWN.is_password("ana", "open sesame")
+    assert not KNOWN.is_password("ana", "open sesam")
+    assert not KNOWN.is_password("bob", "open sesame")
+    assert not KNOWN.is_password("press", TOKEN)
+    assert KNOWN.name_of_token(TOKEN) == "press"
+    assert KNOWN.name_of_token(TOKEN[:-1]) is None
+    assert KNOWN.name_of_token("") is None
+    assert KNOWN.names == {"ana", "press"}
+
+
+def test_a_name_that_is_none_takes_the_same_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    strengths: list[tuple[int, int, int]] = []
+    hashed = PasswordHash.hashed
+
+    def noted(self: PasswordHash, password: str) -> bytes:
+        strengths.append((self.n, self.r, self.p))
+        return hashed(self, password)
+
+    known = Credentials({"ana": PasswordHash.of("open sesame")})
+    monkeypatch.setattr(PasswordHash, "hashed", noted)
+    known.is_password("ana", "open sesame")
+    known.is_password("nobody", "open sesame")
+    assert len(strengths) == 2
+    assert strengths[0] == strengths[1]
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o604, 0o602, 0o660, 0o601, 0o620, 0o777])
+def test_a_file_that_others_may_read_or_write_is_refused(path: Path, mode: int) -> None:
+    with pytest.raises(BadInputError, match=rf"mode {mode:04o}\): chmod 640"):
+        load_credentials(written(path, GOOD, mode))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ana:geheim",
+        "password ana geheim",
+        f"password Ana scrypt 2 1 1 {'00' * 16} {'00' * 32}",
+        f"password ana scrypt 1099511627776 8 1 {'00' * 16} {'00' * 32}",
+        f"password ana scrypt 1048576 32 16 {'00' * 16} {'00' * 32}",
+        f"password ana scrypt -2 1 1 {'00' * 16} {'00' * 32}",
+        f"password ana scrypt 2 1 1 {'00' * 16} {'00' * 31}",
+        f"password ana scrypt 2 1 1 {'0g' * 16} {'00' * 32}",
+        f"password ana scrypt 2 1 1 {'00' * 16} {'00' * 32} more",
+        "token press sha256 abcd",
+        f"token {'x' * 33} sha256 {'ab' * 32}",
+        f"token press md5 {'ab' * 32}",
+        "password ana scrypt",
+    ],
+)
+def test_a_line_that_is_none_is_named_and_not_shown(path: Path, line: str) -> None:
+    with pytest.raises(BadInputError, match="line 2: ") as caught:
+        load_credentials(written(path, f"# ours\n{line}\n"))
+    assert "geheim" not in str(caught.value)
+    assert "abcd" not in str(caught.value)
+
+
+def test_a_name_twice_is_refused(path: Path) -> None:
+    for line in GOOD.splitlines():
+        with pytest.raises(BadInputError, match=r"line 2: .* already"):
+            load_credentials(written(path, f"{line}\n{line}\n"))
+
+
+def test_there_are_only_so_many_and_the_file_is_only_so_long(path: Path) -> None:
+    many = "".join(f"token n{number} sha256 {'ab' * 32}\n" for number in range(MAX_ENTRIES + 1))
+    with pytest.raises(BadInputError, match="more than 64"):
+        load_credentials(written(path, many))
+    with pytest.raises(BadInputError, match="bytes long"):
+        load_credentials(written(path, "#" * 1_000_000))
+    full = Credentials({}, {f"n{number}": bytes(32) for number in range(MAX_ENTRIES + 1)})
+    with pytest.raises(BadInputError, match="entries already"):
+        save_credentials(path, full)
+
+
+@given(st.binary(max_size=200) | st.text(max_size=100).map(str.encode))
+@settings(max_examples=200, deadline=None)
+def test_no_bytes_make_credentials_that_are_not_there(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any"
+    path.write_bytes(content)
+    path.chmod(0o600)
+    with contextlib.suppress(BadInputError):
+        assert load_credentials(path).names == frozenset()
+
+
+def test_a_pipe_or_a_folder_is_refused_and_not_waited_for(path: Path) -> None:
+    os.mkfifo(path, 0o600)
+    with pytest.raises(BadInputError, match="is a pipe"):
+        load_credentials(path)
+
+
+def test_a_new_file_is_for_its_owner_alone_and_an_old_one_keeps_its_mode(path: Path) -> None:
+    before = os.umask(0)
+    try:
+        change(path, "ana", lambda known: known.with_password("ana", HASH))
+        assert path.stat().st_mode & 0o777 == 0o600
+        path.chmod(0o640)
+        change(path, "press", lambda known: known.with_token("press", token_digest(TOKEN)))
+    finally:
+        assert os.umask(before) == 0
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert load_credentials(path) == KNOWN
+
+
+def test_what_is_not_there_cannot_be_removed(path: Path) -> None:
+    save_credentials(path, KNOWN)
+    path.chmod(0o600)
+    content = path.read_bytes()
+    with pytest.raises(BadInputError, match="bob has none that could be removed"):
+        change(path, "bob", lambda known: known.with_password("bob", None))
+    with pytest.raises(BadInputError, match=re.escape("'Bob!' is no name")):
+        change(path, "Bob!", lambda known: known.with_password("Bob!", HASH))
+    assert path.read_bytes() == content
+
+
+def test_who_is_taken_out_of_the_file_may_act_no_more(path: Path) -> None:
+    said: list[str] = []
+    keeper = CredentialsKeeper(written(path, GOOD), said.append)
+    assert keeper.current().names == {"ana", "press"}
+    change(path, "ana", lambda known: known.with_password("ana", None))
+    assert keeper.current().names == {"press"}
+    written(path, "nonsense\n")
+    assert keeper.current().names == frozenset()
+    path.unlink()
+    assert keeper.current().names == frozenset()
+    assert [text.rpartition(": ")[2] for text in said[:1]] == [""]
+    assert "line 1" in said[1]
+    assert "No such file" in said[2]
+    written(path, GOOD)
+    assert keeper.current().names == {"ana", "press"}
+    path.chmod(0o644)
+    assert keeper.current().names == frozenset()

@@ -1,0 +1,70 @@
+"""The line to an inclinometer when it does worse than be silent or damaged."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from support.inclinometer import answering, settings
+from support.modbus_rtu_wire import frame
+from support.wire import Wire
+
+from altd.acquisition.inclination.judging import InclinationJudge
+from altd.devices.inclinometer.driver import ModbusInclinometer
+from altd.devices.inclinometer.registers import BALLUFF
+from altd.ports import InclinometerDisturbedError
+from hw_sim.inclinometer import Inclinometer
+
+
+def test_a_line_that_never_falls_silent_is_given_up_in_time() -> None:
+    """A byte every 10 ms keeps each gap short and would take three seconds to be too much."""
+    ending = threading.Event()
+    wire = Wire.laid()
+
+    def babble() -> None:
+        while not ending.wait(0.01):
+            wire.send(b"\x01")
+
+    thread = threading.Thread(target=babble)
+    thread.start()
+    try:
+        begun = time.monotonic()
+        with pytest.raises(InclinometerDisturbedError, match="damaged answer"):
+            ModbusInclinometer(settings(wire.device)).open()
+        assert time.monotonic() - begun < 1.0
+    finally:
+        ending.set()
+        thread.join()
+        wire.hang_up()
+
+
+def test_a_line_that_is_an_answer_behind_gives_no_roll_that_is_believed() -> None:
+    """As where each answer comes twice: then that of the question before is the first to be heard."""
+    sensor = Inclinometer.balluff()
+    sensor.roll_deg = -3.0
+    is_behind, before = False, b""
+
+    def answer(request: bytes) -> bytes:
+        nonlocal before
+        late, before = before, frame(sensor.response(request[1:-2]), 1)
+        return late if is_behind else before
+
+    judge = InclinationJudge(settings("/dev/any"), BALLUFF.accuracy)
+    with answering(answer) as wire:
+        inclinometer = ModbusInclinometer(settings(wire.device))
+        inclinometer.open()
+        good = [judge.roll(inclinometer.read()) for _ in range(15)]  # the settings were just read
+        is_behind = True
+        wrong = [judge.roll(inclinometer.read()) for _ in range(6)]
+        with pytest.raises(InclinometerDisturbedError, match="an answer to another question"):
+            inclinometer.read()
+        with pytest.raises(InclinometerDisturbedError):
+            inclinometer.read()
+        is_behind = False
+        again = inclinometer.read()
+        inclinometer.close()
+    sensor.unplug()
+    assert good[-1].value == pytest.approx(-3.0, abs=0.1)
+    assert all(said.value is None or said.value == pytest.approx(-3.0, abs=0.1) for said in wrong)
+    assert again.roll_deg == pytest.approx(-3.0, abs=0.1)

@@ -1,0 +1,234 @@
+"""Disks that are full, gone or read-only and files that are damaged, foreign or newer; on real files."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+from support.history import ABOUT, START_S, batch, event, sample, store, write_seconds
+
+from altd.history import opening
+from altd.history import store as store_module
+from altd.history.opening import MAX_DAMAGED_FILES, open_to_read
+from altd.history.reader import Reader
+from altd.history.schema import SECONDS, VERSION, NewerFileError, UnusableFileError
+from altd.status.event_log import EventKind
+
+
+def sequences(path: Path) -> list[int]:
+    with Reader(path) as reader:
+        return [one.sequence for one in reader.measurements_after(0, 1000)]
+
+
+def test_a_damaged_file_is_moved_aside_and_a_new_one_begun(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    path.write_bytes(b"no database at all" * 100)
+    writing = store(tmp_path)
+    with pytest.raises(sqlite3.DatabaseError, match="file is not a database"):
+        writing.write(batch(START_S))
+    (aside,) = tmp_path.glob("history.db.damaged-*")
+    assert aside.read_bytes() == b"no database at all" * 100
+    written = writing.write(batch(START_S + 1, [sample(START_S, sequence=5)]))
+    writing.end(None)
+    assert sequences(path) == [5]
+    kinds = [(notice.kind, aside.name in notice.text) for notice in written.notices]
+    assert kinds == [(EventKind.HISTORY, True), (EventKind.HISTORY, False)]
+
+
+def test_pages_that_are_damaged_are_found_after_a_crash(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0] * 30)
+    writing.end(None)  # the pages are in the file, and it does not say that it was ended
+    content = bytearray(path.read_bytes())
+    for page in range(8, len(content) // 4096, 3):
+        content[page * 4096 : page * 4096 + 64] = os.urandom(64)
+    path.write_bytes(content)
+    with pytest.raises((UnusableFileError, sqlite3.DatabaseError), match=r"damaged|malformed"):
+        store(tmp_path).write(batch(START_S + 60))
+    assert len(list(tmp_path.glob("history.db.damaged-*"))) == 1
+    assert not path.exists()
+
+
+def test_a_disk_that_damages_every_file_is_not_filled(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    for _ in range(MAX_DAMAGED_FILES):
+        path.write_bytes(b"x" * 5000)
+        with pytest.raises(sqlite3.DatabaseError):
+            store(tmp_path).write(batch(START_S))
+    path.write_bytes(b"y" * 5000)
+    with pytest.raises(UnusableFileError, match=r"as 3 before it: move .*history\.db\.damaged-\* away"):
+        store(tmp_path).write(batch(START_S))
+    assert path.read_bytes() == b"y" * 5000
+
+
+def test_a_newer_history_is_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0])
+    writing.end(None)
+    with sqlite3.connect(path) as foreign:
+        foreign.execute(f"PRAGMA user_version = {VERSION + 1}")
+    foreign.close()
+    before = path.read_bytes()
+    with pytest.raises(
+        NewerFileError, match=f"is of version {VERSION + 1}, and this program knows {VERSION}"
+    ):
+        store(tmp_path).write(batch(START_S + 9))
+    assert path.read_bytes() == before
+    with pytest.raises(NewerFileError):
+        open_to_read(path)
+
+
+def test_a_database_of_something_else_is_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    with sqlite3.connect(path) as foreign:
+        foreign.execute("CREATE TABLE recipes (name TEXT)")
+    foreign.close()
+    before = path.read_bytes()
+    with pytest.raises(UnusableFileError, match="is a database, but no history"):
+        store(tmp_path).write(batch(START_S))
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "CREATE VIEW spy AS SELECT * FROM events",
+        "CREATE TRIGGER t AFTER INSERT ON events BEGIN DELETE FROM events; END",
+        "CREATE TABLE more (a)",
+        "ALTER TABLE seconds ADD COLUMN forged AS (n * 2)",
+        "DROP TABLE hours",
+        "DROP TABLE hours; CREATE VIEW hours AS WITH RECURSIVE r(i) AS "
+        "(SELECT 1 UNION ALL SELECT i + 1 FROM r) SELECT i AS key FROM r",
+    ],
+)
+def test_a_file_with_other_tables_is_not_believed(tmp_path: Path, statement: str) -> None:
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0])
+    writing.end(None)
+    with sqlite3.connect(tmp_path / "history.db") as foreign:
+        foreign.executescript(statement)
+    foreign.close()
+    with pytest.raises(UnusableFileError, match=r"has (other tables|a hidden column|view|trigger|table)"):
+        open_to_read(tmp_path / "history.db")
+
+
+@pytest.mark.parametrize("value", ["'text'", "x'00ff'", "1e308"])
+def test_a_forged_number_is_an_error_and_no_number(tmp_path: Path, value: str) -> None:
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0])
+    writing.end(None)
+    with sqlite3.connect(tmp_path / "history.db") as foreign:
+        foreign.execute(f"UPDATE measurements SET value_0 = {value}")
+        foreign.execute(f"UPDATE seconds SET n = {value}")
+    foreign.close()
+    with Reader(tmp_path / "history.db") as reader:
+        if value != "1e308":
+            with pytest.raises(UnusableFileError, match="x_mm is no number"):
+                reader.measurements_after(0, 10)
+        with pytest.raises(UnusableFileError, match="is damaged: a row of seconds"):
+            list(reader.summaries(SECONDS, 0, 2**62))
+
+
+def test_a_folder_that_is_deleted_is_told_and_one_that_comes_back_is_used(tmp_path: Path) -> None:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    writing = store(folder)
+    writing.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
+    shutil.rmtree(folder)
+    with pytest.raises(FileNotFoundError):
+        writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+    with pytest.raises(UnusableFileError, match=r"the folder .* does not exist"):
+        writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+    folder.mkdir()
+    writing.write(batch(START_S + 3, [sample(START_S + 2, sequence=3)]))
+    writing.end(None)
+    assert sequences(folder / "history.db") == [3]
+
+
+def test_a_file_that_is_replaced_is_not_written_to_under_another_name(tmp_path: Path) -> None:
+    path = tmp_path / "history.db"
+    writing = store(tmp_path)
+    writing.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
+    path.rename(tmp_path / "moved.db")
+    path.touch()
+    with pytest.raises(UnusableFileError, match="was replaced or deleted while it was open"):
+        writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+    for ending in ("-wal", "-shm"):  # of the file that was moved
+        (tmp_path / f"history.db{ending}").unlink(missing_ok=True)
+    writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+    writing.end(None)
+    assert sequences(path) == [2]
+
+
+def test_a_batch_that_was_refused_is_taken_whole_the_next_time(tmp_path: Path) -> None:
+    """The lock of another program stands for whatever SQLite refuses after a batch has begun."""
+    writing = store(tmp_path)
+    writing.write(batch(START_S + 1.5, [sample(START_S, 10.0, 1)]))
+    refused = batch(START_S + 2.5, [sample(START_S + 0.9, 20.0, 2)], [event(1, START_S + 2)])
+    foreign = sqlite3.connect(tmp_path / "history.db", isolation_level=None)
+    foreign.execute("BEGIN IMMEDIATE")
+    with pytest.raises(sqlite3.OperationalError, match="database is locked"):
+        writing.write(refused)
+    foreign.execute("ROLLBACK")
+    foreign.close()
+    writing.write(refused)
+    writing.end(None)
+    assert sequences(tmp_path / "history.db") == [1, 2]
+    with Reader(tmp_path / "history.db") as reader:
+        (point,) = reader.trend(START_S * 10**6, (START_S + 1) * 10**6, 1, ["x_mm"]).points
+        assert len(reader.events(0, 2**62, ["state"])) == 1
+    assert (point.n, point.values["x_mm"].mean) == (2, 15.0)
+
+
+def test_a_reader_that_does_not_end_stops_the_writing_before_the_log_fills_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_module, "MAX_LOG_BYTES", 100_000)
+    monkeypatch.setattr(opening, "WAL_PAGES", 10)
+    writing = store(tmp_path)
+    writing.write(batch(START_S, [sample(START_S)]))
+    foreign = sqlite3.connect(tmp_path / "history.db", isolation_level=None)
+    foreign.execute("BEGIN")
+    foreign.execute("SELECT count(*) FROM measurements").fetchone()
+    with pytest.raises((UnusableFileError, sqlite3.OperationalError), match="another program keeps it"):
+        write_seconds(writing, START_S + 1, [10.0] * 100)
+    assert (tmp_path / "history.db-wal").stat().st_size < 300_000
+    foreign.execute("COMMIT")
+    foreign.close()
+    writing.write(batch(START_S + 200, [sample(START_S + 200, sequence=99)]))
+    writing.end(None)
+    assert sequences(tmp_path / "history.db")[-1] == 99
+
+
+def test_a_copy_in_a_folder_that_cannot_be_written_is_read(tmp_path: Path) -> None:
+    writing = store(tmp_path, ABOUT)
+    write_seconds(writing, START_S, [10.0])
+    writing.end(None)
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    shutil.copy(tmp_path / "history.db", copy)
+    (copy / "history.db").chmod(0o400)
+    copy.chmod(0o500)
+    try:
+        assert len(sequences(copy / "history.db")) == 20
+    finally:
+        copy.chmod(0o700)
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe", "missing"])
+def test_what_is_no_file_is_not_opened(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "history.db"
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    with pytest.raises((UnusableFileError, FileNotFoundError)):
+        open_to_read(path)
+    if kind != "missing":
+        with pytest.raises(UnusableFileError, match="is no regular file"):
+            store(tmp_path).write(batch(START_S))

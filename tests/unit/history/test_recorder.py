@@ -1,0 +1,241 @@
+"""The loop's side: what is handed on, what is dropped, what is said; on a clock that the test drives."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.clock import settle
+from support.history import ABOUT, MAX_BYTES, START_S, US, WallClock, at
+from support.measurements import measurement
+
+from altd.history import recorder as recorder_module
+from altd.history.batch import Batch, Written
+from altd.history.reader import Reader
+from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
+from altd.history.schema import SECONDS
+from altd.history.store import Store
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.status.board import Board
+from altd.status.event_log import EventKind, EventLog
+from altd.status.health import Component, Health, State
+from altd.status.state import UnitState
+
+
+class Recording:
+    """A recorder with its board; ``pass_time`` lets the clock run and the disk come along."""
+
+    def __init__(self, folder: Path, store: Store | None = None) -> None:
+        self.clock = WallClock(10**12)
+        self.board = Board(self.clock, 1.0, QUANTITIES)
+        self.health = Health(self.clock)
+        self.log = EventLog(self.clock)
+        self.component: Component = self.health.component("history")
+        self.path = folder / "history.db"
+        state = UnitState(self.board, self.health, self.clock)
+        self.recorder = HistoryRecorder(
+            store or Store(self.path, MAX_BYTES, ABOUT), self.log, state.read, self.component, self.clock
+        )
+        self.board.on_publish = self.recorder.take
+        self.published = 0
+        self._task: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Recording:
+        self._task = asyncio.create_task(self.recorder.run())
+        await settle()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        assert self._task is not None
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    def publish(self) -> None:
+        self.published += 1
+        now_s = self.clock.utc(self.clock.now_ns).timestamp()
+        self.board.publish(at(now_s - 0.1, 10.0, self.published))
+
+    async def pass_time(self, seconds: float, rate: float = 0.0) -> None:
+        """``rate`` measurements a second are published meanwhile."""
+        step_s = 0.2
+        for _ in range(round(seconds / step_s)):
+            for _ in range(round(rate * step_s)):
+                self.publish()
+            await self.clock.advance(step_s)
+            await asyncio.sleep(0.002)  # the disk's thread, in real time
+
+    async def until(self, true: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + 10
+        while not true():
+            assert time.monotonic() < deadline
+            await self.pass_time(WRITE_INTERVAL_S)
+            await asyncio.sleep(0.01)
+
+    def stored(self) -> list[int]:
+        with Reader(self.path) as reader:
+            return [one.sequence for one in reader.measurements_after(0, 5000)]
+
+
+async def test_every_measurement_is_recorded_once(tmp_path: Path) -> None:
+    async with Recording(tmp_path) as recording:
+        await recording.pass_time(10.0, rate=20)
+    assert recording.stored() == list(range(1, 201))
+    with Reader(recording.path) as reader:
+        assert sum(row.n for row in reader.summaries(SECONDS, 0, 2**62)) == 200
+
+
+async def test_seconds_in_which_nothing_is_measured_have_a_row_that_says_why(tmp_path: Path) -> None:
+    async with Recording(tmp_path) as recording:
+        recording.board.publish(measurement(1, recording.clock.now_ns))
+        await recording.pass_time(10.0)
+    with Reader(recording.path) as reader:
+        rows = list(reader.summaries(SECONDS, 0, 2**62))
+    assert [row.t_us // US for row in rows] == list(range(rows[0].t_us // US, rows[0].t_us // US + len(rows)))
+    assert len(rows) >= 9
+    assert {(row.n, row.worst, row.worst_code) for row in rows[5:]} == {(0, 4, "stale")}
+
+
+async def test_the_end_writes_what_waits(tmp_path: Path) -> None:
+    async with Recording(tmp_path) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        recording.publish()
+        recording.log.note(EventKind.STOPPED, "the last word")
+    assert recording.stored()[-1] == recording.published
+    with Reader(recording.path) as reader:
+        assert reader.events(0, 2**62)[0].text == "the last word"
+
+
+async def test_a_clock_that_is_set_is_an_event_and_begins_an_epoch(tmp_path: Path) -> None:
+    async with Recording(tmp_path) as recording:
+        await recording.pass_time(2.0, rate=20)
+        recording.clock.offset_s = -START_S + 5.0  # 1970
+        await recording.pass_time(2.0, rate=20)
+        recording.clock.offset_s = 0.0
+        await recording.pass_time(2.0, rate=20)
+    assert recording.stored() == list(range(1, 121))
+    with Reader(recording.path) as reader:
+        assert [one.epoch for one in reader.measurements_after(0, 500)] == [1] * 40 + [2] * 40 + [3] * 40
+        told = [event.text for event in reader.events(0, 2**62, ["clock"])]
+    assert len(told) == 2
+    assert all(text.startswith("the time of day was set by ") for text in told)
+
+
+async def test_a_disk_that_goes_and_comes_back_costs_history_only(tmp_path: Path) -> None:
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    async with Recording(folder) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        shutil.rmtree(folder)
+        await recording.until(lambda: recording.component.state is State.DEGRADED)
+        await recording.pass_time(3.0, rate=20)
+        assert "not written" in recording.component.message
+        folder.mkdir()
+        await recording.until(lambda: recording.component.state is State.OK)
+        lost = recording.component.counters.get("measurements_lost", 0)
+    assert recording.stored() == list(range(1, 61))
+    assert lost == 0
+
+
+class HeldStore(Store):
+    """A disk that takes as long as the test lets it: no file system that this machine has can be told to.
+
+    It stands where SQLite would wait for the disk: between the batch and the file.
+    """
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.may_go = threading.Event()
+        self.may_go.set()
+
+    def write(self, batch: Batch) -> Written:
+        self.may_go.wait(20)
+        return super().write(batch)
+
+
+@contextmanager
+def held(store: HeldStore) -> Iterator[None]:
+    store.may_go.clear()
+    try:
+        yield
+    finally:
+        store.may_go.set()
+
+
+async def test_a_disk_that_takes_ten_seconds_loses_nothing_and_is_told(tmp_path: Path) -> None:
+    slow = HeldStore(tmp_path / "history.db", MAX_BYTES, ABOUT)
+    async with Recording(tmp_path, slow) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        with held(slow):
+            await recording.pass_time(10.0, rate=20)
+            assert recording.component.state is State.DEGRADED
+            assert "the disk has not answered for" in recording.component.message
+        await recording.until(lambda: recording.component.state is State.OK)
+        assert "measurements_lost" not in recording.component.counters
+    assert recording.stored() == list(range(1, 201))
+
+
+async def test_a_disk_that_hangs_costs_a_bounded_number_which_is_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "MAX_WAITING_ITEMS", 100)
+    slow = HeldStore(tmp_path / "history.db", MAX_BYTES, ABOUT)
+    async with Recording(tmp_path, slow) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        with held(slow):
+            await recording.pass_time(20.0, rate=20)
+        await recording.until(lambda: recording.component.state is State.OK)
+        lost = recording.component.counters["measurements_lost"]
+    stored = recording.stored()
+    assert 200 < lost < 400
+    assert len(stored) == 400 - lost
+    assert stored[-1] == 400
+
+
+async def test_what_is_dropped_does_not_take_the_setting_of_the_clock_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "MAX_WAITING_ITEMS", 50)
+    slow = HeldStore(tmp_path / "history.db", MAX_BYTES, ABOUT)
+    async with Recording(tmp_path, slow) as recording:
+        await recording.pass_time(2.0, rate=20)
+        await recording.until(lambda: recording.component.state is State.OK)
+        with held(slow):
+            await recording.pass_time(WRITE_INTERVAL_S, rate=20)
+            recording.clock.offset_s = -3600.0
+            await recording.pass_time(10.0, rate=20)
+        await recording.until(lambda: recording.component.state is State.OK)
+        await recording.pass_time(2.0)
+    with Reader(recording.path) as reader:
+        stored = reader.measurements_after(0, 5000)
+    assert {one.epoch for one in stored[-40:]} == {2}
+    assert all(one.t_us < START_S * US for one in stored[-40:])
+
+
+async def test_the_end_does_not_wait_for_a_disk_that_hangs(tmp_path: Path) -> None:
+    slow = HeldStore(tmp_path / "history.db", MAX_BYTES, ABOUT)
+    recording = Recording(tmp_path, slow)
+    async with recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        slow.may_go.clear()
+        await recording.pass_time(2.0, rate=20)
+        began_s = time.monotonic()
+    assert time.monotonic() - began_s < 3.0
+    slow.may_go.set()
+
+
+async def test_a_defect_of_the_history_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> Written:
+        raise KeyError("a defect")
+
+    async with Recording(tmp_path) as recording:
+        monkeypatch.setattr(Store, "write", fail)
+        await recording.until(lambda: recording.component.state is State.DEGRADED)
+        assert recording.component.message == "a defect: KeyError: 'a defect'"
+        recording.publish()

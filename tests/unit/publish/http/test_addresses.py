@@ -1,0 +1,53 @@
+"""Addresses: who may connect, and whom limits count them as."""
+
+from __future__ import annotations
+
+import pytest
+
+from altd.publish.http.addresses import Allowed, address_of, group_of
+
+
+@pytest.mark.parametrize(
+    ("host", "expected"),
+    [
+        ("10.1.2.3", True),
+        ("::ffff:10.1.2.3", True),
+        ("11.0.0.1", False),
+        ("::ffff:11.0.0.1", False),
+        ("192.168.7.9", True),
+        ("192.168.7.10", False),
+        ("fd00::17", True),
+        ("fe80::1%eth0", False),
+        ("2001:db8::1", False),
+        ("::10.1.2.3", False),
+        ("127.0.0.1", True),
+        ("127.8.8.8", True),
+        ("::1", True),
+        ("::ffff:127.0.0.1", True),
+        ("", False),
+        ("unit.local", False),
+    ],
+)
+def test_who_may_connect(host: str, expected: bool) -> None:
+    assert (host in Allowed(["10.0.0.0/8", "192.168.7.9", "fd00::/8"])) is expected
+
+
+@pytest.mark.parametrize("host", ["8.8.8.8", "fe80::1%eth0", "::1"])
+def test_without_networks_everybody_may(host: str) -> None:
+    assert host in Allowed([])
+
+
+def test_a_wide_network_of_one_kind_lets_in_none_of_the_other() -> None:
+    assert "::1:2" not in Allowed(["0.0.0.0/0"])
+    assert "8.8.8.8" not in Allowed(["::/0"])
+    assert "8.8.8.8" in Allowed(["0.0.0.0/0"])
+
+
+def test_a_host_with_a_network_of_its_own_counts_once() -> None:
+    groups = {
+        group_of(address) for host in ("2001:db8::1", "2001:db8::ffff:1") if (address := address_of(host))
+    }
+    assert groups == {"2001:db8::/64"}
+    mapped = address_of("::ffff:10.0.0.1")
+    assert mapped is not None
+    assert group_of(mapped) == "10.0.0.1"

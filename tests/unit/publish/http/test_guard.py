@@ -1,0 +1,301 @@
+"""Who may act where credentials are set: tokens, sessions, other pages, and who tries too often."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from pathlib import Path
+
+import pytest
+from support.clock import FakeClock
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from altd.credentials import hashes
+from altd.credentials.changing import change
+from altd.credentials.file import Credentials, save_credentials
+from altd.credentials.hashes import PasswordHash, token_digest
+from altd.publish.http.limits import ATTEMPTS
+from altd.publish.http.sessions import IDLE_S
+from altd.status.health import Component, Health, State
+from altd.status.self_check_desk import SelfCheckReport
+
+from .conftest import Answer, Served, Unit
+
+PASSWORD = "open sesame"
+TOKEN = "q3T0m-yK1_oT7vE8Jm5zq0c4yG2uWn9aXb6RkLhSdPf"
+OURS = {"X-Altd-Request": "1", "Host": "alt-0007.plant:80"}
+
+
+@pytest.fixture
+def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, value in (("SCRYPT_N", 2), ("SCRYPT_R", 1), ("SCRYPT_P", 1)):
+        monkeypatch.setattr(hashes, name, value)
+    path = tmp_path / "credentials"
+    known = Credentials({"ana": PasswordHash.of(PASSWORD)}, {"press": token_digest(TOKEN)})
+    save_credentials(path, known)
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture
+def checked(health: Health) -> list[int]:
+    """Which checks were made; each is made as soon as it was asked for."""
+    desk, numbers = health.self_check, list[int]()
+
+    def make() -> None:
+        numbers.append(desk.begin())
+        desk.put_up(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
+
+    desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
+    return numbers
+
+
+async def check(unit: Unit, **headers: str) -> Answer:
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    return await unit.ask("/api/v1/self-check", "POST", {**OURS, **named})
+
+
+async def log_in(unit: Unit, name: str = "ana", password: str = PASSWORD, **headers: str) -> Answer:
+    body = json.dumps({"name": name, "password": password}).encode()
+    kind = {
+        "Content-Type": "application/json",
+        **{key.replace("_", "-"): text for key, text in headers.items()},
+    }
+    return await unit.ask("/api/v1/login", "POST", {**OURS, **kind}, body)
+
+
+def _chmod(path: Path, mode: int) -> None:
+    path.chmod(mode)
+
+
+def cookie_of(answer: Answer) -> str:
+    return answer.headers["set-cookie"].partition(";")[0]
+
+
+async def test_a_token_may_act_and_a_wrong_one_may_not(
+    served: Served, credentials: Path, checked: list[int]
+) -> None:
+    async with served(credentials=credentials) as unit:
+        assert (await check(unit)).status == 401
+        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 200
+        assert (await check(unit, Authorization=f"bearer {TOKEN}")).status == 200
+        assert (await check(unit, Authorization=f"Basic {TOKEN}")).status == 401
+    assert len(checked) == 2
+
+
+@pytest.mark.parametrize(
+    "wrong", [TOKEN[:-1], f"{TOKEN}x", "", PASSWORD, "\xe9" * 43, f"{TOKEN} {TOKEN}", "x" * 4000]
+)
+async def test_no_other_text_is_the_token(
+    served: Served, credentials: Path, checked: list[int], wrong: str
+) -> None:
+    async with served(credentials=credentials) as unit:
+        assert (await check(unit, Authorization=f"Bearer {wrong}")).status == 401
+    assert checked == []
+
+
+async def test_a_token_in_the_url_is_none(served: Served, credentials: Path, checked: list[int]) -> None:
+    async with served(credentials=credentials) as unit:
+        for query in (f"?token={TOKEN}", f"?access_token={TOKEN}", f"?Authorization=Bearer+{TOKEN}"):
+            answer = await unit.ask(f"/api/v1/self-check{query}", "POST", OURS)
+            assert answer.status == 401
+    assert checked == []
+
+
+async def test_who_logs_in_may_act_until_he_logs_out(
+    served: Served, credentials: Path, checked: list[int]
+) -> None:
+    async with served(credentials=credentials) as unit:
+        before = (await unit.ask("/api/v1/session")).json
+        answer = await log_in(unit)
+        cookie = cookie_of(answer)
+        during = (await unit.ask("/api/v1/session", headers={"Cookie": cookie})).json
+        assert (await check(unit, Cookie=cookie)).status == 200
+        out = await unit.ask("/api/v1/logout", "POST", {**OURS, "Cookie": cookie})
+        assert (await check(unit, Cookie=cookie)).status == 401
+    assert before == {"name": None, "may_act": False, "login": True}
+    assert during == answer.json == {"name": "ana", "may_act": True, "login": True}
+    attributes = answer.headers["set-cookie"].split("; ")[1:]
+    assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(attributes)
+    assert "Secure" not in attributes  # without TLS a browser would not send it back
+    assert cookie.startswith(f"altd_{unit.port}=")
+    assert "Max-Age=0" in out.headers["set-cookie"]
+    assert len(checked) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "password"), [("ana", "open sesamy"), ("bob", PASSWORD), ("", ""), ("press", TOKEN)]
+)
+async def test_a_wrong_name_or_password_begins_no_session(
+    served: Served, credentials: Path, name: str, password: str
+) -> None:
+    async with served(credentials=credentials) as unit:
+        answer = await log_in(unit, name, password)
+    assert (answer.status, answer.json) == (401, {"error": "name or password is wrong"})
+    assert "set-cookie" not in answer.headers
+
+
+async def test_cookies_of_others_are_not_taken_for_ours(
+    served: Served, credentials: Path, checked: list[int]
+) -> None:
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        name, _, secret = cookie.partition("=")
+        for wrong in (
+            f"altd_1={secret}",  # of another port of the same host
+            f"{name}={secret}; {name}=evil",  # which of the two is ours?
+            f"{name}=evil; {name}={secret}",
+            f"{name}=",
+            f"{name}",
+            f'{name}="{secret}"',
+            "; ; =;=" * 50,
+        ):
+            assert (await check(unit, Cookie=wrong)).status in (401, 429), wrong
+        assert checked == []
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "https://alt-0007.plant:80"},
+        {"Origin": "http://alt-0007.plant:81"},
+        {"Origin": "http://alt-0007.plant:80.evil"},
+        {"Origin": ""},
+    ],
+)
+async def test_a_page_of_elsewhere_may_not_use_a_browsers_session(
+    served: Served, credentials: Path, checked: list[int], headers: dict[str, str]
+) -> None:
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        assert (await check(unit, Cookie=cookie, **headers)).status == 403
+        assert (await log_in(unit, **headers)).status == 403
+        out = await unit.ask("/api/v1/logout", "POST", {**OURS, "Cookie": cookie, **headers})
+        assert out.status == 403
+        without = await unit.ask("/api/v1/self-check", "POST", {"Host": "unit", "Cookie": cookie})
+        assert without.status == 403
+        own = await check(unit, Cookie=cookie, Origin="http://alt-0007.plant:80")
+        assert own.status == 200
+    assert len(checked) == 1
+
+
+async def test_forwarded_addresses_are_not_believed(served: Served, health: Health) -> None:
+    health.self_check.open(lambda: pytest.fail("it was asked for"))
+    async with served(allow=["192.0.2.0/24"]) as unit:
+        for name in ("X-Forwarded-For", "Forwarded", "X-Real-IP"):
+            for value in ("127.0.0.1", "for=127.0.0.1;proto=https"):
+                answer = await unit.ask("/api/v1/self-check", "POST", {**OURS, name: value})
+                assert answer.status == 403  # of this computer, but bent by a name in Host
+
+
+async def test_wrong_attempts_are_limited_and_time_heals(
+    served: Served, credentials: Path, clock: FakeClock, checked: list[int]
+) -> None:
+    async with served(credentials=credentials) as unit:
+        statuses = [(await log_in(unit, "ana", f"guess number {number}")).status for number in range(8)]
+        assert statuses == [401] * ATTEMPTS.burst + [429] * (8 - ATTEMPTS.burst)
+        refused = await log_in(unit)
+        assert refused.status == 429, "also the right one, or a guess could be told from the others"
+        assert 1 <= int(refused.headers["retry-after"]) <= 10
+        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 429
+        clock.now_ns += 10_000_000_000
+        assert (await log_in(unit)).status == 200
+        assert (await log_in(unit)).status == 200, "who knows the password is not limited"
+        assert (await unit.ask("/api/v1/status")).status == 200
+    assert checked == []
+
+
+async def test_who_is_taken_out_of_the_file_loses_his_session(
+    served: Served, credentials: Path, component: Component
+) -> None:
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        change(credentials, "ana", lambda known: known.with_password("ana", None))
+        assert (await check(unit, Cookie=cookie)).status == 401
+        _chmod(credentials, 0o644)
+        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 401
+        assert component.state is State.DEGRADED
+        assert "mode 0644" in component.message
+        _chmod(credentials, 0o600)
+        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 409
+        assert component.state is State.OK
+
+
+async def test_pictures_are_for_who_is_known_where_credentials_are_set(
+    served: Served, credentials: Path
+) -> None:
+    async with served(credentials=credentials) as unit:
+        url = f"ws://127.0.0.1:{unit.port}/api/v1/pictures"
+        cookie = cookie_of(await log_in(unit))
+        for headers in ({"Cookie": cookie}, {"Authorization": f"Bearer {TOKEN}"}):
+            async with connect(url, additional_headers=headers) as browser:
+                with pytest.raises(ConnectionClosed, match="1013"):  # let in; this unit makes no pictures
+                    await browser.recv()
+        for headers in ({}, {"Cookie": f"{cookie}x"}, {"Authorization": "Bearer guess"}):
+            with pytest.raises(InvalidStatus) as refused:
+                await connect(url, additional_headers=headers)
+            assert refused.value.response.status_code == 401
+
+
+async def test_a_session_ends_by_itself(served: Served, credentials: Path, clock: FakeClock) -> None:
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        clock.now_ns += round((IDLE_S + 1) * 1e9)
+        assert (await check(unit, Cookie=cookie)).status == 401
+
+
+async def test_without_credentials_nobody_can_log_in(served: Served) -> None:
+    async with served() as unit:
+        assert (await log_in(unit)).status == 409
+        assert (await unit.ask("/api/v1/session")).json == {"name": None, "may_act": False, "login": False}
+        local = (await unit.ask("/api/v1/session", headers={"Host": "127.0.0.1"})).json
+        assert local == {"name": None, "may_act": True, "login": False}
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "status"),
+    [
+        ("text/plain", b"{}", 415),
+        ("application/x-www-form-urlencoded", b"name=ana&password=open+sesame", 415),
+        ("application/json", b"", 400),
+        ("application/json", b"{", 400),
+        ("application/json", b"null", 400),
+        ("application/json", b'{"name": "ana"}', 400),
+        ("application/json", b'{"name": "ana", "password": 7}', 400),
+        ("application/json", b'{"name": ["ana"], "password": "open sesame"}', 400),
+        ("application/json", b'{"name": "ana", "password": "open sesame", "admin": true}', 400),
+        ("application/json", b"[" * 4000, 400),
+        ("application/json", b'{"name": "ana", "password": "' + b"x" * 5000 + b'"}', 413),
+        ("application/json", b'{"name": "\xff", "password": "open sesame"}', 400),
+        ("application/json", b'{"name": "\\ud800", "password": "open sesame"}', 400),
+    ],
+)
+async def test_bodies_that_are_none(
+    served: Served, credentials: Path, caplog: pytest.LogCaptureFixture, kind: str, body: bytes, status: int
+) -> None:
+    async with served(credentials=credentials) as unit:
+        answer = await unit.ask("/api/v1/login", "POST", {**OURS, "Content-Type": kind}, body)
+    assert answer.status == status
+    assert set(answer.json) == {"error"}
+    assert b"sesame" not in answer.body
+    assert caplog.records == []
+
+
+async def test_no_secret_gets_into_the_log(
+    served: Served, credentials: Path, caplog: pytest.LogCaptureFixture, checked: list[int]
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        await log_in(unit, "ana", "guess number 1")
+        await check(unit, Cookie=cookie)
+        await check(unit, Authorization=f"Bearer {TOKEN}")
+        status = await unit.ask("/api/v1/status")
+        metrics = await unit.ask("/metrics")
+    said = caplog.text + status.body.decode() + metrics.body.decode()
+    for secret in (PASSWORD, "guess number 1", TOKEN, cookie.partition("=")[2]):
+        assert secret not in said

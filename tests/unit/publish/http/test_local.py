@@ -1,0 +1,126 @@
+"""The same answers on the local socket: with what a network's client may not, and bounds of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from altd.local_socket.asking import ask
+from altd.publish.http import server
+from altd.publish.http.local import LocalPublisher
+from altd.publish.http.paths import PATHS
+from altd.records import Measurement
+from altd.status.board import Board
+from altd.status.health import Health, State
+from altd.status.self_check_desk import SelfCheckReport
+
+from .conftest import Served
+from .test_answers import WITH_HISTORY
+
+HEADERS = {"X-Altd-Request": "1"}
+
+
+@contextlib.asynccontextmanager
+async def serving(path: Path, board: Board, health: Health) -> AsyncIterator[LocalPublisher]:
+    publisher = LocalPublisher(path, board, health, health.component("local"))
+    ready = asyncio.Event()
+    task = asyncio.ensure_future(publisher.run(ready.set))
+    await asyncio.wait_for(ready.wait(), 5.0)
+    yield publisher
+    task.cancel()
+    await asyncio.wait({task})
+
+
+@pytest.fixture
+async def path(tmp_path: Path, board: Board, health: Health) -> AsyncIterator[Path]:
+    async with serving(tmp_path / "altd.sock", board, health):
+        yield tmp_path / "altd.sock"
+
+
+NOT_JSON = "/", "/stream", "/metrics", "}"
+"""Pages, streams, numbers for Prometheus, and what needs a name."""
+
+
+async def said(path: Path, target: str, method: str = "GET") -> tuple[int, dict[str, object]]:
+    return await asyncio.to_thread(ask, path, target, 5.0, method, HEADERS)
+
+
+async def test_every_path_of_the_network_is_answered_alike(
+    served: Served, path: Path, board: Board, measured: Measurement
+) -> None:
+    board.publish(measured)
+    own = {"message", "crc32", "may_act"}
+    paths = [each.path for each in PATHS if "GET" in each.operations]
+    async with served() as unit:
+        for target in (each for each in paths if not each.endswith(NOT_JSON)):
+            (status, local), network = await said(path, target), (await unit.ask(target))
+            assert status == network.status == (503 if target in WITH_HISTORY else 200)
+            if "components" not in local:
+                assert {key: local[key] for key in local.keys() - own} == {
+                    key: network.json[key] for key in network.json.keys() - own
+                }
+
+
+async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Health) -> None:
+    desk, loop = health.self_check, asyncio.get_running_loop()
+
+    def make() -> None:
+        desk.put_up(SelfCheckReport(desk.begin(), "good", {"verdict": "good"}))
+
+    desk.open(lambda: loop.call_soon(make) and None)
+    assert await said(path, "/api/self-check", "POST") == (200, {"verdict": "good"})
+    assert (await said(path, "/api/v1/session"))[1]["may_act"] is True
+
+
+async def test_health_says_for_whom_it_is(path: Path, health: Health) -> None:
+    component = health.component("local")
+    assert (component.state, component.message) == (State.OK, "for this computer alone")
+
+
+async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
+    tmp_path: Path, board: Board, health: Health
+) -> None:
+    path = tmp_path / "altd.sock"
+    async with serving(path, board, health):
+        second = LocalPublisher(path, board, health, health.component("second"))
+        with pytest.raises(OSError, match="another process listens there") as caught:
+            await second.run(lambda: pytest.fail("ready"))
+        assert caught.value.errno == errno.EADDRINUSE
+        assert (await said(path, "/api/status"))[0] == 200
+    assert not path.exists()
+
+
+async def test_who_never_reads_is_cut_off_as_on_the_network(
+    path: Path, board: Board, measured: Measurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stream that nobody takes: the kernel ends it on TCP, here the server does."""
+    monkeypatch.setattr(server, "SEND_TIMEOUT_S", 0.2)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.setblocking(False)
+        await asyncio.get_running_loop().sock_connect(client, str(path))
+        await asyncio.get_running_loop().sock_sendall(client, b"GET /api/stream HTTP/1.1\r\nHost: a\r\n\r\n")
+        async with asyncio.timeout(10.0):
+            with contextlib.suppress(BrokenPipeError):
+                while True:
+                    board.publish(measured)
+                    await asyncio.sleep(0.002)
+                    client.send(b"x")
+
+
+async def test_a_flood_leaves_the_network_its_connections(served: Served, path: Path) -> None:
+    loop = asyncio.get_running_loop()
+    async with served() as unit:
+        with contextlib.ExitStack() as clients:
+            for _ in range(server.MAX_CONNECTIONS + 10):
+                client = clients.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+                client.setblocking(False)
+                await loop.sock_connect(client, str(path))
+            await asyncio.sleep(0.1)
+            assert (await unit.ask("/api/status")).status == 200
+        assert (await said(path, "/api/status"))[0] == 200

@@ -1,0 +1,172 @@
+"""Recordings over HTTP: listed for everybody, kept and marked by who may act, fetched as archives."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from unit.publish.http.conftest import Answer, Served, Unit
+
+from altd.publish.http import recordings
+from altd.status.health import Health
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+NAME = "20261120T012345Z-spot_missing-front"
+KEPT = KeptRecording(NAME, "spot_missing front", "2026-11-20T01:23:45.000Z", 12.0, 240, 50_000_000, False)
+FILES = "empty", "front/000000.png", "recording.json"
+ACT = "X-Altd-Request: test\r\n"
+
+
+class Keeper:
+    """Keeps one recording, whose files a test makes."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.asked: list[str] = []
+        self.refuses = ""
+        self.recordings: Sequence[KeptRecording] = (KEPT,)
+
+    async def keep(self, why: str) -> KeptRecording:
+        self._check()
+        self.asked.append(why)
+        return replace(KEPT, why=why)
+
+    async def mark(self, name: str, is_marked: bool) -> KeptRecording:
+        self._check()
+        self.recordings = (replace(KEPT, is_marked=is_marked),)
+        return self.recordings[0]
+
+    def folder_of(self, name: str) -> Path:
+        return self.folder / name
+
+    def _check(self) -> None:
+        if self.refuses:
+            raise NotKeptError(self.refuses)
+
+
+@pytest.fixture
+def keeper(tmp_path: Path, health: Health) -> Keeper:
+    folder = tmp_path / NAME
+    (folder / "front").mkdir(parents=True)
+    (folder / "recording.json").write_text('{"format": "altd-recording/1"}\n')
+    (folder / "front" / "000000.png").write_bytes(bytes(range(256)) * 3000)
+    (folder / "empty").touch()
+    keeper = Keeper(tmp_path)
+    health.recordings.open(keeper)
+    return keeper
+
+
+async def asked(unit: Unit, method: str, path: str, headers: str = "") -> Answer:
+    request = f"{method} {path} HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n"
+    head, _, body = (await unit.send(request.encode())).partition(b"\r\n\r\n")
+    first, *lines = head.decode("latin-1").split("\r\n")
+    named = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+    return Answer(int(first.split()[1]), named, body)
+
+
+async def test_what_there_is_is_told_to_everybody(served: Served, keeper: Keeper) -> None:
+    async with served() as unit:
+        answer = await asked(unit, "GET", "/api/v1/recordings")
+    assert answer.json == {"unavailable": "", "recordings": [KEPT.as_object()]}
+
+
+async def test_a_unit_that_keeps_none_says_why(served: Served) -> None:
+    async with served() as unit:
+        answer = await asked(unit, "GET", "/api/v1/recordings")
+        assert answer.json == {"unavailable": "this unit keeps no frames", "recordings": []}
+        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+        assert (answer.status, answer.json) == (409, {"error": "this unit keeps no frames"})
+
+
+async def test_who_may_act_keeps_the_last_seconds(served: Served, keeper: Keeper) -> None:
+    async with served() as unit:
+        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+        assert answer.status == 201
+        assert keeper.asked == ["asked by http 127.0.0.1"]
+        assert answer.json["why"] == "asked by http 127.0.0.1"
+        assert (await asked(unit, "POST", "/api/v1/recordings")).status == 403
+        assert len(keeper.asked) == 1
+        keeper.refuses = "the disk is nearly full"
+        answer = await asked(unit, "POST", "/api/v1/recordings", ACT)
+        assert (answer.status, answer.json) == (409, {"error": "the disk is nearly full"})
+
+
+async def test_a_recording_is_marked_and_its_mark_taken_away(served: Served, keeper: Keeper) -> None:
+    async with served() as unit:
+        path = f"/api/v1/recordings/{NAME}/mark"
+        assert (await asked(unit, "PUT", path, ACT)).json["marked"] is True
+        assert (await asked(unit, "DELETE", path, ACT)).json["marked"] is False
+        assert (await asked(unit, "PUT", path)).status == 403
+        assert (await asked(unit, "PUT", "/api/v1/recordings/other/mark", ACT)).status == 404
+        assert (await asked(unit, "GET", path)).status == 405
+
+
+async def test_a_foreign_tar_unpacks_what_is_fetched(served: Served, keeper: Keeper, tmp_path: Path) -> None:
+    (tmp_path / NAME / "elsewhere").symlink_to("/etc/passwd")
+    async with served() as unit:
+        answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n")
+    assert answer.status == 200
+    assert answer.headers["content-type"] == "application/x-tar"
+    assert answer.headers["content-disposition"] == f'attachment; filename="{NAME}.tar"'
+    (tmp_path / "got.tar").write_bytes(unchunked(answer))
+    (tmp_path / "out").mkdir()
+    done = subprocess.run(  # noqa: ASYNC221  nothing is served meanwhile
+        ["tar", "-xvf", str(tmp_path / "got.tar"), "-C", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sorted(done.stdout.split()) == [
+        f"{NAME}/{name}" for name in ("empty", "front/000000.png", "recording.json")
+    ]
+    for name in ("empty", "front/000000.png", "recording.json"):
+        assert (tmp_path / "out" / NAME / name).read_bytes() == (tmp_path / NAME / name).read_bytes()
+
+
+def unchunked(answer: Answer) -> bytes:
+    """The body (RFC 9112, 7.1)."""
+    if answer.headers.get("transfer-encoding") != "chunked":
+        return answer.body
+    rest, found = answer.body, b""
+    while True:
+        size, _, rest = rest.partition(b"\r\n")
+        if not int(size, 16):
+            return found
+        found, rest = found + rest[: int(size, 16)], rest[int(size, 16) + 2 :]
+
+
+@pytest.mark.parametrize(
+    "name", ["nothing", "..", "%2e%2e", "..%2fx", f"{NAME}%00", f"{NAME}/front", "a" * 500]
+)
+async def test_no_other_file_is_given(served: Served, keeper: Keeper, name: str) -> None:
+    async with served() as unit:
+        assert (await asked(unit, "GET", f"/api/v1/recordings/{name}")).status == 404
+
+
+async def test_few_are_fetched_at_a_time(served: Served, keeper: Keeper, tmp_path: Path) -> None:
+    (tmp_path / NAME / "front" / "large.png").write_bytes(bytes(8 << 20))
+    async with served() as unit:
+        slow = [await unit.connect() for _ in range(recordings.MAX_DOWNLOADS)]
+        for reader, writer in slow:
+            writer.write(f"GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+            assert (await asyncio.wait_for(reader.readline(), 5.0)).startswith(b"HTTP/1.1 200")
+        answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+        assert (answer.status, json.loads(answer.body)) == (
+            503,
+            {"error": "2 recordings are being fetched already"},
+        )
+        for _, writer in slow:
+            writer.close()
+        for _ in range(100):
+            if (await asked(unit, "HEAD", f"/api/v1/recordings/{NAME}")).status == 200:
+                answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+                if answer.status == 200:
+                    break
+            await asyncio.sleep(0.02)
+        assert answer.status == 200

@@ -1,0 +1,205 @@
+"""The self-check over HTTP: who may ask for one, and what comes back."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from starlette.requests import Request
+from support.clock import FakeClock
+
+from altd.publish.http import self_check
+from altd.publish.http.guard import Guard
+from altd.publish.http.self_check import MAX_WAITING
+from altd.status.health import Health
+from altd.status.self_check_desk import SelfCheckReport
+
+from .conftest import Answer, Served, Unit
+
+
+def report(number: int) -> SelfCheckReport:
+    return SelfCheckReport(number, "good", {"verdict": "good", "number": number})
+
+
+async def post(unit: Unit, host: str = "127.0.0.1:80", header: str = "X-Altd-Request: 1\r\n") -> Answer:
+    raw = f"POST /api/self-check HTTP/1.1\r\nHost: {host}\r\n{header}Content-Length: 0\r\n\r\n"
+    head, _, body = (await unit.send(raw.encode("latin-1"))).partition(b"\r\n\r\n")
+    first, *lines = head.decode("latin-1").split("\r\n")
+    headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+    return Answer(int(first.split()[1]), headers, body)
+
+
+async def test_before_the_first_check_says_so(served: Served, health: Health) -> None:
+    async with served() as unit:
+        without = (await unit.ask("/api/self-check")).json
+        health.self_check.open(lambda: None)
+        before = (await unit.ask("/api/self-check")).json
+    assert without == {"verdict": None, "reasons": ["this unit has no frame LEDs that the daemon switches"]}
+    assert before == {"verdict": None, "reasons": ["there was no self-check since the unit started"]}
+
+
+async def test_the_last_check_is_for_anybody_to_read(served: Served, health: Health) -> None:
+    health.self_check.put_up(report(3))
+    async with served() as unit:
+        answer = await unit.ask("/api/self-check")
+    assert (answer.status, answer.json) == (200, {"verdict": "good", "number": 3})
+
+
+async def test_who_asks_gets_what_a_check_says_that_began_afterwards(served: Served, health: Health) -> None:
+    desk = health.self_check
+    asked = asyncio.Event()
+    desk.open(asked.set)
+    assert desk.begin() == 1
+    async with served() as unit:
+        answering = asyncio.create_task(post(unit))
+        await asyncio.wait_for(asked.wait(), 5.0)
+        desk.put_up(report(1))  # it was under way before it was asked for
+        await asyncio.sleep(0.05)
+        assert not answering.done()
+        desk.put_up(report(desk.begin()))
+        answer = await answering
+    assert (answer.status, answer.json["number"]) == (200, 2)
+
+
+async def test_a_unit_that_cannot_check_itself_says_why(served: Served) -> None:
+    async with served() as unit:
+        answer = await post(unit)
+    assert answer.status == 409
+    assert "no frame LEDs" in answer.json["error"]
+
+
+@pytest.mark.parametrize(
+    ("host", "header"),
+    [
+        pytest.param("127.0.0.1:80", "", id="a page of another site"),
+        pytest.param("evil.example:80", "X-Altd-Request: 1\r\n", id="a name that was bent to the unit"),
+        pytest.param("[::1", "", id="no address"),
+        *(
+            pytest.param(host, "X-Altd-Request: 1\r\n", id=host)
+            for host in (
+                "localhost.evil",
+                "127.0.0.1.evil:80",
+                "127.1",
+                "2130706433",
+                "evil@127.0.0.1",
+                "a b",
+            )
+        ),
+        *(
+            pytest.param("127.0.0.1:80", f"X-Altd-Request: 1\r\nOrigin: {origin}\r\n", id=f"origin {origin}")
+            for origin in ("http://evil.example", "null", "http://127.0.0.1:81", "https://127.0.0.1:80", "")
+        ),
+        pytest.param(
+            "127.0.0.1:80",
+            "Content-Type: application/x-www-form-urlencoded\r\nOrigin: http://evil.example\r\n",
+            id="a form of another site",
+        ),
+    ],
+)
+async def test_a_browser_on_the_unit_is_not_made_to_ask(
+    served: Served, health: Health, host: str, header: str
+) -> None:
+    health.self_check.open(lambda: pytest.fail("it was asked for"))
+    async with served() as unit:
+        answer = await post(unit, host, header)
+    assert answer.status == 403
+    assert set(answer.json) == {"error"}
+
+
+@pytest.mark.parametrize("client", ["192.0.2.7", "::ffff:192.0.2.7", "fe80::1"])
+async def test_another_computer_may_not_ask(health: Health, client: str) -> None:
+    health.self_check.open(lambda: pytest.fail("it was asked for"))
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": "/api/self-check",
+        "headers": [(b"host", b"10.0.0.2"), (b"x-altd-request", b"1")],
+        "client": (client, 4000),
+        "server": ("10.0.0.2", 8080),
+    }
+    guard = Guard(None, FakeClock())
+    assert (await self_check.answer(Request(scope), health.self_check, guard)).status_code == 403
+
+
+async def sent(unit: Unit, raw: str) -> list[str]:
+    """The first lines of all answers to what is sent on one connection."""
+    answers = (await unit.send(raw.encode("latin-1"))).decode("latin-1")
+    return [line for line in answers.split("\r\n") if line.startswith("HTTP/")]
+
+
+ASKING = "POST /api/self-check HTTP/1.1\r\nHost: 127.0.0.1:80\r\nX-Altd-Request: 1\r\n"
+
+
+@pytest.fixture
+def asked(health: Health) -> list[int]:
+    """Which checks were made; each is made as soon as it was asked for."""
+    desk, numbers = health.self_check, list[int]()
+
+    def make() -> None:
+        numbers.append(desk.begin())
+        desk.put_up(report(numbers[-1]))
+
+    desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
+    return numbers
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        pytest.param(f"Content-Length: 100000000\r\n\r\n{'x' * 1_000_000}", id="a big body that never ends"),
+        pytest.param("Content-Type: image/png\r\nContent-Length: 4\r\n\r\n\x89PNG", id="a picture"),
+        pytest.param("Content-Type: application/json\r\nContent-Length: 3\r\n\r\n{{{", id="no JSON"),
+        pytest.param("Content-Length: 0\r\n\r\n" + ASKING + "Content-Length: 0\r\n\r\n", id="two at once"),
+        pytest.param("Origin: http://127.0.0.1:80\r\nContent-Length: 0\r\n\r\n", id="the unit's own page"),
+    ],
+)
+async def test_what_comes_with_a_request_changes_nothing_of_it(
+    served: Served, asked: list[int], rest: str
+) -> None:
+    async with served() as unit:
+        assert await sent(unit, ASKING + rest) in (
+            ["HTTP/1.1 200 OK"],
+            [],
+        )  # []: cut off while it still sends
+        assert len(asked) == 1
+        assert (await unit.ask("/api/self-check")).json["number"] == 1
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        pytest.param(ASKING + "Transfer-Encoding: chunked\r\n\r\nzz\r\n", id="a chunk without a size"),
+        pytest.param(ASKING.replace("Host: 127.0.0.1:80\r\n", "") + "\r\n", id="no host"),
+        pytest.param(ASKING + "Host: evil.example\r\n\r\n", id="two hosts"),
+        pytest.param(ASKING + "Content-Length: -1\r\n\r\n", id="less than no body"),
+        pytest.param(ASKING + f"X: {'y' * 1_000_000}\r\n\r\n", id="a header without end"),
+        pytest.param(ASKING.replace("POST", "PUT") + "\r\n", id="PUT"),
+        pytest.param(ASKING.replace("POST", "OPTIONS") + "\r\n", id="what a browser asks before"),
+    ],
+)
+async def test_what_is_malformed_asks_for_nothing_worse_than_a_check(
+    served: Served, asked: list[int], raw: str
+) -> None:
+    async with served() as unit:
+        (line,) = await sent(unit, raw) or ["HTTP/1.1 400 cut off"]
+        assert line.split()[1] in ("400", "405") or "chunked" in raw
+        assert len(asked) <= ("chunked" in raw)
+        assert (await unit.ask("/api/measurement")).status == 503  # it answers, though nothing was measured
+
+
+async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(served: Served, health: Health) -> None:
+    desk, asked = health.self_check, list[bool]()
+    desk.open(lambda: asked.append(True))
+    async with served() as unit:
+        flood = [asyncio.create_task(post(unit)) for _ in range(40)]
+        await unit.until(lambda: sum(task.done() for task in flood) == 40 - MAX_WAITING)
+        assert {task.result().status for task in flood if task.done()} == {503}
+        assert len(asked) == MAX_WAITING  # the schedule makes one check of them
+        assert (await unit.ask("/api/status")).status == 200
+        desk.put_up(report(desk.begin()))
+        statuses = [answer.status for answer in await asyncio.gather(*flood)]
+        assert sorted(statuses) == [200] * MAX_WAITING + [503] * (40 - MAX_WAITING)
+        again = asyncio.create_task(post(unit))
+        await unit.until(lambda: len(asked) == MAX_WAITING + 1)
+        desk.put_up(report(desk.begin()))
+        assert (await again).status == 200

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from support.led_frames import LEDS, Motion
+
+from altd.selfcheck.matching import match
+
+
+def bright(lights: np.ndarray) -> np.ndarray:
+    return np.full(len(lights), 100.0)
+
+
+@pytest.mark.parametrize("missing", [(), (3,), (0, 5), (0, 1, 2), (1, 3, 4)])
+@pytest.mark.parametrize("motion", [Motion(), Motion(0.3, -0.2, 0.05), Motion(25, -18, 2.0, 9000)])
+def test_each_led_finds_its_light_in_any_order_though_some_are_dark(
+    missing: tuple[int, ...], motion: Motion
+) -> None:
+    order = [led for led in np.random.default_rng(1).permutation(6) if led not in missing]
+    lights = motion.of(LEDS)[order]
+    found = match(LEDS, lights, bright(lights)).lights
+    assert [order[light] if light >= 0 else None for light in found] == [
+        None if led in missing else led for led in range(6)
+    ]
+
+
+def test_reflections_are_no_leds() -> None:
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        foreign = rng.uniform((0, 0), (752, 480), (8, 2))
+        foreign = foreign[np.hypot(*(foreign[:, None] - LEDS[None]).transpose(2, 0, 1)).min(axis=1) > 12]
+        lights = np.concatenate([foreign, Motion(1.2, 0.4, 0.3).of(LEDS[[0, 2, 4, 5]])])
+        found = match(LEDS, lights, bright(lights))
+        first = len(foreign)
+        assert found.lights.tolist() == [first, -1, first + 1, -1, first + 2, first + 3]
+        assert not found.rival
+
+
+def test_a_layout_that_looks_the_same_upside_down_is_not_taken_for_itself() -> None:
+    turned = 2 * LEDS.mean(axis=0) - LEDS
+    found = match(turned.mean(axis=0) + (LEDS - LEDS.mean(axis=0)), turned, bright(turned))
+    assert found.count < 3
+
+
+def test_a_symmetric_layout_of_which_half_is_dark_is_matched_without_a_turn() -> None:
+    symmetric = np.array([(100, 60), (370, 20), (640, 60), (100, 420), (370, 460), (640, 420)], dtype=float)
+    for lit in itertools.combinations(range(6), 3):
+        lights = symmetric[list(lit)] + (0.4, -0.3)
+        found = match(symmetric, lights, bright(lights)).lights
+        assert [led for led in range(6) if found[led] >= 0] == list(lit)
+
+
+def test_two_pictures_of_the_layout_leave_open_which_is_the_right_one() -> None:
+    ghost = np.concatenate([LEDS, np.add(LEDS, (14.0, 3.0))])
+    assert match(LEDS, ghost, bright(ghost)).rival
+    dim = np.repeat([100.0, 20.0], 6)
+    assert not match(LEDS, ghost, dim).rival
+    assert match(LEDS, ghost, dim).lights.tolist() == list(range(6))
+
+
+@pytest.mark.parametrize("lights", [np.empty((0, 2)), LEDS[:1], LEDS[:2]])
+def test_of_fewer_than_three_only_those_in_their_places_count(lights: np.ndarray) -> None:
+    assert match(LEDS, lights, bright(lights)).count == len(lights)
+    assert match(LEDS, lights + 5.0, bright(lights)).count == 0

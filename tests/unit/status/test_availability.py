@@ -1,0 +1,114 @@
+"""The share of time in which the unit measured, by hand-made time."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any, cast
+
+import pytest
+
+from altd.status.availability import MAX_GAP_S, NOT_WATCHED, Availability
+
+SECOND = 10**9
+
+
+class Watched:
+    """An availability that is looked at each second; time begins at an odd instant of the clock."""
+
+    def __init__(self, began_ns: int = 123_456_789_012) -> None:
+        self.now_ns = began_ns
+        self.availability = Availability(began_ns)
+        self.availability.look(began_ns, None)
+
+    def run(self, seconds: int, lost_to: str | None = None, step_s: int = 1) -> None:
+        for _ in range(0, seconds, step_s):
+            self.now_ns += step_s * SECOND
+            self.availability.look(self.now_ns, lost_to)
+
+    def span(self, name: str) -> dict[str, Any]:
+        return cast("dict[str, Any]", self.availability.as_object()[name])
+
+
+def test_nothing_observed_is_no_share() -> None:
+    assert Watched().span("last_hour") == {"share": None, "valid_s": 0.0, "observed_s": 0.0, "lost_s": {}}
+
+
+def test_half_valid_is_a_half_by_reason() -> None:
+    watched = Watched()
+    watched.run(600)
+    watched.run(400, "spot_missing")
+    watched.run(200, "camera_silent")
+    assert watched.span("since_start") == {
+        "share": 0.5,
+        "valid_s": 600.0,
+        "observed_s": 1200.0,
+        "lost_s": {"spot_missing": 400.0, "camera_silent": 200.0},
+    }
+
+
+def test_an_interval_is_valid_only_when_it_is_so_at_both_ends() -> None:
+    watched = Watched()
+    watched.run(10)
+    watched.run(1, "spot_missing")
+    watched.run(10)
+    assert watched.span("since_start")["lost_s"] == {"spot_missing": 2.0}
+
+
+def test_the_hour_and_the_day_forget() -> None:
+    watched = Watched()
+    watched.run(1800, "spot_missing")
+    watched.run(1800)
+    assert watched.span("last_hour")["share"] == pytest.approx(1799 / 3600, abs=1e-5)
+    watched.run(1800 - 60)
+    assert watched.span("last_hour")["lost_s"] == {"spot_missing": 61.0}
+    watched.run(60)
+    assert watched.span("last_hour")["lost_s"] == {"spot_missing": 1.0}
+    watched.run(60)
+    assert watched.span("last_hour")["share"] == 1.0
+    assert watched.span("last_day")["share"] == pytest.approx(3659 / 5460, abs=1e-5)
+    watched.run(86400)
+    assert watched.span("last_day")["share"] == 1.0
+    assert watched.span("since_start")["lost_s"]["spot_missing"] == pytest.approx(1800, abs=1)
+
+
+def test_the_spans_hold_no_more_than_their_names_say() -> None:
+    watched = Watched()
+    watched.run(200_000)
+    assert 3540 < watched.span("last_hour")["observed_s"] <= 3600
+    assert 86340 < watched.span("last_day")["observed_s"] <= 86400
+    assert watched.span("since_start")["observed_s"] == 200_000.0
+
+
+def test_time_in_which_nobody_looked_is_lost() -> None:
+    watched = Watched()
+    watched.run(10)
+    watched.now_ns += round((MAX_GAP_S + 0.1) * SECOND)
+    watched.availability.look(watched.now_ns, None)
+    assert watched.span("since_start")["lost_s"] == {NOT_WATCHED: 5.1}
+
+
+def test_a_promise_that_is_just_missed_is_seen() -> None:
+    watched = Watched()
+    watched.run(97_999)
+    watched.run(2001, "spot_missing")
+    assert watched.span("since_start")["share"] == 0.97999
+
+
+def test_looks_of_many_readers_change_nothing() -> None:
+    watched = Watched()
+    for _ in range(600):
+        watched.run(1)
+        for _ in range(5):
+            watched.availability.look(watched.now_ns, None)
+    assert watched.span("since_start")["valid_s"] == 600.0
+
+
+def test_memory_is_bounded() -> None:
+    watched = Watched()
+    reasons = ("spot_missing", "unsteady", "stale")
+    sizes = []
+    for _day in range(4):
+        for minute in range(1440):
+            watched.run(60, reasons[minute % 3], step_s=4)
+        sizes.append(len(pickle.dumps(watched.availability)))
+    assert sizes[1:] == pytest.approx([sizes[0]] * 3, rel=0.05)

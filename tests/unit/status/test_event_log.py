@@ -1,0 +1,154 @@
+"""Events: kept in order, bounded, and limited where they repeat."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from support.clock import FakeClock, stop
+from support.measurements import measurement
+from support.places import ROOT
+from support.status_fixtures import board, clock, health
+
+from altd.reasons import Reason
+from altd.records import Fault
+from altd.status.board import Board
+from altd.status.event_log import MAX_EVENTS, MAX_IN_WINDOW, MAX_OF_ONE_IN_WINDOW, EventKind, EventLog
+from altd.status.health import Health
+from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
+from altd.status.state import UnitState
+from altd.status.state_events import StateEvents
+
+__all__ = ["board", "clock", "health"]
+
+
+@pytest.fixture
+def log(clock: FakeClock) -> EventLog:
+    return EventLog(clock)
+
+
+def texts(log: EventLog) -> list[str]:
+    return [event.text for event in log.after(0)]
+
+
+def test_a_reader_has_a_cursor_and_learns_what_it_missed(log: EventLog, clock: FakeClock) -> None:
+    for number in range(MAX_EVENTS + 5):
+        clock.now_ns += 10 * 10**9
+        log.note(EventKind.REQUEST, f"{number}")
+    left = log.after(0)
+    assert log.count == MAX_EVENTS + 5
+    assert (len(left), left[0].number, left[-1].number) == (MAX_EVENTS, 6, MAX_EVENTS + 5)
+    assert [event.text for event in log.after(log.count - 1)] == [f"{MAX_EVENTS + 4}"]
+    assert log.after(log.count) == []
+
+
+async def test_who_waits_is_woken_by_the_next_event(log: EventLog) -> None:
+    waiting = asyncio.create_task(log.noted_after(0))
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    log.note(EventKind.STARTED, "started")
+    assert await waiting == 1
+
+
+def test_a_million_of_one_kind_cost_some_and_the_last_is_told(log: EventLog, clock: FakeClock) -> None:
+    for number in range(1_000_000 // 100):
+        clock.now_ns += 10**6
+        log.note(EventKind.CAUSE_CAME, f"{number}", "front", 2, {"code": "spot_missing"})
+    assert log.count == MAX_OF_ONE_IN_WINDOW
+    clock.now_ns += 60 * 10**9
+    log.release(clock.now_ns)
+    last = log.after(0)[-1]
+    assert (last.text, last.held_back) == ("9999", 10_000 - MAX_OF_ONE_IN_WINDOW - 1)
+    assert log.count == MAX_OF_ONE_IN_WINDOW + 1
+
+
+def test_other_causes_are_not_held_back_with_it(log: EventLog) -> None:
+    for number in range(50):
+        log.note(EventKind.CAUSE_CAME, f"{number}", "front", 2, {"code": "spot_missing"})
+    log.note(EventKind.CAUSE_CAME, "other", "front", 2, {"code": "camera_silent"})
+    log.note(EventKind.CAUSE_CAME, "rear", "rear", 2, {"code": "spot_missing"})
+    assert texts(log)[-2:] == ["other", "rear"]
+
+
+def test_names_without_end_cost_a_bounded_number(log: EventLog, clock: FakeClock) -> None:
+    for number in range(10_000):
+        log.note(EventKind.REQUEST, "asked", f"http 10.0.{number >> 8}.{number & 255}")
+    assert log.count == MAX_IN_WINDOW
+    clock.now_ns += 61 * 10**9
+    log.note(EventKind.STATE, "good")
+    assert texts(log)[-1] == "good"
+    assert sum(event.held_back + 1 for event in log.after(0)) == 10_001
+
+
+def test_control_letters_are_written_as_escapes(log: EventLog) -> None:
+    log.note(EventKind.REQUEST, "a\x1b[2Jb\ud800", "http\n10.0.0.1")
+    (event,) = log.after(0)
+    assert (event.text, event.of) == (r"a\x1b[2Jb\ud800", r"http\n10.0.0.1")
+
+
+def test_the_page_of_the_history_has_every_kind() -> None:
+    page = (ROOT / "docs" / "history.md").read_text()
+    for kind in EventKind:
+        assert f"| `{kind}` | {kind.meaning} | {kind.severity} |" in page
+
+
+class TestStateEvents:
+    @pytest.fixture
+    def desk(self, health: Health) -> SelfCheckDesk:
+        return health.self_check
+
+    @pytest.fixture
+    def observer(self, log: EventLog, board: Board, health: Health, clock: FakeClock) -> StateEvents:
+        state = UnitState(board, health, clock)
+        return StateEvents(log, state.read, health.self_check, clock)
+
+    async def test_causes_come_and_go(
+        self, observer: StateEvents, log: EventLog, board: Board, clock: FakeClock
+    ) -> None:
+        running = asyncio.create_task(observer.run())
+        await clock.advance(3.0)
+        board.publish(measurement(1, clock.now_ns))
+        await clock.advance(2.5)
+        board.publish(measurement(2, clock.now_ns, Reason.OUT_OF_RANGE))
+        await clock.advance(0.5)
+        board.publish(measurement(3, clock.now_ns))
+        for sequence in range(4, 16):
+            await clock.advance(0.5)
+            board.publish(measurement(sequence, clock.now_ns))
+        await stop(running)
+        told = [
+            (str(event.kind), event.detail.get("code", event.text), event.severity) for event in log.after(0)
+        ]
+        came = told.index(("cause_came", "out_of_range", 2))
+        went = told.index(("cause_went", "out_of_range", 2))
+        assert came < went
+        assert told[-1] == ("state", "good", 2)
+        (gone,) = [event for event in log.after(0) if event.detail.get("code") == "out_of_range"][1:]
+        assert gone.detail["for_s"] == pytest.approx(2.5, abs=0.6)
+        assert [event.time for event in log.after(0)] == sorted(event.time for event in log.after(0))
+
+    def test_a_self_check_and_who_asked_are_noted(
+        self, observer: StateEvents, log: EventLog, desk: SelfCheckDesk
+    ) -> None:
+        desk.open(lambda: None)
+        desk.ask("modbus")
+        desk.put_up(SelfCheckReport(1, "it is bad", {"verdict": "bad", "number": 1, "targets": {}}))
+        observer.look()
+        observer.look()
+        told = [event for event in log.after(0) if event.kind in (EventKind.REQUEST, EventKind.SELF_CHECK)]
+        assert [(event.of, event.text, event.severity) for event in told] == [
+            ("modbus", "a self-check was asked for", 1),
+            (None, "it is bad", 4),
+        ]
+        assert told[1].detail == {"verdict": "bad", "number": 1}
+
+
+def test_a_fault_has_a_target_and_so_has_its_event(
+    log: EventLog, board: Board, health: Health, clock: FakeClock
+) -> None:
+    observer = StateEvents(log, UnitState(board, health, clock).read, health.self_check, clock)
+    fault = Fault(Reason.SPOT_MISSING, "rear", "too dim")
+    board.publish(measurement(1, clock.now_ns).without_numbers((fault,)))
+    observer.look()
+    (event,) = [event for event in log.after(0) if event.detail.get("code") == "spot_missing"]
+    assert (event.of, event.detail["detail"]) == ("rear", "too dim")

@@ -1,0 +1,146 @@
+"""Pictures, trends and lines of text, each against what can be said of it beforehand."""
+
+from __future__ import annotations
+
+import pytest
+from support.daemon_documents import TARGETS, measurement, status
+
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.terminal.canvas import Canvas
+from altd.terminal.documents import Reading, TargetsDocument, reading_of, self_check_of, status_of, targets_of
+from altd.terminal.status_text import WIDTH, is_fine, status_text
+from altd.terminal.target_picture import Frame, draw_target, half_size_mm, rows_for
+from altd.terminal.trend import draw_trend, limits_of
+
+
+@pytest.fixture
+def targets() -> TargetsDocument:
+    return targets_of(TARGETS)
+
+
+class TestPicture:
+    def test_it_is_to_scale_in_both_directions(self, targets: TargetsDocument) -> None:
+        """A cell is twice as high as wide: 10 mm to the right are as far as 10 mm upwards."""
+        frame = Frame.holding(targets, 0, 0, 40, 100)
+        zero, right, up = (frame.dot_of(place) for place in ((0.0, 0.0), (50.0, 0.0), (0.0, 50.0)))
+        assert right[0] - zero[0] == pytest.approx(zero[1] - up[1], abs=1)  # a dot is a whole one
+        assert right[0] - zero[0] == pytest.approx(50.0 / frame.mm_per_dot, abs=1)
+        assert right[1] == zero[1]
+        assert up[0] == zero[0]
+
+    @pytest.mark.parametrize("cells", [(40, 100), (10, 39), (24, 20), (3, 200)])
+    def test_every_corner_lies_inside(self, targets: TargetsDocument, cells: tuple[int, int]) -> None:
+        frame = Frame.holding(targets, 5, 7, *cells)
+        assert half_size_mm(targets) == (72 * 1.04, 55 * 1.04)
+        assert all(frame.holds(corner) for target in targets.targets for corner in target.valid_mm)
+        assert all(frame.holds((x, y)) for x in (-70, 70) for y in (-55, 55))
+
+    def test_a_picture_takes_the_rows_that_its_width_asks_for(self, targets: TargetsDocument) -> None:
+        assert rows_for(targets, 72) == 28  # 72 columns are 144 dots for 144 mm: 110 dots are 27.5 rows
+
+    def test_what_lies_outside_is_not_drawn_at_a_wrong_place(self, targets: TargetsDocument) -> None:
+        shown = []
+        for spot in (None, (500.0, 0.0), (0.0, -1e300)):
+            canvas = Canvas(20, 60, is_utf8=True)
+            draw_target(canvas, Frame.holding(targets, 2, 2, 16, 50), targets, "front", [(1e9, 0.0)], spot)
+            shown.append(canvas.text())
+        assert shown[0] == shown[1] == shown[2]
+        assert "O" not in shown[0]
+
+    def test_up_is_up_and_right_is_right(self, targets: TargetsDocument) -> None:
+        frame = Frame.holding(targets, 0, 0, 20, 60)
+        row, column = frame.cell_of((30.0, 20.0))
+        assert (row < 10, column > 30) == (True, True)
+
+
+class TestTrend:
+    def test_each_level_is_an_eighth_of_a_row(self) -> None:
+        canvas = Canvas(1, 8, is_utf8=True)
+        draw_trend(canvas, 0, 0, 1, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], None)
+        assert canvas.text() == "▁▂▃▄▅▆▇█"
+
+    def test_more_rows_are_filled_from_below(self) -> None:
+        canvas = Canvas(2, 3, is_utf8=True)
+        draw_trend(canvas, 0, 0, 2, [0.0, 1.0, 0.5], None)
+        assert canvas.text() == " █▁\n▁██"
+
+    def test_ascii_shows_bars(self) -> None:
+        canvas = Canvas(2, 3, is_utf8=False)
+        draw_trend(canvas, 0, 0, 2, [0.0, None, 1.0], None)
+        assert canvas.text() == "  #\n# #"
+
+    def test_noise_is_not_blown_up_to_motion(self) -> None:
+        """Values within one sigma fill a sixth of the height at most."""
+        low, high = limits_of([1.0, 1.004], 0.004) or (0.0, 0.0)
+        assert high - low == pytest.approx(6 * 0.004)
+        assert (low + high) / 2 == pytest.approx(1.002)
+
+    def test_what_never_was_known_is_not_drawn(self) -> None:
+        canvas = Canvas(1, 3, is_utf8=True)
+        draw_trend(canvas, 0, 0, 1, [None, None, None], 0.1)
+        assert canvas.text() == ""
+        assert limits_of([], None) is None
+
+    @pytest.mark.parametrize("values", [[3.0, 3.0], [1e9, -1e9], [5e-324, 0.0]])
+    def test_any_numbers_that_a_document_may_hold_can_be_drawn(self, values: list[float]) -> None:
+        canvas = Canvas(3, 2, is_utf8=True)
+        draw_trend(canvas, 0, 0, 3, values, None)
+        assert canvas.text().strip()
+
+
+def reading(**changes: object) -> Reading:
+    found = reading_of(measurement(**changes), QUANTITIES)
+    assert found is not None
+    return found
+
+
+class TestStatus:
+    def test_it_is_this_text(self) -> None:
+        check = self_check_of(
+            {"verdict": None, "reasons": ["there was no self-check since the unit started"]}
+        )
+        laser = {"state": "failed", "message": "lost: no such thing", "for_s": 3.0}
+        assert (
+            status_text(reading(), status_of(status(laser=laser)), check)
+            == """\
+unit         ALT-0007, altd 0.1.0, calibration 2026-11-02, workshop, stage 2
+state        good for 2 h 3 min
+
+measuring    VALID, 0.50 s old, mean of 20 exposures, number 160,
+             2026-11-20T08:15:30.125Z
+  x          35.012 mm  +/- 0.004    now 0.029
+  y         -27.500 mm  +/- 0.004    now 0.015
+  yaw        1.1459 deg +/- 0.0011   now 0.0020  =    20.002 mm/m
+  pitch     -1.7184 deg +/- 0.0011   now 0.0016  =   -30.001 mm/m
+
+available    99.99 % of the last hour; 99.99 % of the last day
+self-check   none: there was no self-check since the unit started
+
+component     state     for
+camera front  ok        2 h 3 min
+measuring     ok        2 h 3 min
+laser         failed    3.0 s
+    lost: no such thing"""
+        )
+
+    @pytest.mark.parametrize(
+        ("valid", "signal", "fine"),
+        [
+            (True, "good", True),
+            (True, "maintenance_required", True),
+            (True, "check_function", False),
+            (True, "out_of_specification", False),
+            (True, "failure", False),
+            (True, "splendid", False),
+            (False, "good", False),
+        ],
+    )
+    def test_fine_is_who_may_be_used(self, valid: bool, signal: str, fine: bool) -> None:
+        assert is_fine(reading(valid=valid), status_of(status(signal=signal))) is fine
+        assert not is_fine(None, status_of(status()))
+
+    def test_no_line_is_wider_than_a_screen(self) -> None:
+        parts = {"serial /dev/serial/by-id/usb-FTDI_FT232R_USB_UART_A10K1XYZ-if00-port0": {"x" * 90: 1}}
+        components = {name: {"state": "degraded" * 9, "message": "m" * 300, "for_s": 1e9} for name in parts}
+        text = status_text(reading(), status_of(status(**components)), self_check_of({"verdict": "v" * 200}))
+        assert max(map(len, text.split("\n"))) <= WIDTH < 80

@@ -1,0 +1,157 @@
+"""The screen of `altd watch`: exact for made-up data, whole on any size, and empty of what is not known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.daemon_documents import CHECK, TARGETS, invalid, measurement, status
+
+from altd.terminal.canvas import Canvas
+from altd.terminal.documents import self_check_of, status_of, targets_of
+from altd.terminal.knowledge import HOLD_S, Knowledge
+from altd.terminal.screen import PAGES, View, draw
+
+from .moments import LAST_S, after_a_minute, hear, screen
+
+SCREENS = Path(__file__).with_name("screens")
+"""Looked at by eye; where spots stand in them, ``test_the_spot_stands_where_…`` says by arithmetic."""
+
+
+def test_the_page_of_targets_is_this_one_to_the_character() -> None:
+    assert screen(after_a_minute(), LAST_S + 0.2) + "\n" == (SCREENS / "targets-ascii.txt").read_text()
+    assert (
+        screen(after_a_minute(), LAST_S + 0.2, utf8=True) + "\n" == (SCREENS / "targets-utf8.txt").read_text()
+    )
+
+
+def test_the_spot_stands_where_the_scale_puts_it() -> None:
+    """39 x 10 cells hold 1.04 · 110 mm in height: 2.86 mm a dot, 5.72 mm a column, 11.44 mm a row."""
+    lines = screen(after_a_minute(), LAST_S).split("\n")
+    row, column = 3 + 5 - round(-27.5 / 11.44 - 0.5) - 1, int(39 / 2 + 35.0 / 5.72)
+    assert lines[row][column] == "O"
+    row, column = 3 + int(5 - 13.75 / 11.44), 40 + int(39 / 2 - 36.0 / 5.72)
+    assert lines[row][column] == "O"
+
+
+@pytest.mark.parametrize("page", range(len(PAGES)))
+@pytest.mark.parametrize("utf8", [False, True])
+def test_it_is_drawn_on_any_size(page: int, utf8: bool) -> None:
+    knowledge = after_a_minute()
+    for rows in (1, 2, 3, 5, 15, 16, 17, 24, 50, 120):
+        for columns in (1, 2, 20, 59, 60, 80, 200, 500):
+            lines = screen(knowledge, LAST_S, rows, columns, utf8=utf8, page=page).split("\n")
+            assert len(lines) == rows
+            assert max(map(len, lines)) <= columns
+            assert utf8 or all(line.isascii() for line in lines)
+
+
+@pytest.mark.parametrize("page", range(len(PAGES)))
+def test_what_was_known_is_gone_when_nobody_answers(page: int) -> None:
+    """The daemon hangs: no error comes, only time passes."""
+    knowledge = after_a_minute()
+    assert "ALT-0007" in screen(knowledge, LAST_S + HOLD_S, page=page)
+    gone = screen(knowledge, LAST_S + HOLD_S + 0.01, page=page)
+    assert gone.startswith("NO CONNECTION: nothing is known of the unit now\nthe daemon does not answer; ")
+    for known in ("35.012", "VALID", "ALT-0007", "SPECIFICATION", "dust", "good", "O  ", "2 h 3 min"):
+        assert known not in gone
+    assert HOLD_S < 2.0
+
+
+@pytest.mark.parametrize("page", range(len(PAGES)))
+def test_it_is_gone_at_once_when_the_daemon_ends_and_back_when_it_answers(page: int) -> None:
+    knowledge = after_a_minute()
+    knowledge.hear_nothing("the daemon does not run: nobody listens at /run/altd/altd.sock")
+    gone = screen(knowledge, LAST_S, page=page)
+    why = "the daemon does not run: nobody listens at /run/altd/altd.sock; it is asked again and again"
+    assert " ".join(gone.split("\n")[1:3]) == why
+    assert not any(known in gone for known in ("35.012", "VALID", "ALT-0007", "dust"))
+    hear(knowledge, measurement(), LAST_S + 1)
+    back = screen(knowledge, LAST_S + 1, page=page)
+    assert "VALID, 0.5 s old" in back
+    assert "the unit's state is not known" in back, "that was not heard of since"
+    assert not any(known in back for known in ("dust", "99.99"))
+
+
+def test_an_invalid_measurement_shows_no_number_and_no_spot() -> None:
+    knowledge = after_a_minute()
+    hear(knowledge, invalid("rear_spot_missing"), LAST_S)
+    text = screen(knowledge, LAST_S)
+    assert "NOT VALID: rear_spot_missing" in text
+    assert "front: no spot known" in text
+    assert not any(known in text for known in ("35.01", "0.004", "0.029", "O  ", "O.", ":::"))
+
+
+def test_before_the_first_measurement_it_says_so() -> None:
+    knowledge = Knowledge()
+    assert "no answer so far" in screen(knowledge, 0.0)
+    hear(knowledge, {"error": "nothing was measured", "status": ["warming_up"]}, 1.0)
+    assert "NOT VALID: nothing was measured so far" in screen(knowledge, 1.0)
+
+
+def test_the_age_grows_between_two_answers() -> None:
+    assert "VALID, 1.7 s old" in screen(after_a_minute(), LAST_S + 1.2)
+
+
+def test_another_unit_has_another_past() -> None:
+    knowledge = after_a_minute()
+    knowledge.hear_status(status_of(status() | {"serial": "ALT-0008"}), LAST_S + 1)
+    hear(knowledge, measurement(), LAST_S + 1)
+    assert knowledge.trend("x_mm", LAST_S + 1, 60, 1.0)[:-1] == [None] * 59
+
+
+def test_a_value_of_a_sensor_is_shown_though_the_beam_is_lost() -> None:
+    knowledge = after_a_minute()
+    document = invalid("front_spot_missing") | {"roll_deg": 0.12345}
+    document["sigma"] = document["sigma"] | {"roll_deg": 0.002}
+    hear(knowledge, document, LAST_S)
+    assert "roll       0.1235 deg +/- 0.0020" in screen(knowledge, LAST_S)
+
+
+class TestView:
+    def test_tab_and_arrows_go_round(self) -> None:
+        view = View()
+        for key in ("tab", "right", "right"):
+            view = view.pressed(key)
+        assert view == View(3)
+        assert view.pressed("tab") == View(0) == View(1).pressed("left")
+        assert View(0).pressed("left") == View(3)
+
+    def test_help_is_left_by_any_key(self) -> None:
+        helped = View(2).pressed("h")
+        assert helped.help
+        for key in ("h", "x", "tab", "?"):
+            assert helped.pressed(key) == View(2)
+
+    def test_a_list_is_moved_no_further_than_its_last_screen(self) -> None:
+        parts: dict[str, Any] = {
+            f"part {number:02d}": {"state": "ok", "message": "", "for_s": 1.0} for number in range(60)
+        }
+        knowledge = Knowledge()
+        hear(knowledge, measurement(), 0.0)
+        knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
+        knowledge.hear_status(status_of(status(**parts)), 0.0)
+        view = View(3)
+        for _ in range(500):
+            view = draw(knowledge, 0.0, view.pressed("down"), Canvas(24, 80, is_utf8=False))
+        canvas = Canvas(24, 80, is_utf8=False)
+        view = draw(knowledge, 0.0, view, canvas)
+        assert "part 59" in canvas.text()
+        assert "part 30" not in canvas.text()
+        up = Canvas(24, 80, is_utf8=False)
+        draw(knowledge, 0.0, view.pressed("up"), up)
+        assert "part 59" not in up.text()
+
+
+def test_a_hundred_causes_leave_the_keys_in_sight() -> None:
+    cause = {
+        "code": "stale", "signal": "failure", "of": None, "active": True, "for_s": 1.0,
+        "brief": "nothing new is measured", "remedy": "look", "detail": "",
+    }  # fmt: skip
+    knowledge = after_a_minute()
+    knowledge.hear_status(status_of(status(*[cause] * 100, signal="failure")), LAST_S)
+    lines = screen(knowledge, LAST_S).split("\n")
+    assert lines[-1].startswith("tab, arrows: [targets]")
+    assert lines[-2] == "... more on the page of causes"
+    assert sum("O" in line[:80] for line in lines[3:14]) >= 1

@@ -1,0 +1,169 @@
+"""A view is held against where the picture is known to lie; the print's dots are drawn where it lies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.dotted_print import DottedPrint
+from support.frames import Blob, frame, light
+from support.led_frames import LEDS, Motion
+
+from altd.records import FloatArray, Frame
+from altd.vision.fingerprint import Fingerprint, ViewOutcome, ViewVerdict
+from altd.vision.frame_analysis import FrameAnalysis
+from altd.vision.hot_pixels import HotPixels, places_of
+from altd.vision.settings import SpotSettings
+
+PRINT = DottedPrint(1)
+CHECKED = Motion(0.5, -0.33, turn_deg=0.1)
+"""What the last self-check found: 0.6 px and 0.1°."""
+SPOT = Blob(200.0, 130.0, 60.0, peak=55.0)
+HOT = [(40, 50), (700, 60), (90, 420), (300, 30), (620, 440), (200, 200)]
+
+
+def affine(motion: Motion) -> FloatArray:
+    """(2, 3), by where three places go."""
+    corners = np.array([(0.0, 0.0), (1000.0, 0.0), (0.0, 1000.0)])
+    origin, right, down = motion.of(corners)
+    return np.column_stack([(right - origin) / 1000, (down - origin) / 1000, origin])
+
+
+def seen(
+    motion: Motion,
+    beside_px: tuple[float, float] = (0.0, 0.0),
+    surface: DottedPrint = PRINT,
+    spot: Blob = SPOT,
+    hot: list[tuple[int, int]] | None = None,
+) -> Frame:
+    """A spot on a print whose picture moved, and lies further beside that."""
+    response = surface.response(lambda places: motion.of(places) + np.array(beside_px))
+    image = light(spot) * response
+    for u, v in hot or []:
+        image[v, u] += 90
+    return frame(image, np.random.default_rng(5), noise=1.0)
+
+
+def verdict(fingerprint: Fingerprint, shown: Frame) -> ViewVerdict:
+    return fingerprint.examine(FrameAnalysis(shown, SpotSettings()), has_spot=True)
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> Fingerprint:
+    return PRINT.fingerprint()
+
+
+@pytest.fixture(scope="module")
+def moved(calibrated: Fingerprint) -> Fingerprint:
+    return replace(calibrated, moved=affine(CHECKED))
+
+
+def test_a_picture_that_moved_is_refused_until_it_is_known_where_it_lies(
+    calibrated: Fingerprint, moved: Fingerprint
+) -> None:
+    shown = seen(CHECKED)
+    assert verdict(calibrated, shown).outcome is ViewOutcome.REFUTED
+    there = verdict(moved, shown)
+    assert there.outcome is ViewOutcome.VERIFIED
+    assert there.shift_px is not None
+    assert there.shift_px < 0.03
+    assert there.displaced_px == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_shift_that_was_known_in_part_adds_what_is_left_of_it(calibrated: Fingerprint) -> None:
+    """A picture aside by 0.4 px, of which a check found all, or all but a quarter of a pixel."""
+    shown = seen(Motion(0.4))
+    for known_px, left_px in ((0.0, 0.4), (0.15, 0.25), (0.4, 0.0)):
+        found = verdict(replace(calibrated, moved=affine(Motion(known_px))), shown)
+        assert found.outcome is ViewOutcome.VERIFIED
+        assert found.displaced_px == pytest.approx(left_px, abs=0.03)
+
+
+@pytest.mark.parametrize("beside_px", [(0.3, 0.0), (0.0, -0.2), (-0.25, 0.25)])
+def test_a_small_shift_after_the_check_is_uncertainty(
+    moved: Fingerprint, beside_px: tuple[float, float]
+) -> None:
+    """A parabola through three lags puts a shift of a quarter of a pixel a tenth too near."""
+    found = verdict(moved, seen(CHECKED, beside_px))
+    assert found.outcome is ViewOutcome.VERIFIED
+    assert found.displaced_px == pytest.approx(np.hypot(*beside_px), rel=0.1)
+
+
+@pytest.mark.parametrize("beside_px", [(0.6, 0.0), (-0.45, -0.45), (0.0, 1.5)])
+def test_a_larger_shift_after_the_check_is_another_view(
+    moved: Fingerprint, beside_px: tuple[float, float]
+) -> None:
+    found = verdict(moved, seen(CHECKED, beside_px))
+    assert found.outcome is ViewOutcome.REFUTED
+    assert found.shift_px == pytest.approx(np.hypot(*beside_px), abs=0.05)
+    assert "from where the self-check found it" in found.reason
+
+
+def test_a_picture_that_went_back_to_where_it_was_calibrated_is_another_view_too(moved: Fingerprint) -> None:
+    assert verdict(moved, seen(Motion())).outcome is ViewOutcome.REFUTED
+
+
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_another_print_stays_another_print(moved: Fingerprint, seed: int) -> None:
+    assert verdict(moved, seen(CHECKED, surface=DottedPrint(seed))).outcome is ViewOutcome.REFUTED
+
+
+def test_a_plate_without_print_stays_refused(moved: Fingerprint) -> None:
+    assert verdict(moved, seen(CHECKED, surface=DottedPrint(1, contrast=0.0))).outcome is ViewOutcome.REFUTED
+
+
+def test_a_mirrored_picture_stays_refused(moved: Fingerprint) -> None:
+    shown = seen(CHECKED)
+    mirrored = replace(shown, pixels=np.ascontiguousarray(shown.pixels[:, ::-1]))
+    assert verdict(moved, mirrored).outcome is ViewOutcome.REFUTED
+
+
+def test_hot_pixels_stay_where_the_sensor_has_them(moved: Fingerprint) -> None:
+    of_sensor = replace(moved, hot=HotPixels(places_of(HOT), places_of([])))
+    assert verdict(of_sensor, seen(CHECKED, hot=HOT)).is_same_sensor
+    aside = [(u + 3, v - 2) for u, v in HOT]
+    with_the_picture = verdict(of_sensor, seen(CHECKED, hot=aside))
+    assert with_the_picture.outcome is ViewOutcome.REFUTED
+    assert with_the_picture.is_other_sensor
+
+
+def test_at_the_border_only_what_is_known_of_the_print_counts(calibrated: Fingerprint) -> None:
+    """The picture moved inwards: what comes into it at the edge was never seen."""
+    inwards = Motion(2.5, 2.0)
+    corner = Blob(26.0, 24.0, 48.0, peak=55.0)
+    known = replace(calibrated, moved=affine(inwards))
+    found = verdict(known, seen(inwards, spot=corner))
+    assert found.outcome is ViewOutcome.VERIFIED
+    assert found.displaced_px == pytest.approx(0.0, abs=0.02)
+    assert verdict(known, seen(inwards, (0.6, 0.0), spot=corner)).outcome is ViewOutcome.REFUTED
+
+
+def test_where_the_print_moved_away_from_nothing_is_verified(calibrated: Fingerprint) -> None:
+    """It is known in one half of the picture, and too little of that is left under the spot."""
+    assert calibrated.texture is not None
+    relative = calibrated.texture.relative.copy()
+    relative[:, 200:] = 0
+    half = replace(calibrated, texture=replace(calibrated.texture, relative=relative))
+    assert verdict(half, seen(Motion())).outcome is ViewOutcome.VERIFIED
+    away = Motion(-26.0)
+    found = verdict(replace(half, moved=affine(away)), seen(away))
+    assert found.outcome is ViewOutcome.UNDECIDED
+    assert (found.shift_px, found.displaced_px) == (None, None)
+
+
+def test_a_texture_of_the_scan_moves_likewise_and_refuses_nothing(calibrated: Fingerprint) -> None:
+    of_scan = replace(calibrated, source="scan")
+    shown = seen(CHECKED)
+    assert verdict(of_scan, shown).outcome is ViewOutcome.UNDECIDED
+    there = verdict(replace(of_scan, moved=affine(CHECKED)), shown)
+    assert there.outcome is ViewOutcome.VERIFIED
+    assert there.shift_px is not None
+    assert there.shift_px < 0.03
+    assert there.displaced_px is None
+
+
+def test_the_motions_of_this_test_turn_about_the_leds() -> None:
+    """What ``affine`` has to agree with."""
+    there = affine(CHECKED) @ np.column_stack([LEDS, np.ones(len(LEDS))]).T
+    assert pytest.approx(CHECKED.of(LEDS), abs=1e-6) == there.T
