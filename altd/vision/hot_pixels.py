@@ -21,7 +21,7 @@ Places = npt.NDArray[np.int64]
 MAX_PIXELS = 500
 """Of a sensor with more, that many are kept; in an image with more, no offset is searched."""
 
-_RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+_NEIGHBOURS = tuple((dv, du) for dv in (-1, 0, 1) for du in (-1, 0, 1) if dv or du)
 _MIN_RISE_RATIO = 5
 """A hot pixel rises over the dimmest of its eight neighbours so many times as far as the brightest: in an
 image as sharp as 0.5 px a glint does not. In even light the neighbours lie 2.8 sigma apart, so noise would
@@ -29,9 +29,9 @@ need 7 sigma."""
 _ROUNDING_COUNTS = 3
 _SPARSE = 9
 """The distance, in rows and columns, of the pixels whose neighbourhoods are sampled."""
-_STRIP_PIXELS = 1 << 16
-"""A frame is processed in strips of about so many pixels, whose intermediate images stay cached. For those of
-the whole frame the kernel would provide memory anew, page by page, for each frame: twice the time."""
+_PIECE_PIXELS = 1 << 16
+"""A frame is processed in pieces of so many pixels, whose intermediate results stay cached. For those of the
+whole frame the kernel would provide memory anew, page by page, for each frame."""
 _MIN_PERMANENT_SHARE = 0.9
 _MIN_INTERMITTENT_FRAMES = 2
 
@@ -50,26 +50,49 @@ _MIN_DISPLACED = 3
 def hot_pixels(pixels: PixelArray) -> Places:
     """The hot pixels of a frame, row by row; those at its border are not looked for."""
     rows, columns = pixels.shape
-    strip_rows = _SPARSE * max(_STRIP_PIXELS // columns // _SPARSE, 1)
-    found, ranges = [], []
-    for top in range(0, rows, strip_rows):
-        first = max(top - 1, 0)  # with the neighbours above and below
-        strip = pixels[first : top + strip_rows + 1]
-        own = slice(top - first, top - first + strip_rows)
-        brightest, dimmest = cv2.dilate(strip, _RING), cv2.erode(strip, _RING)
-        sampled = cv2.subtract(brightest[own][::_SPARSE, ::_SPARSE], dimmest[own][::_SPARSE, ::_SPARSE])
-        ranges.append(np.asarray(sampled))
-        # few pixels are candidates, so what follows costs little
-        candidates = np.flatnonzero(cv2.subtract(strip, brightest)[own] > _ROUNDING_COUNTS)
-        candidates += own.start * columns
-        grey = (image.ravel()[candidates].astype(np.int64) for image in (strip, brightest, dimmest))
-        found.append((candidates + first * columns, *grey))
-    median_range = int(np.median(np.concatenate(ranges)))
-    candidates, here, high, low = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    if min(rows, columns) < 3:
+        return places_of([])
+    median_range = _median_range(pixels)
+    # A hot pixel fulfils here - low > 5 max(high - low, median) + 3, so here - high > 4 median + 3, too, and
+    # high is at least the brighter one of left and right: to look for that costs least, and leaves a few.
+    least_rise = (_MIN_RISE_RATIO - 1) * median_range + _ROUNDING_COUNTS
+    flat, found = pixels.ravel(), []
+    end = flat.size - columns
+    for first in range(columns, end, _PIECE_PIXELS):
+        last = min(first + _PIECE_PIXELS, end)
+        beside = np.maximum(flat[first - 1 : last - 1], flat[first + 1 : last + 1])
+        rise = np.asarray(cv2.subtract(flat[first:last], beside)).ravel()  # at least 0
+        found.append(np.flatnonzero(rise > least_rise) + first)
+    candidates = np.concatenate(found)
+    column = candidates % columns
+    candidates = candidates[(column > 0) & (column < columns - 1)]
+    steps = np.array([dv * columns + du for dv, du in _NEIGHBOURS])
+    here, around = flat[candidates].astype(np.int64), flat[candidates[:, None] + steps].astype(np.int64)
+    high, low = around.max(axis=1), around.min(axis=1)
     is_hot = here - low > _MIN_RISE_RATIO * np.maximum(high - low, median_range) + _ROUNDING_COUNTS
     v, u = np.divmod(candidates[is_hot], columns)
-    inside = (u > 0) & (v > 0) & (u < columns - 1) & (v < rows - 1)
-    return np.asarray(np.stack([u, v], axis=1)[inside], dtype=np.int64)
+    return np.asarray(np.stack([u, v], axis=1), dtype=np.int64)
+
+
+def _median_range(pixels: PixelArray) -> int:
+    """By how much the brightest of a pixel's eight neighbours exceeds the dimmest: the median of a sample."""
+    rows, columns = pixels.shape
+    v, u = np.arange(0, rows, _SPARSE), np.arange(0, columns, _SPARSE)
+    above, within, below = pixels[abs(v - 1)], pixels[v], pixels[_mirrored(v + 1, rows)]
+    left, right = abs(u - 1), _mirrored(u + 1, columns)
+
+    def extreme(of_two: np.ufunc) -> PixelArray:
+        outer = of_two(above, below)
+        whole = of_two(outer, within)
+        most: PixelArray = of_two(of_two(whole[:, left], whole[:, right]), outer[:, u])
+        return most
+
+    return int(np.median(extreme(np.maximum) - extreme(np.minimum)))
+
+
+def _mirrored(indices: npt.NDArray[np.int64], size: int) -> npt.NDArray[np.int64]:
+    """Past the border those before it, which are neighbours too, so that a border pixel has none else."""
+    return np.where(indices < size, indices, 2 * (size - 1) - indices)
 
 
 @dataclass(frozen=True, slots=True)

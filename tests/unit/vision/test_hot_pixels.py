@@ -57,6 +57,39 @@ def test_noise_alone_has_none_in_a_thousand_million_pixels() -> None:
     assert sum(len(hot_pixels(frame(np.zeros((480, 752)), rng).pixels)) for _ in range(40)) == 0
 
 
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_a_hot_pixel_is_what_its_eight_neighbours_say_one_by_one(seed: int) -> None:
+    """Looked at pixel by pixel: noise, steps, single points, 8 and 16 bits, odd sizes, in all of a frame."""
+    rng = np.random.default_rng(seed)
+    rows, columns = (int(size) for size in rng.integers(3, 48, 2))
+    full_scale = 255 if seed % 2 else 65535
+    image = rng.normal(0.2, 0.02 * (seed // 4), (rows, columns))
+    image += 0.3 * (rng.random(columns) < 0.05)
+    image[rng.random((rows, columns)) < 0.02] += 0.4
+    pixels = np.clip(full_scale * image, 0, full_scale).astype(np.uint8 if seed % 2 else np.uint16)
+
+    grey = pixels.astype(int)
+
+    def neighbours(v: int, u: int) -> list[int]:
+        around = [(v + dv, u + du) for dv in (-1, 0, 1) for du in (-1, 0, 1) if dv or du]
+        return [int(grey[at]) for at in around if 0 <= at[0] < rows and 0 <= at[1] < columns]
+
+    ranges = [
+        max(around) - min(around)
+        for v in range(0, rows, 9)
+        for u in range(0, columns, 9)
+        if (around := neighbours(v, u))
+    ]
+    hot = [
+        [u, v]
+        for v in range(1, rows - 1)
+        for u in range(1, columns - 1)
+        if (around := neighbours(v, u))
+        and grey[v, u] - min(around) > 5 * max(max(around) - min(around), int(np.median(ranges))) + 3
+    ]
+    assert hot_pixels(pixels).tolist() == hot != []
+
+
 def test_the_same_sensor_is_known_again_in_another_light(known: HotPixels) -> None:
     seen = compared(known, picture(np.random.default_rng(3), PLACES, counts=160.0))
     assert (seen.is_same, seen.is_other, seen.foreign) == (True, False, 0)
