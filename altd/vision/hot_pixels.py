@@ -62,7 +62,7 @@ def hot_pixels(pixels: PixelArray) -> Places:
         last = min(first + _PIECE_PIXELS, end)
         beside = np.maximum(flat[first - 1 : last - 1], flat[first + 1 : last + 1])
         rise = np.asarray(cv2.subtract(flat[first:last], beside)).ravel()  # at least 0
-        found.append(np.flatnonzero(rise > least_rise) + first)
+        found.append((rise > least_rise).nonzero()[0] + first)
     candidates = np.concatenate(found)
     column = candidates % columns
     candidates = candidates[(column > 0) & (column < columns - 1)]
@@ -77,22 +77,21 @@ def hot_pixels(pixels: PixelArray) -> Places:
 def _median_range(pixels: PixelArray) -> int:
     """By how much the brightest of a pixel's eight neighbours exceeds the dimmest: the median of a sample."""
     rows, columns = pixels.shape
-    v, u = np.arange(0, rows, _SPARSE), np.arange(0, columns, _SPARSE)
-    above, within, below = pixels[abs(v - 1)], pixels[v], pixels[_mirrored(v + 1, rows)]
-    left, right = abs(u - 1), _mirrored(u + 1, columns)
+    v = np.arange(0, rows, _SPARSE)
+    # Mirrored at the border, where a pixel has fewer neighbours: each of them once more, and none else.
+    above, within, below = (
+        cv2.copyMakeBorder(pixels[at], 0, 0, 1, 1, cv2.BORDER_REFLECT_101)
+        for at in (abs(v - 1), v, np.where(v + 1 < rows, v + 1, v - 1))
+    )
+    left, middle, right = (slice(first, first + columns, _SPARSE) for first in range(3))
 
     def extreme(of_two: np.ufunc) -> PixelArray:
         outer = of_two(above, below)
         whole = of_two(outer, within)
-        most: PixelArray = of_two(of_two(whole[:, left], whole[:, right]), outer[:, u])
+        most: PixelArray = of_two(of_two(whole[:, left], whole[:, right]), outer[:, middle])
         return most
 
     return int(np.median(extreme(np.maximum) - extreme(np.minimum)))
-
-
-def _mirrored(indices: npt.NDArray[np.int64], size: int) -> npt.NDArray[np.int64]:
-    """Past the border those before it, which are neighbours too, so that a border pixel has none else."""
-    return np.where(indices < size, indices, 2 * (size - 1) - indices)
 
 
 @dataclass(frozen=True, slots=True)
