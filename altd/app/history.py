@@ -87,6 +87,15 @@ class DaemonHistory:
         self._observer = StateEvents(self.events, state.read, health.self_check, clock)
         self._recorder: HistoryRecorder | None = None
 
+    def keep_as(self, config: Config, calibration: Calibration) -> None:
+        """Keep the history that a config asks for, or say why there is none. Before ``recorded``."""
+        path, why = history_place(config)
+        if path is None:
+            self.leave_out(why)
+        else:
+            about = history_about(config, calibration, self._board.quantities)
+            self.keep_in(path, config.history.max_mb * 10**6, about)
+
     def keep_in(self, path: Path, max_bytes: int, about: About) -> None:
         """Keep the history in this file. Before ``recorded``."""
         component = self._health.component(COMPONENT)
