@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from altd import __version__
+from altd.app.past_availability import PastAvailability
 from altd.config import Config
 from altd.errors import one_line
 from altd.history.batch import About
@@ -125,6 +126,8 @@ class DaemonHistory:
         tasks = [asyncio.create_task(self._observer.run(), name="state events")]
         if self._recorder is not None:
             tasks.append(asyncio.create_task(self._recorder.run(), name=COMPONENT))
+            past = PastAvailability(self.history, self._state.availability, self._clock)
+            tasks.append(asyncio.create_task(past.run(), name="availability before this start"))
         self.events.note(EventKind.STARTED, f"altd {__version__} started")
         try:
             yield
