@@ -255,7 +255,9 @@ class Daemon:
             from altd.publish.http.publisher import HttpPublisher
 
             place = f"http {config.http.host}:{config.http.port}"
-            yield place, HttpPublisher(config.http, board, health, health.component(place), self.past.history)
+            component = health.component(place)
+            past = self.past
+            yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
         if (path := local_socket_of(config)) is not None:
             from altd.publish.http.local import LocalPublisher
 

@@ -206,7 +206,9 @@ script can read (`HttpOnly`, `SameSite=Strict`, with TLS `Secure` and `__Host-`)
 there are {MAX_SESSIONS} at most. `GET /api/v1/session` says who is logged in. Without TLS a password goes
 over the network as it is typed: use both.
 
-No secret is ever in a URL, an answer or the log.
+No secret is ever in a URL, an answer, an event or the log. Who logs in or out, and each wrong password or
+token, is an event (`request`) with the address, and with the name where it is one of the file; of many alike
+in a minute the events tell how many.
 
 ## TLS
 

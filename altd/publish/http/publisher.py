@@ -22,6 +22,7 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.server import Door, listen, serve
 from altd.publish.http.tls import Certificate
 from altd.status.board import Board
+from altd.status.event_log import EventLog
 from altd.status.health import Component, Health, State
 
 log = logging.getLogger("altd")
@@ -43,6 +44,7 @@ class HttpPublisher:
         health: Health,
         component: Component,
         history: History | None = None,
+        events: EventLog | None = None,
     ) -> None:
         self.port = settings.port
         """Where it serves; for port 0, what the system chose."""
@@ -56,7 +58,8 @@ class HttpPublisher:
         if settings.certificate is not None and settings.key is not None:
             complain = partial(self._complain, "certificate")
             certificate = Certificate(settings.certificate, settings.key, complain)
-        guard = Guard(None if keeper is None else keeper.current, component.clock, is_local=self.is_local)
+        known = None if keeper is None else keeper.current
+        guard = Guard(known, component.clock, events, is_local=self.is_local)
         self._door = Door(Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock))
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
         self._answers = Answers(board, health, component, guard, past)
