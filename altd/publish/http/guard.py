@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.addresses import address_of, group_of, is_loopback
+from altd.publish.http.addresses import address_of, group_of, host_of, is_loopback
 from altd.publish.http.errors import refusal
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, Buckets
 from altd.publish.http.sessions import LONGEST_S, Sessions
@@ -248,16 +248,9 @@ def _check_is_own_computer(request: HTTPConnection) -> None:
     if theirs is None or not (is_loopback(theirs) or theirs == ours):
         sentence = "it is asked for on the unit's own computer only: altd selfcheck"
         raise Refused(refusal(403, sentence))
-    host = _host_of(request.headers.get("Host", ""))
+    host = host_of(request.headers.get("Host", ""))
     if host not in _LOCAL_NAMES and address_of(host) is None:
         raise Refused(refusal(403, "the header Host names no address of the unit"))
-
-
-def _host_of(header: str) -> str:
-    """The name or address in a header ``Host``, without the port."""
-    if header.startswith("["):
-        return header[1:].partition("]")[0]
-    return header.partition(":")[0]
 
 
 def _is_tls(request: HTTPConnection) -> bool:

@@ -10,7 +10,7 @@ from functools import partial
 from altd.config import HttpSettings
 from altd.credentials.keeper import CredentialsKeeper
 from altd.history.history import History
-from altd.publish.http.addresses import Allowed
+from altd.publish.http.addresses import Allowed, OwnNames
 from altd.publish.http.answers import Answers
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.application import application_of
@@ -61,6 +61,9 @@ class HttpPublisher:
         known = None if keeper is None else keeper.current
         guard = Guard(known, component.clock, events, is_local=self.is_local)
         self._door = Door(Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock))
+        # over TLS the browser itself compares the name with the certificate
+        is_open = certificate is None and not self.is_local
+        self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
         self._answers = Answers(board, health, component, guard, past)
         self._answers.document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
@@ -91,7 +94,7 @@ class HttpPublisher:
             self._tell()
 
         requests = Buckets(REQUESTS, self._component.clock)
-        application = application_of(PATHS, self._answers, self._component, requests)
+        application = application_of(PATHS, self._answers, self._component, requests, self._names)
         await serve(application, listener, self._component, self._door, serving)
 
     def _complain(self, about: str, sentence: str) -> None:

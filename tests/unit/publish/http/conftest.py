@@ -115,6 +115,8 @@ class Events:
         return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
 
 
+NAMES = ("unit", "alt-0007.plant", "a")
+
 Served = Callable[..., AbstractAsyncContextManager[Unit]]
 """Served with these settings of ``[http]``."""
 
@@ -133,7 +135,7 @@ def events(clock: FakeClock) -> EventLog:
 def served(board: Board, health: Health, component: Component, events: EventLog) -> Served:
     @contextlib.asynccontextmanager
     async def serving(**more: Any) -> AsyncIterator[Unit]:
-        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, **more})
+        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, "names": NAMES, **more})
         publisher = HttpPublisher(settings, board, health, component, events=events)
         ready = asyncio.Event()
         task = asyncio.ensure_future(publisher.run(ready.set))
