@@ -37,7 +37,7 @@ from tools.pages.example import MEASURED, board
 PROCESSES = 2
 THREADS = 16
 POLL_INTERVAL_S = 0.02
-STATUSES = {200, 400, 401, 403, 404, 405, 408, 409, 413, 414, 415, 429, 431, 503}
+STATUSES = {200, 400, 401, 403, 404, 405, 408, 409, 413, 414, 415, 421, 429, 431, 503}
 
 _ANSWER = re.compile(rb"HTTP/1\.1 (\d{3}) [A-Za-z -]*\r\n((?:[a-zA-Z-]+: [^\r\n]*\r\n)+)\r\n", re.DOTALL)
 _BLANK_LINE = re.compile(rb"\n\r?\n")
@@ -178,7 +178,7 @@ async def run(requests: int, seed: int = 1) -> Tally:
         credentials = Path(folder) / "credentials"
         password = PasswordHash.of("nobody guesses this")
         change(credentials, "ana", lambda known: known.with_password("ana", password))
-        settings = HttpSettings(host="127.0.0.1", port=0, credentials=credentials)
+        settings = HttpSettings(host="127.0.0.1", port=0, names=("unit",), credentials=credentials)
         shown = board()
         health = Health(SystemClock())
         publisher = HttpPublisher(settings, shown, health, health.component("http"))

@@ -31,6 +31,7 @@ from altd.ports import Camera
 from hw_sim.arguments import natural, seconds
 from hw_sim.camera import make_cameras
 from hw_sim.demo_figures import Figures
+from hw_sim.demo_folder import demo_folder
 from hw_sim.demo_gige import served
 from hw_sim.demo_lines import Line
 from hw_sim.demo_screen import Screen, keys
@@ -57,6 +58,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help="of that very unit, made by hw_sim scan and altd calibrate (default: made now)",
+    )
+    parser.add_argument(
+        "--keep",
+        type=Path,
+        metavar="FOLDER",
+        help="keep history, recordings and calibration there (default: they go when it ends)",
     )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
     parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
@@ -104,11 +111,11 @@ async def _until_stopped(arguments: argparse.Namespace) -> None:
 async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None:
     """Make a unit, calibrate it unless that is done, measure with it; ends by cancellation or a failure."""
     async with contextlib.AsyncExitStack() as parts:
+        folder = parts.enter_context(demo_folder(arguments.keep))
         calibration = arguments.calibration
         if calibration is None:
-            folder = parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-demo-"))
-            calibration = Path(folder, "calibration.json")
-            await _calibrate(arguments.seed, Path(folder, "scan"), calibration)
+            calibration = folder.calibration
+            await _calibrate(arguments.seed, calibration)
         unit = make_unit(arguments.seed, drive=True)
         hardware = None
         if arguments.gige:
@@ -121,13 +128,16 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             telegram=telegram,
             console=console,
             modbus_rtu=modbus_rtu,
+            folder=folder,
         )
         config = _config(unit, calibration, faces)
         cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
         if hardware is not None:
             config = config.model_copy(update=hardware.tables)
             cameras = cameras_of(config, Path("--gige"))
-        daemon = Daemon(config, calibration_of(config, cameras), cameras)
+        known = calibration_of(config, cameras)
+        daemon = Daemon(config, known, cameras)
+        daemon.past.keep_as(config, known)
         figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)
         show = _on_screen if sys.stdout.isatty() else _line_by_line
@@ -191,12 +201,16 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
         text = view.line()
 
 
-async def _calibrate(seed: int, scan: Path, calibration: Path) -> None:
+async def _calibrate(seed: int, calibration: Path) -> None:
     """What is done with every new unit before it is used, by the same two commands."""
-    print(f"Recording a calibration scan of simulated unit {seed} (python -m hw_sim scan) ...", flush=True)
-    await _command("hw_sim", "scan", "--seed", str(seed), "-o", str(scan))
-    print("Fitting the unit's maps to it (altd calibrate) ...", flush=True)
-    await _command("altd.cli", "calibrate", str(scan), "-o", str(calibration))
+    with tempfile.TemporaryDirectory(prefix="altd-scan-") as folder:
+        scan = str(Path(folder, "scan"))
+        print(
+            f"Recording a calibration scan of simulated unit {seed} (python -m hw_sim scan) ...", flush=True
+        )
+        await _command("hw_sim", "scan", "--seed", str(seed), "-o", scan)
+        print("Fitting the unit's maps to it (altd calibrate) ...", flush=True)
+        await _command("altd.cli", "calibrate", scan, "-o", str(calibration))
 
 
 async def _command(module: str, *arguments: str) -> None:
@@ -230,6 +244,9 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
         ),
         modbus_tcp=ModbusTcpSettings(host=LOCALHOST, port=faces.modbus_port),
         http=HttpSettings(host=LOCALHOST, port=faces.http_port),
+        local=faces.folder.local,
+        history=faces.folder.history,
+        kept_frames=faces.folder.kept_frames,
         serial=(
             TelegramPortSettings(device=faces.telegram.unit_end, speaks="telegram"),
             ConsolePortSettings(device=faces.console.unit_end, speaks="console"),

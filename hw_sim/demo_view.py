@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from altd.app.daemon import Daemon
 from altd.records import Measurement
 from hw_sim.demo_figures import QUANTITIES, Figures, memory_mib, truth_of
+from hw_sim.demo_folder import DemoFolder
 from hw_sim.demo_lines import Line
 from hw_sim.demo_screen import Style, StyledLine
 from hw_sim.faults import Fault
@@ -36,13 +37,14 @@ CLEAR_KEY, QUIT_KEY = "c", "q"
 
 @dataclass(frozen=True, slots=True)
 class Faces:
-    """Where the unit answers: TCP ports of this machine, and serial lines."""
+    """Where the unit answers: TCP ports of this machine, serial lines, and a folder."""
 
     http_port: int
     modbus_port: int
     telegram: Line
     console: Line
     modbus_rtu: Line
+    folder: DemoFolder
 
     def commands(self) -> list[tuple[str, str]]:
         """What to type to try each, with its name. Flags and registers are those of docs/modbus.md."""
@@ -50,8 +52,8 @@ class Faces:
         floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {FLOAT_COUNT}"
         return [
             ("browser", f"{url}/"),
+            *self.folder.commands(),
             ("HTTP", f"curl -s {url}/api/measurement"),
-            ("", f"curl -N {url}/api/stream"),
             ("Modbus TCP", f"mbpoll {floats} -p {self.modbus_port} 127.0.0.1"),
             ("Modbus RTU", f"mbpoll -m rtu {floats} {self.modbus_rtu.far_end}"),
             ("telegram", f"cat {self.telegram.far_end}"),
@@ -86,12 +88,7 @@ class View:
 
     def commands(self) -> list[str]:
         """The commands to try, one a line."""
-        faces = self._faces
-        return [
-            *(f"  {name:<11} {command}" for name, command in faces.commands()),
-            f"  {'':<11} (the unit's own ends: "
-            f"{faces.modbus_rtu.unit_end}, {faces.telegram.unit_end}, {faces.console.unit_end})",
-        ]
+        return [f"  {name:<11} {command}" for name, command in self._faces.commands()]
 
     def line(self) -> str:
         """The moment in one line."""

@@ -23,7 +23,7 @@ from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.service import SelfChecks
-from altd.app.history import DaemonHistory, history_about, history_place
+from altd.app.history import DaemonHistory
 from altd.app.kept_frames import folder_of_recordings, frame_keeper, frame_ring
 from altd.app.local import local_socket_of
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
@@ -255,7 +255,9 @@ class Daemon:
             from altd.publish.http.publisher import HttpPublisher
 
             place = f"http {config.http.host}:{config.http.port}"
-            yield place, HttpPublisher(config.http, board, health, health.component(place), self.past.history)
+            component = health.component(place)
+            past = self.past
+            yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
         if (path := local_socket_of(config)) is not None:
             from altd.publish.http.local import LocalPublisher
 
@@ -288,12 +290,7 @@ def daemon_of(config: Config, place: Path) -> Daemon:
         daemon.health.component(component).set_state(State.STARTING)
     if (folder := state_folder()) is not None:
         daemon.keep_state_in(folder)
-    path, why = history_place(config)
-    if path is None:
-        daemon.past.leave_out(why)
-    else:
-        about = history_about(config, calibration, daemon.board.quantities)
-        daemon.past.keep_in(path, config.history.max_mb * 10**6, about)
+    daemon.past.keep_as(config, calibration)
     return daemon
 
 

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from altd import __version__
+from altd.app.past_availability import PastAvailability
 from altd.config import Config
 from altd.errors import one_line
 from altd.history.batch import About
@@ -87,6 +88,15 @@ class DaemonHistory:
         self._observer = StateEvents(self.events, state.read, health.self_check, clock)
         self._recorder: HistoryRecorder | None = None
 
+    def keep_as(self, config: Config, calibration: Calibration) -> None:
+        """Keep the history that a config asks for, or say why there is none. Before ``recorded``."""
+        path, why = history_place(config)
+        if path is None:
+            self.leave_out(why)
+        else:
+            about = history_about(config, calibration, self._board.quantities)
+            self.keep_in(path, config.history.max_mb * 10**6, about)
+
     def keep_in(self, path: Path, max_bytes: int, about: About) -> None:
         """Keep the history in this file. Before ``recorded``."""
         component = self._health.component(COMPONENT)
@@ -116,6 +126,8 @@ class DaemonHistory:
         tasks = [asyncio.create_task(self._observer.run(), name="state events")]
         if self._recorder is not None:
             tasks.append(asyncio.create_task(self._recorder.run(), name=COMPONENT))
+            past = PastAvailability(self.history, self._state.availability, self._clock)
+            tasks.append(asyncio.create_task(past.run(), name="availability before this start"))
         self.events.note(EventKind.STARTED, f"altd {__version__} started")
         try:
             yield

@@ -16,6 +16,9 @@ from altd.recording.header import target_headers, unit_header
 from altd.status.health import Health
 from altd.status.state import UnitState
 
+RECORDINGS = "recordings"
+"""In the service's own folder."""
+
 _MARGIN_NS = 10**9
 """A recording is begun a little after its last frame."""
 
@@ -24,7 +27,7 @@ def folder_of_recordings(config: Config, state_folder: Path | None) -> Path | No
     """Where recordings are written; None: nowhere."""
     if config.kept_frames.folder is not None or state_folder is None:
         return config.kept_frames.folder
-    return state_folder / "recordings"
+    return state_folder / RECORDINGS
 
 
 def frame_ring(config: Config, cameras: Mapping[str, Camera], sink: FrameSink) -> FrameRing:

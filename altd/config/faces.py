@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -77,6 +78,19 @@ def _network(text: str) -> str:
 
 Network = Annotated[str, AfterValidator(_network)]
 
+_LABEL = r"[0-9a-z_]([0-9a-z_-]{0,61}[0-9a-z_])?"
+_HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE | re.ASCII)
+"""RFC 1123, 2.1, and the underscore that plants have in such names."""
+
+
+def _host_name(text: str) -> str:
+    if not _HOST_NAME.fullmatch(text):
+        raise complaint(((), f"{shown(text)} is no name of a computer; possible: one such as alt-0007.plant"))
+    return text
+
+
+HostName = Annotated[str, AfterValidator(_host_name)]
+
 
 class HttpSettings(Table):
     """HTTP server: the unit's page, its API and a stream."""
@@ -89,6 +103,12 @@ class HttpSettings(Table):
     """Networks that may connect, as in `["10.0.0.0/8"]`; none: everybody whom the service lets in.
 
     The unit's own computer always may.
+    """
+    names: Annotated[tuple[HostName, ...], Field(max_length=64)] = ()
+    """Names by which browsers and programs ask for the unit, as in `["alt-0007.plant.example"]`.
+
+    Its addresses, `localhost`, and the computer's own name, alone or with `.local`, need not be named. By any
+    other name it answers nothing, but for `/healthz`. With TLS the certificate's names count instead.
     """
     credentials: Path | None = None
     """A file of names with hashes of passwords and tokens, made by `altd password` and `altd token`.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from altd.app.settings import load_settings
 from altd.config import Config
-from altd.doctor import devices, network, system
+from altd.doctor import devices, keeping, network, system
 from altd.doctor.finding import Finding, better
 from altd.doctor.machine import Machine
 
@@ -43,4 +43,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
         "gpio lines": lambda: devices.gpio_lines(config),
         "serial": lambda: devices.serial_ports(config, machine),
         "listening": lambda: network.listening(config, machine),
+        "history": lambda: keeping.history(config, machine),
+        "kept frames": lambda: keeping.recordings(config, machine),
+        "local socket": lambda: keeping.local_socket(config, machine),
     }

@@ -56,11 +56,17 @@ class Service:
     """What it lists: paths, or ``char-`` and the name of a driver."""
     low_ports: bool
     """It may listen on ports below 1024."""
+    folders: tuple[str, ...] | None = None
+    """The folders that it may write to; None: the unit does not restrict them."""
 
     def allows(self, path: str, drivers: set[str]) -> bool:
         """Whether the unit lets the daemon open this device of these drivers."""
         names = {path, *(f"char-{driver}" for driver in drivers)}
         return not self.closed or any(fnmatch.filter(names, listed) for listed in self.devices)
+
+    def may_write(self, folder: Path) -> bool:
+        """Whether the unit lets the daemon write to this folder."""
+        return self.folders is None or any(folder.is_relative_to(allowed) for allowed in self.folders)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +143,7 @@ class Machine:
             closed=bool(devices) or keys.get("DevicePolicy", ["auto"])[-1] in ("closed", "strict"),
             devices=tuple(rule.split()[0] for rule in devices),
             low_ports=any("CAP_NET_BIND_SERVICE" in names for names in keys.get("AmbientCapabilities", [])),
+            folders=_folders(keys) if keys.get("ProtectSystem", [""])[-1] == "strict" else None,
         )
 
     def _process(self, link: Path) -> tuple[int, str]:
@@ -167,6 +174,17 @@ def _gid(name: str) -> int | None:
         return grp.getgrnam(name).gr_gid
     except KeyError:
         return None
+
+
+def _folders(keys: dict[str, list[str]]) -> tuple[str, ...]:
+    """What a unit may write to although its file system is read-only (systemd.exec(5), ProtectSystem=)."""
+    prefixes = {"StateDirectory": "/var/lib/", "RuntimeDirectory": "/run/", "ReadWritePaths": ""}
+    return tuple(
+        f"{prefix}{name.lstrip('-+')}"
+        for key, prefix in prefixes.items()
+        for names in keys.get(key, [])
+        for name in names.split()
+    )
 
 
 def _keys(text: str) -> dict[str, list[str]]:

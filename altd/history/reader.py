@@ -85,9 +85,14 @@ class Reader:
         """The quantities that measurements hold, by their keys, those of a target as ``TARGET.KEY``."""
         return {column.key: column for column in self._columns.values()}
 
+    @property
+    def codes(self) -> dict[int, str]:
+        """The codes of reasons and causes by their numbers in the file."""
+        return self._codes
+
     def facts(self) -> dict[str, str]:
         """What the newest daemon said of itself: ``serial``, ``version``, ``config``, ``calibration``."""
-        return {str(name): str(value) for name, value in self._all("SELECT name, value FROM facts LIMIT 100")}
+        return {str(name): str(value) for name, value in self.rows("SELECT name, value FROM facts LIMIT 100")}
 
     def trend(self, from_us: int, to_us: int, max_points: int, keys: Sequence[str] | None = None) -> Trend:
         """From ``from_us`` to before ``to_us`` in at most so many points, of the quantities with these keys.
@@ -111,7 +116,7 @@ class Reader:
             "WHERE key >= ? AND key < ? GROUP BY point ORDER BY point LIMIT ?"
         )
         bounds = (first_s, width_s, first_s * ROWS_PER_SPAN, last_s * ROWS_PER_SPAN, max_points)
-        points = [self._point(row, first_s, width_s, columns) for row in self._all(sql, bounds)]
+        points = [self._point(row, first_s, width_s, columns) for row in self.rows(sql, bounds)]
         return Trend(table.name, width_s * _US, tuple(points))
 
     def summaries(self, table: SummaryTable, from_us: int, to_us: int) -> Iterator[SummaryPoint]:
@@ -123,7 +128,7 @@ class Reader:
             f"FROM {table.name} WHERE key >= ? AND key < ? ORDER BY key LIMIT {MAX_ROWS}"
         )
         first = -(-max(from_us, 0) // _US) * ROWS_PER_SPAN
-        while rows := self._all(sql, (first, -(-min(to_us, 2**52) // _US) * ROWS_PER_SPAN)):
+        while rows := self.rows(sql, (first, -(-min(to_us, 2**52) // _US) * ROWS_PER_SPAN)):
             for row in rows:
                 yield self._summary(row, table, columns)
             first = _further(rows[-1][0], first - 1) + 1
@@ -136,13 +141,13 @@ class Reader:
 
     def last_measurement_id(self) -> int:
         """The id of the newest measurement, 0 where there is none."""
-        ((number,),) = self._all("SELECT coalesce(max(id), 0) FROM measurements")
+        ((number,),) = self.rows("SELECT coalesce(max(id), 0) FROM measurements")
         return int(number)
 
     def id_of(self, sequence: int, t_ns: int) -> int | None:
         """The id of the newest measurement with this sequence and monotonic time; None: there is none."""
         sql = "SELECT max(id) FROM measurements WHERE sequence = ? AND t_ns = ?"
-        ((number,),) = self._all(sql, (sequence, t_ns))
+        ((number,),) = self.rows(sql, (sequence, t_ns))
         return number if isinstance(number, int) else None
 
     def measurements(self, from_us: int, to_us: int) -> Iterator[StoredMeasurement]:
@@ -174,7 +179,7 @@ class Reader:
         )
         first = 2**62 if before is None else max(min(before, 2**62), 0)
         bounds = (first, max(from_us, 0), min(to_us, 2**62), *kinds, limit)
-        return [_event(row) for row in self._all(sql, bounds)]
+        return [_event(row) for row in self.rows(sql, bounds)]
 
     def events_after(
         self, after: int, from_us: int, to_us: int, kinds: Sequence[str] = ()
@@ -186,7 +191,7 @@ class Reader:
             f"WHERE id > ? AND t_us >= ? AND t_us < ? {of_kinds}ORDER BY id LIMIT {MAX_ROWS}"
         )
         span = (max(from_us, 0), min(to_us, 2**62))
-        while rows := self._all(sql, (after, *span, *kinds)):
+        while rows := self.rows(sql, (after, *span, *kinds)):
             yield from (_event(row) for row in rows)
             after = _further(rows[-1][0], after)
 
@@ -194,7 +199,7 @@ class Reader:
         names = [column_name(part, number) for number in self._columns for part in MEASUREMENT_PARTS]
         fields = ["id", "epoch", "t_us", "sequence", "t_ns", "frames", "valid", "status", *names]
         sql = f"SELECT {', '.join(fields)} FROM measurements WHERE {where}"  # noqa: S608
-        return [self._measurement(row) for row in self._all(sql, values)]
+        return [self._measurement(row) for row in self.rows(sql, values)]
 
     def _measurement(self, row: Sequence[Any]) -> StoredMeasurement:
         number, epoch, t_us, sequence, t_ns, frames, valid = _whole(row[:7], "measurements")
@@ -255,7 +260,8 @@ class Reader:
                 raise ValueError(f"there is no quantity {key[:40]!r}; possible: {', '.join(by_key)}")
         return list(by_key.values()) if keys is None else [by_key[key] for key in dict.fromkeys(keys)]
 
-    def _all(self, sql: str, values: Sequence[object] = ()) -> list[Any]:
+    def rows(self, sql: str, values: Sequence[object] = ()) -> list[Any]:
+        """The rows of a query, within its time; raises HistoryTimeoutError and UnusableFileError."""
         self._start_clock()
         try:
             with damage_told():

@@ -1,9 +1,13 @@
-"""The share of time in which the unit measured: of the last hour, the last day and since the start."""
+"""The share of time in which the unit measured: of the last hour, day and 31 days, and since the start."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+
+from altd.records import utc_text
 
 MAX_GAP_S = 5.0
 """Time between two looks that are further apart is lost: the process stood still, and nobody measured."""
@@ -11,8 +15,41 @@ MAX_GAP_S = 5.0
 NOT_WATCHED = "not_watched"
 """The reason for time in which nobody looked."""
 
+NOT_RUNNING = "not_running"
+"""The reason for time before this start in which, by what is on record, no daemon ran."""
+
+MONTH_S = 31 * 86_400
+"""So far back the time before this start counts."""
+
 _MINUTE_NS = 60 * 10**9
-_SPANS_MIN = {"last_hour": 60, "last_day": 1440}
+_HOUR_NS = 60 * _MINUTE_NS
+_SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_31_days": (_HOUR_NS, 744)}
+"""What is counted of each span, and how many of them it has."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunningSpan:
+    """Time in which a daemon before this one ran; it ended so many seconds before this one's start.
+
+    ``valid`` is the share of it in which something valid was measured, ``lost_to`` the worst reason of the
+    rest.
+    """
+
+    ended_s: float
+    length_s: float
+    valid: float
+    lost_to: str
+
+
+@dataclass(frozen=True, slots=True)
+class Before:
+    """The time before this start: known for ``known_s``, with the spans in which a daemon ran, newest first.
+
+    The spans do not overlap.
+    """
+
+    known_s: float = 0.0
+    spans: Sequence[RunningSpan] = ()
 
 
 @dataclass(slots=True)
@@ -32,8 +69,12 @@ class _Tally:
         self.valid_ns += other.valid_ns
         self.lost_ns.update(other.lost_ns)
 
+    @property
+    def observed_ns(self) -> int:
+        return self.valid_ns + self.lost_ns.total()
+
     def as_object(self) -> dict[str, object]:
-        observed_ns = self.valid_ns + self.lost_ns.total()
+        observed_ns = self.observed_ns
         lost = {reason: round(ns * 1e-9, 1) for reason, ns in self.lost_ns.most_common() if ns}
         return {
             "share": round(self.valid_ns / observed_ns, 5) if observed_ns else None,
@@ -43,21 +84,56 @@ class _Tally:
         }
 
 
+@dataclass(slots=True)
+class _Ring:
+    """What time was, in pieces of equal length from the start on: the newest of them."""
+
+    length_ns: int
+    tallies: deque[tuple[int, _Tally]]
+
+    def add(self, begun_ns: int, end_ns: int, lost_to: str | None) -> None:
+        """Take time, in ns since the start."""
+        while begun_ns < end_ns:
+            number = begun_ns // self.length_ns
+            until_ns = min((number + 1) * self.length_ns, end_ns)
+            if not self.tallies or self.tallies[-1][0] != number:
+                self.tallies.append((number, _Tally()))
+            self.tallies[-1][1].add(until_ns - begun_ns, lost_to)
+            begun_ns = until_ns
+
+    def newest(self, count: int, now_ns: int) -> _Tally:
+        """The sum of the newest pieces, the one that has begun among them."""
+        now = max(now_ns - 1, 0) // self.length_ns
+        whole = _Tally()
+        for number, tally in self.tallies:
+            if number > now - count:
+                whole.merge(tally)
+        return whole
+
+
 class Availability:
     """Counts on the monotonic clock, which no setting of the time of day moves; a minute is the finest.
 
     Time is valid when the measurement was so at both of two looks that follow each other; else it is lost to
-    the reason that was seen later. Only time in which the daemon ran is observed: a span is shorter than its
-    name says until it has passed, and ``observed_s`` tells how long it is. The hour and the day hold whole
-    minutes and the one that has begun. Memory: a tally for each of 1,440 minutes.
+    the reason that was seen later. The hour and the day hold whole minutes and the one that has begun, the 31
+    days hours. Where they reach back behind this start, ``before`` says how it was then; what it does not
+    know is not observed, and a span is shorter than its name says. Memory: a tally for each of 1,440 minutes
+    and 744 hours.
     """
 
-    def __init__(self, started_ns: int) -> None:
-        self._started_ns = started_ns
+    def __init__(self, started_ns: int, utc: Callable[[int], datetime | None] | None = None) -> None:
+        self.before = Before()
+        self.started_ns = started_ns
+        self._utc = utc
         self._last_ns = started_ns
         self._last: str | None = "starting"
         self._since_start = _Tally()
-        self._minutes: deque[tuple[int, _Tally]] = deque(maxlen=max(_SPANS_MIN.values()))
+        self._rings = {
+            length_ns: _Ring(
+                length_ns, deque(maxlen=max(n for of_ns, n in _SPANS.values() if of_ns == length_ns))
+            )
+            for length_ns in (_MINUTE_NS, _HOUR_NS)
+        }
 
     def look(self, now_ns: int, lost_to: str | None) -> None:
         """The unit measures at this moment (None), or why it does not."""
@@ -67,26 +143,41 @@ class Availability:
             why: str | None = NOT_WATCHED
         else:
             why = before if lost_to is None else lost_to
-        while begun_ns < now_ns:
-            minute = (begun_ns - self._started_ns) // _MINUTE_NS
-            end_ns = min(self._started_ns + (minute + 1) * _MINUTE_NS, now_ns)
-            self._tally_of(minute).add(end_ns - begun_ns, why)
-            self._since_start.add(end_ns - begun_ns, why)
-            begun_ns = end_ns
+        for ring in self._rings.values():
+            ring.add(begun_ns - self.started_ns, now_ns - self.started_ns, why)
+        if now_ns > begun_ns:
+            self._since_start.add(now_ns - begun_ns, why)
 
     def as_object(self) -> dict[str, object]:
-        """Share, valid, observed and lost seconds of each span, as plain JSON types."""
-        now_minute = max(self._last_ns - self._started_ns - 1, 0) // _MINUTE_NS
+        """Share, valid, observed and lost seconds of each span and since when, as plain JSON types."""
+        running_ns = self._last_ns - self.started_ns
         spans: dict[str, object] = {}
-        for name, minutes in _SPANS_MIN.items():
-            whole = _Tally()
-            for minute, tally in self._minutes:
-                if minute > now_minute - minutes:
-                    whole.merge(tally)
-            spans[name] = whole.as_object()
-        return spans | {"since_start": self._since_start.as_object()}
+        for name, (length_ns, count) in _SPANS.items():
+            whole = self._rings[length_ns].newest(count, running_ns)
+            self._add_before(whole, count * length_ns - running_ns)
+            spans[name] = self._as_object(whole)
+        return spans | {"since_start": self._as_object(self._since_start)}
 
-    def _tally_of(self, minute: int) -> _Tally:
-        if not self._minutes or self._minutes[-1][0] != minute:
-            self._minutes.append((minute, _Tally()))
-        return self._minutes[-1][1]
+    def _add_before(self, whole: _Tally, missing_ns: int) -> None:
+        """Add what is known of so long before this start."""
+        missing_s = min(missing_ns * 1e-9, self.before.known_s)
+        running_s = valid_s = 0.0
+        lost_s: dict[str, float] = {}
+        for span in self.before.spans:
+            length_s = min(span.length_s, missing_s - span.ended_s)
+            if length_s <= 0:
+                break
+            running_s += length_s
+            valid_s += length_s * span.valid
+            if span.valid < 1:
+                lost_s[span.lost_to] = lost_s.get(span.lost_to, 0.0) + length_s * (1 - span.valid)
+        whole.add(round(valid_s * 1e9), None)
+        for reason, seconds in lost_s.items():
+            whole.add(round(seconds * 1e9), reason)
+        if missing_s > running_s:
+            whole.add(round((missing_s - running_s) * 1e9), NOT_RUNNING)
+
+    def _as_object(self, tally: _Tally) -> dict[str, object]:
+        now = None if self._utc is None else self._utc(self._last_ns)
+        since = None if now is None else now - timedelta(microseconds=tally.observed_ns / 1000)
+        return tally.as_object() | {"since": None if since is None else utc_text(since)}

@@ -37,7 +37,7 @@ class UnitState:
         self._filter = CauseFilter()
         self._signal = Signal.CHECK_FUNCTION
         self._since_ns = self._started_ns
-        self._availability = Availability(self._started_ns)
+        self.availability = Availability(self._started_ns, clock.utc)
 
     async def run(self) -> None:
         """Look regularly until cancelled."""
@@ -48,7 +48,7 @@ class UnitState:
     def read(self) -> StateReport:
         """The state at this moment."""
         now_ns, causes = self._look()
-        return StateReport(self._signal, self._since_ns, now_ns, causes, self._availability)
+        return StateReport(self._signal, self._since_ns, now_ns, causes, self.availability)
 
     def _look(self) -> tuple[int, tuple[ShownCause, ...]]:
         now_ns = self._clock.monotonic_ns()
@@ -56,7 +56,7 @@ class UnitState:
         running_s = (now_ns - self._started_ns) * 1e-9
         causes = causes_now(measurement, self._health, now_ns, running_s)
         causes += self._watched(now_ns)
-        self._availability.look(now_ns, _lost_to(measurement, running_s))
+        self.availability.look(now_ns, _lost_to(measurement, running_s))
         shown = self._filter.update(causes, now_ns)
         if (signal := worst(shown)) is not self._signal:
             self._signal, self._since_ns = signal, now_ns

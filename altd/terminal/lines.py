@@ -6,7 +6,12 @@ from textwrap import wrap
 
 from altd.terminal.documents import CauseDocument, SelfCheckDocument, Shown, StatusDocument
 
-_SPANS = {"last_hour": "of the last hour", "last_day": "of the last day", "since_start": "since the start"}
+_SPANS = {
+    "last_hour": "of the last hour",
+    "last_day": "of the last day",
+    "last_31_days": "of the last 31 days",
+    "since_start": "since the start",
+}
 
 
 def state_text(signal: str) -> str:

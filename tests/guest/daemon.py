@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import urllib.request
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -86,7 +87,7 @@ class Stream:
                     self.events.append((time.monotonic(), json.loads(line[6:])))
 
 
-class Asking:
+class Asking(ABC):
     """Asks the daemon something again and again, in a thread; ``with`` begins and ends it."""
 
     def __init__(self, every_s: float) -> None:
@@ -106,9 +107,9 @@ class Asking:
         while not self._stop.wait(self._every_s):
             self.ask()
 
+    @abstractmethod
     def ask(self) -> None:
         """One question."""
-        raise NotImplementedError
 
 
 class Controller(Asking):

@@ -96,7 +96,12 @@ def status(*causes: dict[str, Any], signal: str = "good", **components: dict[str
         "unit_number": "1E4B2D8E",
         "calibration": "2026-11-02, workshop, stage 2",
         "state": {"signal": signal, "number": 0, "for_s": 7384.0, "causes": list(causes)},
-        "availability": {"last_hour": span, "last_day": span, "since_start": span | {"share": None}},
+        "availability": {
+            "last_hour": span,
+            "last_day": span,
+            "last_31_days": span,
+            "since_start": span | {"share": None},
+        },
         "components": {
             "camera front": {"state": "ok", "message": "", "for_s": 7384.0, "frames": 147_680},
             "measuring": {"state": "ok", "message": "front: spot at u 1 v 2 px", "for_s": 7383.5},

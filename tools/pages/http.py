@@ -172,8 +172,15 @@ Everybody whom the network lets in, until `allow` names networks:
 
 A connection from elsewhere is closed before a byte is read. The address is that of the connection; no header
 (`Forwarded`, `X-Forwarded-For`) is believed, so behind a proxy it is the proxy's. The unit's own computer
-always may. A page of another site, open in a browser of an allowed computer, cannot read an answer (no CORS);
-one whose name was bent to the unit's address (DNS rebinding) can read what that computer can.
+always may. A page of another site, open in a browser of an allowed computer, cannot read an answer (no CORS),
+nor can one whose name was bent to the unit's address (DNS rebinding): without TLS, what is asked for by a
+name that is not the unit's is 421, but for `/healthz`. Its addresses, `localhost`, and the name of its
+computer, alone or with `.local`, are always the unit's; `names` adds those of the plant's DNS or of a proxy:
+
+    [http]
+    names = ["alt-0007.plant.example"]
+
+With TLS the browser itself compares the name with the certificate.
 
 ## Who may act
 
@@ -206,7 +213,9 @@ script can read (`HttpOnly`, `SameSite=Strict`, with TLS `Secure` and `__Host-`)
 there are {MAX_SESSIONS} at most. `GET /api/v1/session` says who is logged in. Without TLS a password goes
 over the network as it is typed: use both.
 
-No secret is ever in a URL, an answer or the log.
+No secret is ever in a URL, an answer, an event or the log. Who logs in or out, and each wrong password or
+token, is an event (`request`) with the address, and with the name where it is one of the file; of many alike
+in a minute the events tell how many.
 
 ## TLS
 

@@ -7,7 +7,7 @@ import sys
 from altd.measuring.spot_locator import DUST_INTERVAL_NS
 from altd.measuring.spot_trend import RECENT_BUCKETS, REFERENCE_BUCKETS
 from altd.reasons import Reason, Signal
-from altd.status.availability import MAX_GAP_S, NOT_WATCHED
+from altd.status.availability import MAX_GAP_S, NOT_RUNNING, NOT_WATCHED
 from altd.status.cause import HOLD_S, MAINTENANCE_DELAY_S
 from altd.status.causes import MAX_START_S, START_S
 from altd.status.conditions import Condition
@@ -89,19 +89,30 @@ it fails when a cause has none.
 ## Availability
 
 `availability` counts the share of time in which the measurement was valid: of the last hour, the last day,
-and since the start.
+the last 31 days, and since the start.
 
 | key | means |
 |---|---|
 | `share` | valid over observed time; contracts for tunnelling machines ask for 0.98 |
 | `valid_s`, `observed_s` | seconds |
+| `since` | UTC from when on it was observed: as long ago as the name says, or later where no more is known |
 | `lost_s` | seconds by the worst reason of each moment, the largest first |
 
 - It looks four times a second. Time between two looks is valid when the measurement was so at both.
-- Time in which the daemon did not run is **not observed**: neither valid nor lost. `observed_s` is then
-  less than 3,600 s or 86,400 s. Who wants it to count divides `valid_s` by the whole span. Each start
-  begins anew, the hour and the day too: by a time of day that was set meanwhile they could not be put
-  together. What it takes until the first valid measurement is lost to `starting` or a reason.
+- Hour, day and 31 days reach back behind the daemon's start, as far as the [history](history.md) does: by its
+  minutes, and by its hours where it was more than a day before, each with the share of its measurements that
+  were valid; what was lost goes to its worst reason. `since_start` never does. Without a history, or where it
+  cannot be read, they begin with the start, and `since` says so. What it takes until the first valid
+  measurement is lost to `starting` or a reason.
+- Time between two daemons counts as lost to `{NOT_RUNNING}`, and so does time before the start of which the
+  history has nothing. To a plant a unit that was switched off on purpose is not down: IEC 60050-192-02-21
+  leaves out of down time what lacks an external resource such as power, and VDI 3423 counts within the time
+  for which the machine was planned to run. The unit knows neither, and cannot tell a power cut from a crash
+  or a switch. It counts all of it and says it apart: who knows that the unit was meant to be off takes it
+  out, `valid_s` / (`observed_s` - `lost_s.{NOT_RUNNING}`).
+- A clock that is set parts nothing: what one daemon wrote before and after belongs together. What was before
+  the start is put in its place by the time of day as it is now, anew when that is set; of a daemon whose
+  clock was wrong until its end nothing is believed, and its time counts as `{NOT_RUNNING}`.
 - Where more than {MAX_GAP_S:g} s lie between two looks the process stood still: that is lost to
   `{NOT_WATCHED}`.
 - A recording that is played, or a simulated unit, counts as any other: only `valid` counts.

@@ -144,7 +144,7 @@ def _status() -> dict[str, Any]:
     }
     return document | {
         "state": {"signal": str(Condition.DUSTY.signal), "for_s": 75.0, "causes": [dusty]},
-        "availability": {"last_hour": span, "last_day": span, "since_start": span},
+        "availability": {"last_hour": span, "last_day": span, "last_31_days": span, "since_start": span},
     }
 
 

@@ -22,7 +22,7 @@ _ABOUT_FILE = "kept.json"
 _MAX_ABOUT_BYTES = 4096
 _UNDER_WAY = ".under-way-"
 _NAME = re.compile(r"[0-9A-Za-z_-]{1,120}")
-_MIN_FREE_BYTES = 200 << 20
+MIN_FREE_BYTES = 200 << 20
 """Left free on the disk, for the history and whatever else the unit writes."""
 _MAX_SAME_NAME = 100
 _BLOCK_BYTES = 4096
@@ -116,7 +116,7 @@ class RecordingStore:
     def _make_room(self, max_bytes: int) -> None:
         """Remove the oldest recordings that nobody marked until there is room."""
         there = list(self.recordings())
-        free = shutil.disk_usage(self._folder).free - _MIN_FREE_BYTES
+        free = shutil.disk_usage(self._folder).free - MIN_FREE_BYTES
         taken = sum(kept.bytes for kept in there)
         while taken + max_bytes > self._max_bytes or free < max_bytes:
             oldest = next((kept for kept in reversed(there) if not kept.is_marked), None)

@@ -1,8 +1,9 @@
-"""Addresses of clients: what they are, whether they may connect, and whom they count as."""
+"""Addresses of clients, whether they may connect, whom they count as; and what the unit itself is called."""
 
 from __future__ import annotations
 
 import ipaddress
+import socket
 from collections.abc import Iterable
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
@@ -30,6 +31,30 @@ def group_of(address: Address) -> str:
     if isinstance(address, ipaddress.IPv6Address):
         return str(ipaddress.IPv6Network((address, _V6_GROUP_BITS), strict=False))
     return str(address)
+
+
+def host_of(header: str) -> str:
+    """The name or address in a header ``Host``, without the port."""
+    if header.startswith("["):
+        return header[1:].partition("]")[0]
+    return header.partition(":")[0]
+
+
+class OwnNames:
+    """What a browser may call the unit: an address, the computer's own name, and ``names``.
+
+    Any other name may be one that a page of elsewhere has bent to the unit's address (DNS rebinding), so as
+    to read what the browser's computer can.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        own = socket.gethostname().lower()
+        short = own.partition(".")[0]
+        self._names = {"", "localhost", own, short, f"{short}.local", *(name.lower() for name in names)}
+
+    def __contains__(self, header: str) -> bool:
+        host = host_of(header)
+        return address_of(host) is not None or host.lower().removesuffix(".") in self._names
 
 
 class Allowed:

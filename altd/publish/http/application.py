@@ -12,12 +12,12 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from altd.publish.http import errors
-from altd.publish.http.addresses import address_of, group_of, is_loopback
+from altd.publish.http.addresses import OwnNames, address_of, group_of, is_loopback
 from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
 from altd.publish.http.limits import Buckets
-from altd.publish.http.paths import ServedPath
+from altd.publish.http.paths import ALIVE, ServedPath
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
 
@@ -26,9 +26,16 @@ MAX_TARGET_BYTES = 2048
 
 
 def application_of(
-    paths: Iterable[ServedPath], answers: Answers, component: Component, requests: Buckets
+    paths: Iterable[ServedPath],
+    answers: Answers,
+    component: Component,
+    requests: Buckets,
+    names: OwnNames | None = None,
 ) -> ASGIApp:
-    """What answers every request, whoever carries it. ``requests`` limits how often an address may ask."""
+    """What answers every request, whoever carries it. ``requests`` limits how often an address may ask.
+
+    ``names`` are those that the unit may be asked by; None: any.
+    """
     routes: list[BaseRoute] = [
         Route(path.path, _handler(path, answers), methods=list(path.operations)) for path in paths
     ]
@@ -36,7 +43,7 @@ def application_of(
     routes.append(WebSocketRoute(PATH, answers.viewers.show))
     routed = Starlette(routes=routes, exception_handlers={HTTPException: errors.of_routing})
     routed.router.redirect_slashes = False
-    return _Gate(routed, component, requests)
+    return _Gate(routed, component, requests, names)
 
 
 def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitable[Response]]:
@@ -50,9 +57,12 @@ def _handler(path: ServedPath, answers: Answers) -> Callable[[Request], Awaitabl
 
 
 class _Gate:
-    """What is looked at before any path: that a request has one meaning, and how often its sender asks."""
+    """What is looked at before any path: one meaning, for this unit, and not too often."""
 
-    def __init__(self, application: ASGIApp, component: Component, requests: Buckets) -> None:
+    def __init__(
+        self, application: ASGIApp, component: Component, requests: Buckets, names: OwnNames | None
+    ) -> None:
+        self._names = names
         self._application = application
         self._component = component
         self._requests = requests
@@ -64,8 +74,16 @@ class _Gate:
             self._component.count("requests_limited")
             answer: ASGIApp = too_many("too many requests", wait_s)
         else:
-            answer = _malformed(scope) or self._application
+            answer = _malformed(scope) or self._misdirected(scope) or self._application
         await answer(scope, receive, send)
+
+    def _misdirected(self, scope: Scope) -> Response | None:
+        """Why it is not for this unit, by its ``Host``; None: it is, or it only asks whether it lives."""
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        if self._names is None or scope["path"] == ALIVE or all(host in self._names for host in hosts):
+            return None
+        self._component.count("requests_misdirected")
+        return refusal(421, "the name in Host is none of this unit's: take its address, or see [http] names")
 
     def _wait_s(self, scope: Scope) -> float:
         """How long the sender has to wait; the unit's own computer, which has no limit, does not."""

@@ -11,10 +11,11 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.addresses import address_of, group_of, is_loopback
+from altd.publish.http.addresses import address_of, group_of, host_of, is_loopback
 from altd.publish.http.errors import refusal
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, Buckets
 from altd.publish.http.sessions import LONGEST_S, Sessions
+from altd.status.event_log import EventKind, EventLog
 
 REQUEST_HEADER = "X-Altd-Request"
 """A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""
@@ -49,10 +50,21 @@ class Refused(Exception):  # noqa: N818  an answer, not a fault
 
 
 class Guard:
-    """One face's guard. ``known`` gives who may act at this moment; None: no credentials are set."""
+    """One face's guard. ``known`` gives who may act at this moment; None: no credentials are set.
 
-    def __init__(self, known: Callable[[], Known] | None, clock: Clock, *, is_local: bool = False) -> None:
+    Who logs in and out, and who tries in vain, is noted in ``events``.
+    """
+
+    def __init__(
+        self,
+        known: Callable[[], Known] | None,
+        clock: Clock,
+        events: EventLog | None = None,
+        *,
+        is_local: bool = False,
+    ) -> None:
         self._known = known
+        self._events = events
         self._is_local = is_local
         self._sessions = Sessions(clock)
         self._attempts = Buckets(ATTEMPTS, clock)
@@ -90,6 +102,8 @@ class Guard:
             raise _unknown("a token, or a session that /api/v1/login begins, is needed")
         if name is None:
             self._count_attempt(request)
+            if token is not None:
+                self._note(request, "a wrong token", "token_refused")
             raise _unknown("the token or the session is unknown or over")
         return name
 
@@ -108,10 +122,16 @@ class Guard:
         self._check_attempts(request)
         self._count_attempt(request)
         async with self._verifying:  # one at a time: each takes 16 MB and a core
-            fits = await asyncio.to_thread(self._known().is_password, name, password)
+            known = self._known()
+            fits = await asyncio.to_thread(known.is_password, name, password)
         if not fits:
+            if name in known.names:
+                self._note(request, "a wrong password", "login_refused", name)
+            else:  # what was typed is not noted: some type their password there
+                self._note(request, "a wrong name or password", "login_refused")
             raise _unknown("name or password is wrong")
         self._forgive(request)
+        self._note(request, "logged in", "login", name)
         return self._sessions.begin(name)
 
     def may_act(self, request: HTTPConnection) -> bool:
@@ -128,8 +148,11 @@ class Guard:
     def log_out(self, request: HTTPConnection) -> None:
         """End the session of who asks; raises Refused where a page of elsewhere does."""
         _check_is_no_other_page(request)
-        if (secret := secret_of(request)) is not None:
-            self._sessions.end(secret)
+        if (secret := secret_of(request)) is None:
+            return
+        if (name := self._sessions.name_of(secret)) is not None:
+            self._note(request, "logged out", "logout", name)
+        self._sessions.end(secret)
 
     def _name_of_session(self, secret: str, known: Known) -> str | None:
         name = self._sessions.name_of(secret)
@@ -138,11 +161,20 @@ class Guard:
     def _check_attempts(self, request: HTTPConnection) -> None:
         wait_s = max(self._attempts.wait_s(_group(request)), self._all_attempts.wait_s(_EVERYBODY))
         if wait_s:
+            self._note(request, "too many wrong attempts", "attempts_limited")
             raise Refused(too_many("too many wrong attempts", wait_s))
 
     def _count_attempt(self, request: HTTPConnection) -> None:
         self._attempts.take(_group(request))
         self._all_attempts.take(_EVERYBODY)
+
+    def _note(self, request: HTTPConnection, what: str, code: str, name: str | None = None) -> None:
+        """Note what somebody did, whose name is known, and from where; what repeats, the log counts."""
+        if self._events is None:
+            return
+        address = "an unknown address" if request.client is None else request.client.host
+        detail = {"code": code, "address": address}
+        self._events.note(EventKind.REQUEST, f"{what}, from {address}", name, None, detail)
 
     def _forgive(self, request: HTTPConnection) -> None:
         self._attempts.give_back(_group(request))
@@ -216,16 +248,9 @@ def _check_is_own_computer(request: HTTPConnection) -> None:
     if theirs is None or not (is_loopback(theirs) or theirs == ours):
         sentence = "it is asked for on the unit's own computer only: altd selfcheck"
         raise Refused(refusal(403, sentence))
-    host = _host_of(request.headers.get("Host", ""))
+    host = host_of(request.headers.get("Host", ""))
     if host not in _LOCAL_NAMES and address_of(host) is None:
         raise Refused(refusal(403, "the header Host names no address of the unit"))
-
-
-def _host_of(header: str) -> str:
-    """The name or address in a header ``Host``, without the port."""
-    if header.startswith("["):
-        return header[1:].partition("]")[0]
-    return header.partition(":")[0]
 
 
 def _is_tls(request: HTTPConnection) -> bool:

@@ -72,6 +72,8 @@ class Span(Answer):
     observed_s: float
     lost_s: dict[str, float]
     """Seconds by the code of the reason."""
+    since: str | None
+    """UTC from when on it is known, at most as long ago as the span's name says."""
 
 
 class Availability(Answer):
@@ -79,6 +81,7 @@ class Availability(Answer):
 
     last_hour: Span
     last_day: Span
+    last_31_days: Span
     since_start: Span
 
 

@@ -19,6 +19,9 @@ HTML = "text/html"
 EVENT_STREAM = "text/event-stream"
 TEXT = "text/plain"
 
+ALIVE = "/healthz"
+"""Who only asks whether anybody is there may call the unit what he likes."""
+
 _KINDS = {"type": "string", "enum": [str(kind) for kind in EventKind]}
 _SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}
 
@@ -79,6 +82,7 @@ COMMON_ERRORS = {
     414: "the path with its query is too long",
     431: "the header is too large, or has too many lines",
     405: "the path has no such method; `Allow` has those that it has",
+    421: "the name in `Host` is none of the unit's",
     429: "too many requests; `Retry-After` says for how many seconds to wait",
 }
 """What any path may answer."""
@@ -301,7 +305,7 @@ PATHS = (
         {"GET": Operation(Answers.metrics, "All numbers for Prometheus", media_type=TEXT)},
     ),
     ServedPath(
-        "/healthz",
+        ALIVE,
         "200 while the daemon answers",
         {"GET": Operation(Answers.alive, "Whether the daemon answers", models.Alive)},
     ),

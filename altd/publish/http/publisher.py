@@ -10,7 +10,7 @@ from functools import partial
 from altd.config import HttpSettings
 from altd.credentials.keeper import CredentialsKeeper
 from altd.history.history import History
-from altd.publish.http.addresses import Allowed
+from altd.publish.http.addresses import Allowed, OwnNames
 from altd.publish.http.answers import Answers
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.application import application_of
@@ -22,6 +22,7 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.server import Door, listen, serve
 from altd.publish.http.tls import Certificate
 from altd.status.board import Board
+from altd.status.event_log import EventLog
 from altd.status.health import Component, Health, State
 
 log = logging.getLogger("altd")
@@ -43,6 +44,7 @@ class HttpPublisher:
         health: Health,
         component: Component,
         history: History | None = None,
+        events: EventLog | None = None,
     ) -> None:
         self.port = settings.port
         """Where it serves; for port 0, what the system chose."""
@@ -56,8 +58,12 @@ class HttpPublisher:
         if settings.certificate is not None and settings.key is not None:
             complain = partial(self._complain, "certificate")
             certificate = Certificate(settings.certificate, settings.key, complain)
-        guard = Guard(None if keeper is None else keeper.current, component.clock, is_local=self.is_local)
+        known = None if keeper is None else keeper.current
+        guard = Guard(known, component.clock, events, is_local=self.is_local)
         self._door = Door(Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock))
+        # over TLS the browser itself compares the name with the certificate
+        is_open = certificate is None and not self.is_local
+        self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
         self._answers = Answers(board, health, component, guard, past)
         self._answers.document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
@@ -88,7 +94,7 @@ class HttpPublisher:
             self._tell()
 
         requests = Buckets(REQUESTS, self._component.clock)
-        application = application_of(PATHS, self._answers, self._component, requests)
+        application = application_of(PATHS, self._answers, self._component, requests, self._names)
         await serve(application, listener, self._component, self._door, serving)
 
     def _complain(self, about: str, sentence: str) -> None:

@@ -23,7 +23,12 @@ _SAID_BY_COMPONENTS = {
 }
 """What the list of what is wrong says already, in the words of the component."""
 
-_SPANS = {"last_hour": "of the last hour", "last_day": "of the last day", "since_start": "since the start"}
+_SPANS = {
+    "last_hour": "of the last hour",
+    "last_day": "of the last day",
+    "last_31_days": "of the last 31 days",
+    "since_start": "since the start",
+}
 _MOST_LOST = 3
 """So many reasons for lost time are named."""
 

@@ -15,7 +15,7 @@ from altd.config import HttpSettings
 from altd.publish.http.publisher import HttpPublisher
 
 NAME = "http"
-STATUSES = {200, 400, 401, 403, 404, 405, 409, 413, 414, 415, 429, 431, 503}
+STATUSES = {200, 400, 401, 403, 404, 405, 409, 413, 414, 415, 421, 429, 431, 503}
 
 _REQUESTS = tuple(
     text.encode("latin-1")
@@ -52,7 +52,10 @@ EXAMPLES = st.tuples(STREAMS, st.sampled_from((1_000_000, 200, 40, 7)))
 
 _face = served(
     lambda faces: HttpPublisher(
-        HttpSettings(host="127.0.0.1", port=0), faces.board, faces.health, faces.component(NAME)
+        HttpSettings(host="127.0.0.1", port=0, names=("unit",)),
+        faces.board,
+        faces.health,
+        faces.component(NAME),
     )
 )
 

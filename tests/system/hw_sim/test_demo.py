@@ -194,7 +194,8 @@ def rows_of(data: bytes) -> dict[int, str]:
     return {int(row): text for row, text in drawn}
 
 
-def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, str], unit_3: Path) -> None:
+def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(unit_3: Path) -> None:
+    in_tmp = {**os.environ, "TMPDIR": "/tmp", "LANG": "C.UTF-8"}
     terminal, device = os.openpty()
     try:
         fcntl.ioctl(device, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
@@ -203,7 +204,7 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, 
         # the leader of a session gets the first terminal that it opens as its own
         line = shlex.join([*DEMO, "--calibration", str(unit_3 / "cal.json")])
         command = f"exec {line} <{name} >{name} 2>&1"
-        demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=temporary)
+        demo = subprocess.Popen(["sh", "-c", command], start_new_session=True, env=in_tmp)
         with ended(demo):
             output = Output(terminal)
 
@@ -223,7 +224,12 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, 
             rows = rows_of(output.data)
             assert re.fullmatch(rf"  x     mm +- +- +{NUMBER} +- +-", rows[3]), "truth, and nothing measured"
             url = re.search(r"127.0.0.1:(\d+)/api/measurement", "\n".join(rows.values()))
+            folder = re.search(
+                r"cd (/tmp/altd-\w+) && ./altd watch --socket altd.sock", "\n".join(rows.values())
+            )
             assert url
+            assert folder
+            assert Path(folder[1], "altd.sock").is_socket()
             answer = json.load(get(int(url[1]), "/api/measurement"))
             assert answer["valid"] is False
             assert quantities(answer) == [None] * 4
@@ -233,6 +239,7 @@ def test_a_person_at_a_terminal_blocks_the_beam_and_leaves(temporary: dict[str, 
             os.write(terminal, b"q")
             output.until(lambda data: b"difference / sigma" in data and data.endswith(b"\r\n"))
             assert demo.wait(5) == 0
+        assert not Path(folder[1]).exists()
         farewell = output.data[output.data.rindex(b"\x1b[?1049l") :]
         assert b"\x1b[?25h" in output.data[output.data.rindex(b"\x1b[?25l") :]
         assert b"The demo has ended" in farewell

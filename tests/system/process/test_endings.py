@@ -136,6 +136,14 @@ COMMANDS = {
         ends_with=0,
         module=HW_SIM,
     ),
+    "hw_sim demo, kept": Command(
+        "demo --seed 3 --calibration {cal_3} --keep kept",
+        "altd.measuring.chain:MeasuringChain.add 5",
+        frozenset({"kept"}),
+        ends_with=0,
+        module=HW_SIM,
+        signals=(signal.SIGTERM,),
+    ),
     "hw_sim demo, calibrated by itself": Command(
         "demo",
         "altd.measuring.chain:MeasuringChain.add 5",

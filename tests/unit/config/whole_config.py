@@ -51,6 +51,7 @@ unit_id = 1
 host = "0.0.0.0"
 port = 8080
 allow = ["10.0.0.0/8", "fd00::/8"]
+names = ["alt-0007.plant.example"]
 credentials = "credentials"
 certificate = "unit.pem"
 key = "unit.key"

@@ -236,6 +236,6 @@ async def test_a_defect_of_the_history_ends_nothing(tmp_path: Path, monkeypatch:
 
     async with Recording(tmp_path) as recording:
         monkeypatch.setattr(Store, "write", fail)
-        await recording.until(lambda: recording.component.state is State.DEGRADED)
-        assert recording.component.message == "a defect: KeyError: 'a defect'"
+        await recording.until(lambda: recording.component.message == "a defect: KeyError: 'a defect'")
+        assert recording.component.state is State.DEGRADED
         recording.publish()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 import time
 
@@ -73,6 +74,28 @@ async def test_a_device_s_calls_come_one_after_the_other_in_one_thread() -> None
         await thread.call(raise_it, within_s=1.0)
     assert await thread.call(pow, 2, 5, within_s=1.0) == 32
     assert await thread.end(lambda: None, 1.0)
+
+
+async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody() -> None:
+    told: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: told.append(context))
+    thread, gate = DeviceThread("device"), Gate()
+
+    def fail() -> None:
+        gate()
+        raise_it()
+
+    asked = asyncio.create_task(thread.call(fail, within_s=10.0))
+    assert await asyncio.to_thread(gate.entered.wait, 10)
+    asked.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await asked
+    del asked
+    gate.may_end.set()
+    assert await thread.call(pow, 2, 5, within_s=10.0) == 32
+    gc.collect()
+    assert told == []
+    assert await thread.end(lambda: None, 10.0)
 
 
 async def test_a_call_that_takes_too_long_times_out_and_so_does_the_next_until_it_is_back() -> None:

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import pickle
+from datetime import timedelta
 from typing import Any, cast
 
 import pytest
+from support.clock import START
 
-from altd.status.availability import MAX_GAP_S, NOT_WATCHED, Availability
+from altd.status.availability import (
+    MAX_GAP_S,
+    NOT_RUNNING,
+    NOT_WATCHED,
+    Availability,
+    Before,
+    RunningSpan,
+)
 
 SECOND = 10**9
 
@@ -30,7 +39,13 @@ class Watched:
 
 
 def test_nothing_observed_is_no_share() -> None:
-    assert Watched().span("last_hour") == {"share": None, "valid_s": 0.0, "observed_s": 0.0, "lost_s": {}}
+    assert Watched().span("last_hour") == {
+        "share": None,
+        "valid_s": 0.0,
+        "observed_s": 0.0,
+        "lost_s": {},
+        "since": None,
+    }
 
 
 def test_half_valid_is_a_half_by_reason() -> None:
@@ -43,6 +58,7 @@ def test_half_valid_is_a_half_by_reason() -> None:
         "valid_s": 600.0,
         "observed_s": 1200.0,
         "lost_s": {"spot_missing": 400.0, "camera_silent": 200.0},
+        "since": None,
     }
 
 
@@ -106,9 +122,69 @@ def test_looks_of_many_readers_change_nothing() -> None:
 def test_memory_is_bounded() -> None:
     watched = Watched()
     reasons = ("spot_missing", "unsteady", "stale")
+    watched.run(31 * 86_400, "stale", step_s=3600)
     sizes = []
     for _day in range(4):
         for minute in range(1440):
             watched.run(60, reasons[minute % 3], step_s=4)
         sizes.append(len(pickle.dumps(watched.availability)))
     assert sizes[1:] == pytest.approx([sizes[0]] * 3, rel=0.05)
+
+
+def half_an_hour_before(gap_s: float = 100.0) -> Before:
+    """Of half an hour on record: a daemon that ran until ``gap_s`` before the start, half of it valid."""
+    return Before(1800.0, (RunningSpan(gap_s, 1800.0 - gap_s, 0.5, "spot_missing"),))
+
+
+def test_the_hour_reaches_back_behind_the_start_as_far_as_is_known() -> None:
+    watched = Watched()
+    watched.availability.before = half_an_hour_before()
+    watched.run(600)
+    assert watched.span("last_hour") == {
+        "share": round((600 + 850) / 2400, 5),
+        "valid_s": 1450.0,
+        "observed_s": 2400.0,
+        "lost_s": {"spot_missing": 850.0, NOT_RUNNING: 100.0},
+        "since": None,
+    }
+    assert watched.span("since_start")["observed_s"] == 600.0
+
+
+def test_what_was_before_the_start_is_forgotten_as_time_goes_on() -> None:
+    watched = Watched()
+    watched.availability.before = half_an_hour_before()
+    watched.run(
+        3600 - 200
+    )  # of the time before the start, 200 s are left: 100 s stood still, 100 s half valid
+    assert watched.span("last_hour")["lost_s"] == {NOT_RUNNING: 100.0, "spot_missing": 50.0}
+    watched.run(150)
+    assert watched.span("last_hour")["lost_s"] == {NOT_RUNNING: 50.0}
+    watched.run(50)
+    assert watched.span("last_hour")["share"] == 1.0
+    assert watched.span("last_day")["lost_s"] == {"spot_missing": 850.0, NOT_RUNNING: 100.0}
+
+
+def test_since_when_it_is_known_is_told_in_utc() -> None:
+    availability = Availability(0, lambda t_ns: START + timedelta(microseconds=t_ns / 1000))
+    for second in range(601):
+        availability.look(second * SECOND, None)
+    since = {name: cast("dict[str, Any]", span)["since"] for name, span in availability.as_object().items()}
+    spans = ("last_hour", "last_day", "last_31_days", "since_start")
+    assert since == dict.fromkeys(spans, "2026-11-20T08:00:00.000Z")
+    availability.before = half_an_hour_before()
+    shown = cast("dict[str, dict[str, Any]]", availability.as_object())
+    assert shown["last_hour"]["since"] == "2026-11-20T07:30:00.000Z"
+    assert shown["since_start"]["since"] == "2026-11-20T08:00:00.000Z"
+
+
+def test_the_31_days_hold_hours_and_what_was_before_the_start() -> None:
+    watched = Watched()
+    watched.availability.before = Before(40 * 86_400.0, (RunningSpan(0.0, 40 * 86_400.0, 0.5, "dusty"),))
+    watched.run(86_400, "spot_missing", step_s=4)
+    month = watched.span("last_31_days")
+    assert month["lost_s"] == {"dusty": 15 * 86_400.0, "spot_missing": 86_400.0}
+    assert month["share"] == round(15 / 31, 5)
+    watched.run(32 * 86_400, step_s=3600)
+    month = watched.span("last_31_days")
+    assert month["lost_s"] == {NOT_WATCHED: month["observed_s"]}
+    assert 31 * 86_400 - 3600 < month["observed_s"] <= 31 * 86_400

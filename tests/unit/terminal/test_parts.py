@@ -113,7 +113,8 @@ measuring    VALID, 0.50 s old, mean of 20 exposures, number 160,
   yaw        1.1459 deg +/- 0.0011   now 0.0020  =    20.002 mm/m
   pitch     -1.7184 deg +/- 0.0011   now 0.0016  =   -30.001 mm/m
 
-available    99.99 % of the last hour; 99.99 % of the last day
+available    99.99 % of the last hour; 99.99 % of the last day; 99.99 % of the
+             last 31 days
 self-check   none: there was no self-check since the unit started
 
 component     state     for

@@ -26,11 +26,15 @@ export function Causes({ status }) {
   </section>`;
 }
 
+// Below so many seconds a span is not as long as its name says.
+const WHOLE_S = { last_hour: 3540, last_day: 86340, last_31_days: 2674800 };
+
 export function Availability({ status }) {
   const availability = status?.availability;
   if (!availability) return null;
   const share = span => span?.share == null ? "–" : `${(100 * span.share).toFixed(2)} %`;
+  const known = (span, name) => span?.observed_s < WHOLE_S[name] && html` <small>of ${duration(span.observed_s)}</small>`;
   return html`<section aria-labelledby="availability-title"><h2 id="availability-title">Time valid</h2>
-    <dl class="facts">${["last_hour", "last_day", "since_start"].map(span => html`<div key=${span}><dt>${words(span)}</dt>
-      <dd>${share(availability[span])}</dd></div>`)}</dl></section>`;
+    <dl class="facts">${["last_hour", "last_day", "last_31_days", "since_start"].map(span => html`<div key=${span}><dt>${words(span)}</dt>
+      <dd>${share(availability[span])}${known(availability[span], span)}</dd></div>`)}</dl></section>`;
 }

@@ -168,6 +168,17 @@ async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> No
         await unit.nothing_more(0)
 
 
+async def test_a_fault_of_a_simulated_unit_is_written_too(tmp_path: Path) -> None:
+    """*Check function* from the start is the worse signal; the fault beside it counts by itself."""
+    async with running(Unit(tmp_path)) as unit:
+        unit.causes.append(Cause(Reason.SIMULATED))
+        await unit.expose(60)
+        await unit.nothing_more(0)
+        unit.causes.append(FAULT)
+        await unit.expose(20)
+        assert (await unit.written(1)).why == "spot_missing front"
+
+
 async def test_by_its_settings_it_writes_only_when_asked(tmp_path: Path) -> None:
     async with running(Unit(tmp_path, SETTINGS.model_copy(update={"on_fault": False}))) as unit:
         await unit.expose(60)

@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pytest
+from support.clock import FakeClock
 from support.measurements import measured
 
 from altd.config import HttpSettings
@@ -19,6 +20,7 @@ from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
 from altd.status.board import Board
+from altd.status.event_log import EventLog
 from altd.status.health import Component, Health
 
 
@@ -113,6 +115,8 @@ class Events:
         return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
 
 
+NAMES = ("unit", "alt-0007.plant", "a")
+
 Served = Callable[..., AbstractAsyncContextManager[Unit]]
 """Served with these settings of ``[http]``."""
 
@@ -123,11 +127,16 @@ def component(health: Health) -> Component:
 
 
 @pytest.fixture
-def served(board: Board, health: Health, component: Component) -> Served:
+def events(clock: FakeClock) -> EventLog:
+    return EventLog(clock)
+
+
+@pytest.fixture
+def served(board: Board, health: Health, component: Component, events: EventLog) -> Served:
     @contextlib.asynccontextmanager
     async def serving(**more: Any) -> AsyncIterator[Unit]:
-        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, **more})
-        publisher = HttpPublisher(settings, board, health, component)
+        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, "names": NAMES, **more})
+        publisher = HttpPublisher(settings, board, health, component, events=events)
         ready = asyncio.Event()
         task = asyncio.ensure_future(publisher.run(ready.set))
         await ready.wait()

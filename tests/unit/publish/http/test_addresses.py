@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.publish.http.addresses import Allowed, address_of, group_of
+from altd.publish.http.addresses import Allowed, OwnNames, address_of, group_of
 
 
 @pytest.mark.parametrize(
@@ -51,3 +51,29 @@ def test_a_host_with_a_network_of_its_own_counts_once() -> None:
     mapped = address_of("::ffff:10.0.0.1")
     assert mapped is not None
     assert group_of(mapped) == "10.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("header", "expected"),
+    [
+        ("192.0.2.7", True),
+        ("192.0.2.7:8080", True),
+        ("[2001:db8::7]:8080", True),
+        ("localhost:8080", True),
+        ("Unit-7:8080", True),
+        ("unit-7.local", True),
+        ("unit-7.plant.example.:8080", True),
+        ("ALT.plant", True),
+        ("", True),
+        ("evil.example", False),
+        ("unit-7.evil.example", False),
+        ("localhost.evil.example", False),
+        ("192.0.2.7.evil.example", False),
+        ("[evil.example]", False),
+    ],
+)
+def test_the_unit_is_asked_by_its_own_names(
+    monkeypatch: pytest.MonkeyPatch, header: str, expected: bool
+) -> None:
+    monkeypatch.setattr("socket.gethostname", lambda: "unit-7.plant.example")
+    assert (header in OwnNames(["alt.plant"])) is expected

@@ -19,7 +19,7 @@ from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
 
-from .conftest import Unit
+from .conftest import NAMES, Unit
 from .test_openapi import DOCUMENT, fits
 
 MONOTONIC_NS = 10**12
@@ -44,7 +44,7 @@ def recorded(tmp_path: Path) -> History:
 
 @asynccontextmanager
 async def served(board: Board, health: Health, history: History | None) -> AsyncIterator[Unit]:
-    settings = HttpSettings(host="127.0.0.1", port=0)
+    settings = HttpSettings(host="127.0.0.1", port=0, names=NAMES)
     publisher = HttpPublisher(settings, board, health, health.component("http"), history)
     ready = asyncio.Event()
     task = asyncio.create_task(publisher.run(ready.set))

@@ -1,0 +1,159 @@
+"""Checks of what the daemon keeps and where it is asked: history, recordings of frames, the local socket."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import sqlite3
+import stat
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from altd.acquisition.kept_frames.store import MIN_FREE_BYTES
+from altd.app.history import FILE_NAME
+from altd.app.kept_frames import RECORDINGS
+from altd.app.local import SERVICE_SOCKET
+from altd.config import Config
+from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.machine import Machine
+from altd.doctor.system import STATE
+from altd.errors import one_line
+from altd.history.opening import check_pages, open_to_read
+from altd.history.schema import NewerFileError, UnusableFileError
+
+_CONNECT_TIMEOUT_S = 1.0
+_MB = 10**6
+
+
+def history(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The folder and the room of the history, and whether its file is whole."""
+    settings, subject = config.history, "history"
+    if not settings.enabled:
+        yield good(subject, "off: [history] says so")
+        return
+    path = settings.file or Path(STATE, FILE_NAME)
+    if settings.file is None and machine.service() is None:
+        yield better(subject, "there will be none without the service", "[history] file = PATH in the config")
+        return
+    if (refused := _folder(subject, path.parent, machine)) is not None:
+        yield refused
+        return
+    try:
+        taken_bytes = machine.at(path).stat().st_size
+    except FileNotFoundError:
+        taken_bytes = 0
+    except OSError as error:
+        yield better(subject, f"{path} cannot be looked at: {error.strerror}", "sudo altd doctor")
+        return
+    yield _room(subject, path.parent, settings.max_mb * _MB - taken_bytes, "[history] max_mb", machine)
+    if taken_bytes:
+        yield _file(path, machine)
+
+
+def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The folder and the room of recordings of the last seconds."""
+    settings, subject = config.kept_frames, "kept frames"
+    if not settings.memory_mb:
+        yield good(subject, "off: [kept_frames] memory_mb is 0")
+        return
+    folder = settings.folder or Path(STATE, RECORDINGS)
+    if settings.folder is None and machine.service() is None:
+        yield better(
+            subject, "there will be none without the service", "[kept_frames] folder = PATH in the config"
+        )
+        return
+    if (refused := _folder(subject, folder, machine, made_by_altd=True)) is not None:
+        yield refused
+        return
+    taken_bytes = sum(_size_of(path) for path in machine.at(folder).glob("*/**/*"))
+    wanted_bytes = (settings.disk_mb << 20) + MIN_FREE_BYTES - taken_bytes
+    yield _room(subject, folder, wanted_bytes, "[kept_frames] disk_mb", machine)
+
+
+def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
+    """The socket of ``altd status``, ``altd watch`` and ``altd selfcheck``."""
+    if config.local is None and machine.service() is None:
+        yield better(
+            "local socket", "there will be none without the service", "[local] socket = PATH in the config"
+        )
+        return
+    path = SERVICE_SOCKET if config.local is None else config.local.socket
+    subject = f"local socket {path}"
+    try:
+        mode = machine.at(path).lstat().st_mode
+    except FileNotFoundError:
+        yield _folder(subject, path.parent, machine) or good(subject, "a daemon that starts makes it")
+        return
+    except OSError as error:
+        yield better(subject, f"cannot be looked at: {error.strerror}", "sudo altd doctor")
+        return
+    if not stat.S_ISSOCK(mode):
+        yield wrong(
+            subject, "there is a file that is no socket", f"sudo rm {path}   # or another [local] socket"
+        )
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        trial.settimeout(_CONNECT_TIMEOUT_S)
+        try:
+            trial.connect(str(machine.at(path)))
+        except ConnectionRefusedError:
+            yield good(subject, "of a daemon that was killed: the next one replaces it")
+        except PermissionError:
+            remedy = "sudo altd status   # or Group= of the service, docs/terminal.md"
+            yield better(subject, f"{machine.account.name} may not open it", remedy)
+        else:
+            yield good(subject, "a daemon answers there")
+
+
+def _folder(subject: str, folder: Path, machine: Machine, *, made_by_altd: bool = False) -> Finding | None:
+    """Why the daemon may not write to a folder; None: it may. With a service, that writes."""
+    service = machine.service()
+    if service is not None:
+        if service.may_write(folder):
+            return None
+        remedy = f"sudo systemctl edit altd   # [Service] ReadWritePaths={folder}; or a folder below {STATE}"
+        return wrong(subject, f"the service may not write to {folder}", remedy)
+    there = folder
+    while made_by_altd and not machine.at(there).exists() and there != there.parent:
+        there = there.parent
+    status = machine.status(there)
+    if status is None or not stat.S_ISDIR(status.st_mode):
+        return wrong(subject, f"there is no folder {folder}", f"mkdir -p {folder}")
+    if not machine.account.may_use(status):
+        return wrong(subject, f"{machine.account.name} may not write to {there}", f"ls -ld {there}")
+    return None
+
+
+def _room(subject: str, folder: Path, wanted_bytes: int, setting: str, machine: Machine) -> Finding:
+    there = machine.at(folder)
+    while not there.is_dir():
+        there = there.parent
+    free_bytes = shutil.disk_usage(there).free
+    text = f"{folder}: {free_bytes / _MB:.0f} MB free"
+    if wanted_bytes <= free_bytes:
+        return good(subject, text)
+    remedy = f"sudo du -xhd1 {folder} | sort -h   # what fills it; or a smaller {setting}"
+    return better(subject, f"{text}, and it may grow by {wanted_bytes / _MB:.0f} MB", remedy)
+
+
+def _file(path: Path, machine: Machine) -> Finding:
+    subject = f"history {path}"
+    try:
+        with closing(open_to_read(machine.at(path))) as connection:
+            check_pages(connection)
+    except NewerFileError as error:
+        return wrong(subject, str(error), f"sudo mv {path} {path}.newer   # or the newer release")
+    except (UnusableFileError, sqlite3.Error) as error:
+        remedy = "a daemon that starts moves a damaged one aside and begins a new one"
+        return better(subject, one_line(str(error)), remedy)
+    except OSError as error:
+        return better(subject, f"cannot be looked at: {error.strerror}", "sudo altd doctor")
+    return good(subject, "every page of it is whole")
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.lstat().st_size
+    except OSError:
+        return 0

@@ -1,0 +1,84 @@
+"""The demo's folder: what its daemon keeps, and the commands that read it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.config import HistorySettings, KeptFrames, LocalSettings
+from altd.config.local import MAX_SOCKET_BYTES
+from altd.errors import BadInputError
+
+_DISK_MB = 500
+_AGAIN_AFTER_S = 60.0
+"""Who tries the demo blocks the beam more than once in ten minutes."""
+
+_PROGRAM = "altd"
+
+
+@dataclass(frozen=True, slots=True)
+class DemoFolder:
+    """Where a demo's daemon keeps its history and its frames, and where its own computer asks it."""
+
+    path: Path
+
+    @property
+    def calibration(self) -> Path:
+        """The unit's calibration, where the demo makes it."""
+        return self.path / "calibration.json"
+
+    @property
+    def history(self) -> HistorySettings:
+        """The history in this folder."""
+        return HistorySettings(file=self.path / "history.db")
+
+    @property
+    def kept_frames(self) -> KeptFrames:
+        """Recordings in this folder."""
+        return KeptFrames(folder=self.path / "recordings", disk_mb=_DISK_MB, again_after_s=_AGAIN_AFTER_S)
+
+    @property
+    def local(self) -> LocalSettings | None:
+        """The local socket in this folder; None: its path would be too long for one."""
+        socket = self.path / "altd.sock"
+        fits = str(socket).isprintable() and len(os.fsencode(socket)) <= MAX_SOCKET_BYTES
+        return LocalSettings(socket=socket) if fits else None
+
+    def commands(self) -> list[tuple[str, str]]:
+        """What to type, wherever one is, to see what is kept, with its name."""
+        altd = f"cd {shlex.quote(str(self.path))} && ./{_PROGRAM}"
+        watch = f"{altd} watch --socket altd.sock"
+        return [
+            ("terminal", "(no altd watch: the folder's path is too long)" if self.local is None else watch),
+            ("", f"{altd} events --history history.db"),
+        ]
+
+
+@contextlib.contextmanager
+def demo_folder(keep: Path | None) -> Iterator[DemoFolder]:
+    """The folder ``keep``, which stays, or a temporary one; raises BadInputError where it cannot be had.
+
+    While it is used there is a link to the program in it: its commands are the same wherever altd is
+    installed, and short enough for a terminal of 80 columns.
+    """
+    with contextlib.ExitStack() as parts:
+        if keep is None:
+            path = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-")))
+        else:
+            path = keep.absolute()
+        link = path / _PROGRAM
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            if link.is_symlink():  # of a demo that was killed
+                link.unlink()
+            link.symlink_to(Path(sys.executable).with_name(_PROGRAM))
+        except OSError as error:
+            raise BadInputError(str(link), error.strerror or str(error)) from error
+        parts.callback(link.unlink, missing_ok=True)
+        yield DemoFolder(path)

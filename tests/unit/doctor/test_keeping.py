@@ -1,0 +1,184 @@
+"""What the daemon keeps, and where it is asked: folders, room, a damaged file, a socket in the way."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+from collections import namedtuple
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.history import START_S, store, write_seconds
+from support.places import ROOT
+
+from altd.doctor import keeping
+from altd.doctor.finding import Finding, Verdict
+from altd.doctor.machine import Account, myself
+
+from .conftest import Configured, Tree, says
+
+SERVICE = "/etc/systemd/system/altd.service"
+Usage = namedtuple("Usage", "total used free")
+
+
+@pytest.fixture
+def installed(tree: Tree) -> Tree:
+    """A computer with the service as it is shipped."""
+    tree.write(SERVICE, (ROOT / "systemd/altd.service").read_text())
+    return tree
+
+
+def history(tree: Tree, config: object) -> list[Finding]:
+    return list(keeping.history(config, tree.machine))  # type: ignore[arg-type]
+
+
+class TestFolders:
+    @pytest.mark.parametrize("check", [keeping.history, keeping.recordings])
+    def test_the_services_own_folder_is_good(
+        self, installed: Tree, configured: Configured, check: object
+    ) -> None:
+        assert callable(check)
+        (finding,) = check(configured(), installed.machine)
+        assert finding.verdict is Verdict.GOOD
+        assert "/var/lib/altd" in finding.text
+
+    def test_one_that_the_service_may_not_write_to(self, installed: Tree, configured: Configured) -> None:
+        config = configured(history={"file": "/data/history.db"}, kept_frames={"folder": "/data/frames"})
+        for findings, folder in (
+            (history(installed, config), "/data"),
+            (list(keeping.recordings(config, installed.machine)), "/data/frames"),
+        ):
+            finding = says(findings, Verdict.WRONG, "the service may not write")
+            assert f"ReadWritePaths={folder};" in finding.remedy
+
+    def test_one_that_was_given_to_the_service(self, installed: Tree, configured: Configured) -> None:
+        installed.write(f"{SERVICE}.d/data.conf", "[Service]\nReadWritePaths=-/data")
+        config = configured(history={"file": "/data/altd/history.db"})
+        assert says(history(installed, config), Verdict.GOOD, "MB free")
+
+    def test_without_a_service_the_folder_must_be_there_and_ours(
+        self, tree: Tree, configured: Configured
+    ) -> None:
+        config = configured(history={"file": "/data/history.db"})
+        assert says(history(tree, config), Verdict.WRONG, "no folder /data").remedy == "mkdir -p /data"
+        (tree.root / "data").mkdir(mode=0o755)
+        stranger = replace(tree, account=Account("somebody", 4242, frozenset()))
+        assert says(history(stranger, config), Verdict.WRONG, "somebody may not write to /data")
+        assert says(history(replace(tree, account=myself()), config), Verdict.GOOD, "MB free")
+
+    def test_recordings_make_their_own_folder(self, tree: Tree, configured: Configured) -> None:
+        config = configured(kept_frames={"folder": "/data/frames"})
+        findings = list(keeping.recordings(config, replace(tree, account=myself()).machine))
+        assert says(findings, Verdict.GOOD, "/data/frames")
+
+    def test_without_a_folder_it_is_said_that_nothing_is_kept(
+        self, tree: Tree, configured: Configured
+    ) -> None:
+        config = configured()
+        for check in (keeping.history, keeping.recordings, keeping.local_socket):
+            assert says(list(check(config, tree.machine)), Verdict.BETTER, "none without the service").remedy
+
+    def test_what_is_off_is_no_fault(self, tree: Tree, configured: Configured) -> None:
+        config = configured(history={"enabled": False}, kept_frames={"memory_mb": 0})
+        assert says(history(tree, config), Verdict.GOOD, "off")
+        assert says(list(keeping.recordings(config, tree.machine)), Verdict.GOOD, "off")
+
+
+class TestRoom:
+    def test_less_than_it_may_take(
+        self, installed: Tree, configured: Configured, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 350 * 10**6))
+        config = configured(kept_frames={"disk_mb": 100})
+        assert "max_mb" in says(history(installed, config), Verdict.BETTER, "350 MB free").remedy
+        findings = list(keeping.recordings(config, installed.machine))
+        assert says(findings, Verdict.GOOD, "350 MB free"), "100 MiB, and 200 MiB that stay free"
+
+    def test_what_is_there_already_is_not_needed_again(
+        self, installed: Tree, configured: Configured, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(10**12, 0, 250 * 10**6))
+        config = configured(kept_frames={"disk_mb": 100})
+        assert says(list(keeping.recordings(config, installed.machine)), Verdict.BETTER, "250 MB free")
+        frame = installed.root / "var/lib/altd/recordings/20261120T080000Z-asked/frame.png"
+        frame.parent.mkdir(parents=True)
+        with frame.open("wb") as file:
+            file.truncate(80 * 10**6)
+        assert says(list(keeping.recordings(config, installed.machine)), Verdict.GOOD, "250 MB free")
+
+
+class TestFile:
+    @pytest.fixture
+    def path(self, installed: Tree) -> Path:
+        folder = installed.root / "var/lib/altd"
+        folder.mkdir(parents=True)
+        writing = store(folder)
+        write_seconds(writing, START_S, [10.0] * 200, rate=2)
+        writing.end(None)
+        return folder / "history.db"
+
+    def test_a_whole_one(self, installed: Tree, configured: Configured, path: Path) -> None:
+        before = path.read_bytes()
+        assert says(history(installed, configured()), Verdict.GOOD, "every page of it is whole")
+        assert path.read_bytes() == before
+
+    def test_a_damaged_one(self, installed: Tree, configured: Configured, path: Path) -> None:
+        content = bytearray(path.read_bytes())
+        content[4096 * 3 : 4096 * 12] = b"\xa5" * 4096 * 9
+        path.write_bytes(content)
+        assert says(history(installed, configured()), Verdict.BETTER, "damaged").remedy.startswith("a daemon")
+
+    def test_one_of_a_newer_program(self, installed: Tree, configured: Configured, path: Path) -> None:
+        content = bytearray(path.read_bytes())
+        content[60:64] = (999).to_bytes(4, "big")  # user_version (sqlite.org/fileformat.html, 1.3)
+        path.write_bytes(content)
+        assert "sudo mv" in says(history(installed, configured()), Verdict.WRONG, "version 999").remedy
+
+
+class TestLocalSocket:
+    PATH = "/s/altd.sock"
+
+    @pytest.fixture
+    def there(self, tree: Tree, monkeypatch: pytest.MonkeyPatch) -> Tree:
+        """A computer whose root is the working folder: the path of a socket is short."""
+        (tree.root / "s").mkdir()
+        monkeypatch.chdir(tree.root)
+        return replace(tree, root=Path(), account=myself())
+
+    def check(self, tree: Tree, configured: Configured) -> list[Finding]:
+        return list(keeping.local_socket(configured(local={"socket": self.PATH}), tree.machine))
+
+    def test_none_yet(self, there: Tree, configured: Configured) -> None:
+        assert says(self.check(there, configured), Verdict.GOOD, "a daemon that starts makes it")
+
+    def test_no_folder(self, there: Tree, configured: Configured) -> None:
+        Path("s").rmdir()
+        assert says(self.check(there, configured), Verdict.WRONG, "no folder /s")
+
+    def test_that_of_a_daemon_that_answers_and_of_one_that_was_killed(
+        self, there: Tree, configured: Configured
+    ) -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as daemon:
+            daemon.bind("s/altd.sock")
+            daemon.listen()
+            assert says(self.check(there, configured), Verdict.GOOD, "a daemon answers there")
+        assert says(self.check(there, configured), Verdict.GOOD, "was killed")
+
+    def test_a_file_in_its_place(self, there: Tree, configured: Configured) -> None:
+        Path("s/altd.sock").touch()
+        assert "sudo rm" in says(self.check(there, configured), Verdict.WRONG, "no socket").remedy
+
+    @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+    def test_one_that_is_for_others(self, there: Tree, configured: Configured) -> None:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as daemon:
+            daemon.bind("s/altd.sock")
+            daemon.listen()
+            Path("s/altd.sock").chmod(0o600)
+            os.seteuid(4242)
+            try:
+                findings = self.check(there, configured)
+            finally:
+                os.seteuid(0)
+        assert "sudo altd status" in says(findings, Verdict.BETTER, "may not open it").remedy

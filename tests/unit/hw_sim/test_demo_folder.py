@@ -1,0 +1,58 @@
+"""The folder of a demo: what it names, what it leaves, and what it says where it cannot be had."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from altd.errors import BadInputError
+from hw_sim.demo_folder import demo_folder
+
+
+def test_a_temporary_one_goes_with_all_that_is_in_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with demo_folder(None) as folder:
+        assert os.access(folder.path / "altd", os.X_OK)
+        (folder.path / "history.db").touch()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_that_is_kept_loses_only_the_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with demo_folder(Path("a", "b c")) as folder:
+        assert folder.path == tmp_path / "a" / "b c"
+        (_, watch), (_, events) = folder.commands()
+        assert watch == f"cd '{folder.path}' && ./altd watch --socket altd.sock"
+        assert events == f"cd '{folder.path}' && ./altd events --history history.db"
+        (folder.path / "history.db").touch()
+    assert [path.name for path in (tmp_path / "a" / "b c").iterdir()] == ["history.db"]
+
+
+def test_the_link_of_a_demo_that_was_killed_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "altd").symlink_to("/nowhere")
+    with demo_folder(tmp_path) as folder:
+        assert (folder.path / "altd").exists()
+
+
+def test_a_file_of_somebody_stays_and_is_named(tmp_path: Path) -> None:
+    (tmp_path / "altd").write_text("mine")
+    with pytest.raises(BadInputError, match=r"altd: File exists"), demo_folder(tmp_path):
+        pass
+    assert (tmp_path / "altd").read_text() == "mine"
+
+
+def test_a_path_that_is_too_long_for_a_socket_costs_only_the_socket(tmp_path: Path) -> None:
+    with demo_folder(tmp_path / ("x" * 100)) as folder:
+        assert folder.local is None
+        assert "no altd watch" in folder.commands()[0][1]
+        assert folder.history.file == folder.path / "history.db"
+
+
+def test_the_socket_is_as_long_as_unix_allows(tmp_path: Path) -> None:
+    """107 bytes and the one that ends it (unix(7))."""
+    room = 107 - len("/altd.sock") - len(os.fsencode(tmp_path)) - 1
+    for length, has_socket in ((room, True), (room + 1, False)):
+        with demo_folder(tmp_path / ("x" * length)) as folder:
+            assert (folder.local is not None) is has_socket

@@ -1,0 +1,49 @@
+"""A page of elsewhere whose name was bent to the unit's address (DNS rebinding) reads nothing."""
+
+from __future__ import annotations
+
+import pytest
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from altd.publish.http.paths import PATHS
+from altd.status.health import Health
+
+from .conftest import Served
+
+BENT = {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"}
+
+
+@pytest.mark.parametrize("path", sorted({path.path for path in PATHS} - {"/healthz"}))
+async def test_no_path_is_answered_by_another_name(served: Served, health: Health, path: str) -> None:
+    async with served() as unit:
+        answer = await unit.ask(path, headers=BENT)
+        assert answer.status == 421
+        assert list(answer.json) == ["error"]
+    assert health.component("http").counters["requests_misdirected"] == 1
+
+
+async def test_nor_are_pictures(served: Served) -> None:
+    async with served() as unit:
+        headers = {"Origin": f"http://evil.example:{unit.port}"}
+        with pytest.raises(InvalidStatus) as refused:
+            async with connect(
+                f"ws://evil.example:{unit.port}/api/v1/pictures",
+                host="127.0.0.1",
+                port=unit.port,
+                additional_headers=headers,
+                open_timeout=5,
+            ):
+                pass
+    assert refused.value.response.status_code == 421
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "[::1]:80", "localhost:8080", "unit", "alt-0007.plant:8080"])
+async def test_its_own_names_are_answered(served: Served, host: str) -> None:
+    async with served() as unit:
+        assert (await unit.ask("/api/status", headers={"Host": host})).status == 200
+
+
+async def test_whether_anybody_is_there_may_be_asked_by_any_name(served: Served) -> None:
+    async with served() as unit:
+        assert (await unit.ask("/healthz", headers=BENT)).status == 200
