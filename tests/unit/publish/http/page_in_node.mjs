@@ -7,6 +7,7 @@ const folder = pathToFileURL(`${process.argv[2]}/`);
 const { Link } = await import(new URL("link.mjs", folder));
 const { fixed, sigmaOf, verdictOf } = await import(new URL("words.mjs", folder));
 const X = { key: "x_mm", decimals: 3 };
+const SLOPE = { key: "pitch_mm_per_m", is_also: "pitch_deg", unit: "mm/m", decimals: 4 };
 
 let now = 1_000_000, tick, answers = {}, asked = [], waiting = [], known;
 class Stream {
@@ -41,6 +42,7 @@ for await (const line of createInterface({ input: process.stdin })) {
   console.log(JSON.stringify({
     verdict: verdict.text, kind: verdict.kind, sequence: known.measurement?.sequence ?? null,
     x_mm: fixed(known.measurement?.x_mm, X.decimals), sigma_x_mm: sigmaOf(known.measurement, X),
-    components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened,
+    sigma_pitch_mm_per_m: sigmaOf(known.measurement, SLOPE),
+    knows_status: known.status !== null, components: Object.keys(known.status?.components ?? {}), asked, streams: Stream.opened,
   }));
 }
