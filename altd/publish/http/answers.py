@@ -139,7 +139,7 @@ class Answers:
 
     async def recording(self, request: Request) -> Response:
         """One recording."""
-        return self._kept.archive(request)
+        return await self._kept.archive(request)
 
     async def mark_recording(self, request: Request) -> Response:
         """Mark a recording, or take its mark away."""
