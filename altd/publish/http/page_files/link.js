@@ -61,10 +61,16 @@ export class Link {
   // long on its way. Where none is news, the unit is asked as when the stream is silent.
   sentAt({ session, message, clock_ms }) {
     if (session !== this.sent?.session || !isLater(message, this.sent.message)) return null;
+    const at = this.timeOf(clock_ms);
+    if (this.world.Date.now() - at > OLD_MS) return null;
+    this.sent.message = message;
+    return at;
+  }
+
+  // Of the unit's clock here; nothing came before it was sent, and by that the clocks are kept together.
+  timeOf(clock_ms) {
     const now = this.world.Date.now(), at = this.sent.at + ((clock_ms - this.sent.clock_ms) | 0);
-    if (now - at > OLD_MS) return null;
-    // it did not come before it was sent: by that the clocks are kept together
-    this.sent = at > now ? { session, message, clock_ms, at: now } : { ...this.sent, message };
+    if (at > now) Object.assign(this.sent, { clock_ms, at: now });
     return Math.min(at, now);
   }
 
@@ -95,14 +101,18 @@ export class Link {
   }
 
   async ask() {
-    const at = this.world.Date.now(), before = this.heard, measurement = await this.answered(MEASUREMENT);
-    if (measurement === null || this.heard !== before) return;  // what the stream brought meanwhile is newer
+    const at = this.world.Date.now(), before = this.heard, last = { ...this.sent };
+    const measurement = await this.answered(MEASUREMENT);
+    if (measurement === null) return;
     const { error, session, message, clock_ms } = measurement;
     if (!error) {
-      if (session === this.sent?.session && !isLater(message, this.sent.message)) return;  // not the unit answered
-      this.sent = { session, message, clock_ms, at };
+      if (session === last.session && !isLater(message, last.message)) return;  // it is repeated: not the unit answered
+      if (session !== this.sent?.session) this.sent = { session, message, clock_ms, at };
+      else if (this.timeOf(clock_ms) < at) Object.assign(this.sent, { clock_ms, at });  // it was sent after it was asked for
     }
-    this.heard = at;
+    if (this.heard !== before) return;  // what the stream brought meanwhile is newer
+    if (!error) this.sent.message = message;
+    this.heard = error ? at : this.timeOf(clock_ms);
     this.tell(error ? { words: "nothing measured yet", measurement: null } : { words: "", measurement });
   }
 

@@ -184,6 +184,22 @@ def test_what_a_slow_line_or_a_proxy_held_back_is_not_shown_as_new(page: Page) -
     assert (shown["verdict"], shown["sequence"]) == ("valid", 230)  # asked for, and not of the stream
 
 
+def test_an_answer_that_took_long_once_does_not_make_all_that_follows_late(page: Page) -> None:
+    """It took a second on its way back: so far the clocks may be apart, until an answer is quick."""
+    late = {"after_ms": 1000, "document": sent(1, 346_000)}
+    page.do(answers={**WELL, MEASUREMENT_PATH: late}, opened=True, tick=True)
+    page.do(pass_ms=1000)
+    for number in range(1, 41):
+        clock_ms = 346_000 + 100 * number
+        quick = sent(2 * number + 3, clock_ms, sequence=number)
+        news = sent(2 * number + 2, clock_ms, sequence=number)
+        answers = {**WELL, MEASUREMENT_PATH: quick}
+        shown = page.do(answers=answers, pass_ms=100, message=news, tick=number % 5 == 0)
+        assert (shown["verdict"], shown["sequence"]) == ("valid", number)
+        assert shown["asked"] in ([], [STATUS_PATH]) or number < 10
+    assert page.do(pass_ms=1300, answers={**WELL, MEASUREMENT_PATH: "silent"}, tick=True)["sequence"] == 40
+
+
 def test_what_came_late_is_gone_the_sooner(page: Page) -> None:
     """Sent 1.2 s before it came, it is shown for 0.2 s: nothing that is shown was sent 1.5 s ago."""
     page.measuring()
