@@ -4,6 +4,7 @@ import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
 import { Eyes } from "./eye.js";
+import { guard } from "./failing.js";
 import { Link } from "./link.js";
 import { Memory } from "./memory.js";
 import { Parts, SelfCheck, Unit } from "./more.js";
@@ -86,4 +87,5 @@ function Page() {
 
 const root = document.getElementById("page");
 root.replaceChildren();
+guard(root);
 render(html`<${Page} />`, root);

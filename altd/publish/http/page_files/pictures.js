@@ -79,7 +79,10 @@ function Target({ view, shown, views, lost }) {
   const seen = picture && !picture.spot && !picture.leds_on
     ? views.find(other => other.target !== view.target && shown[other.target]?.spot) : undefined;
   const aim = seen && aimIn(view, seen, shown[seen.target].spot);
-  useEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
+  useEffect(() => {
+    if (picture?.image.width === 0) return;  // it is closed: a newer one is there, and drawn next
+    paint(canvas.current, view, picture, aim);
+  }, [view, picture, aim?.[0], aim?.[1]]);
   const said = saidOf(view, picture, seen?.target, lost);
   const age = picture ? (Date.now() - picture.at) / 1000 : null;
   return html`<figure class="target" data-target=${view.target} data-sequence=${picture?.sequence ?? ""}>

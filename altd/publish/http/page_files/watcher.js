@@ -76,7 +76,8 @@ export class Watcher {
     for (const picture of pictures) {
       const at = now - onWay - 1000 * picture.age_s;
       if (now - at > OLD_MS) continue;
-      const image = await this.world.createImageBitmap(picture.jpeg);
+      const image = await this.world.createImageBitmap(picture.jpeg).catch(() => null);
+      if (!image) continue;
       const before = this.shown[picture.target];
       before?.image.close();
       const path = [...(before?.path ?? []), picture.spot && [picture.spot.u_px, picture.spot.v_px]].slice(-MAX_PATH);
