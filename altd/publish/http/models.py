@@ -5,6 +5,7 @@ The answers themselves are made elsewhere, byte for byte (``altd/status``); the 
 
 from __future__ import annotations
 
+from types import GenericAlias
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
@@ -290,7 +291,6 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         """
 
         model_config = ConfigDict(extra="allow")
-        __pydantic_extra__: dict[str, of_target] = Field(init=False)  # type: ignore[valid-type]
         sequence: int
         """That of the newest exposure; it rises, with gaps."""
         time: str | None
@@ -315,10 +315,12 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         crc32: str
         """Of all bytes before `, "crc32":`."""
 
+    beside: dict[str, Any] = {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
     return create_model(
         "Measurement",
         __base__=Measurement,
         __doc__=Measurement.__doc__,
+        **beside,
         **_fields(quantities.of_unit, ""),
         sigma=(sigma, ...),
         sigma_now=(sigma_now, ...),
