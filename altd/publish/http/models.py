@@ -5,6 +5,7 @@ The answers themselves are made elsewhere, byte for byte (``altd/status``); the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import GenericAlias
 from typing import Any, Literal
 
@@ -329,11 +330,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
 
 
 def _numbers(
-    name: str,
-    meaning: str,
-    quantities: list[Quantity] | tuple[Quantity, ...],
-    suffix: str,
-    sigma: type[BaseModel] | None = None,
+    name: str, meaning: str, quantities: Sequence[Quantity], suffix: str, sigma: type[BaseModel] | None = None
 ) -> type[BaseModel]:
     """An object with a number, or null, for each quantity."""
     fields = _fields(quantities, suffix)
@@ -342,7 +339,7 @@ def _numbers(
     return create_model(name, __base__=Answer, __doc__=meaning, **fields)
 
 
-def _fields(quantities: list[Quantity] | tuple[Quantity, ...], suffix: str) -> dict[str, Any]:
+def _fields(quantities: Sequence[Quantity], suffix: str) -> dict[str, Any]:
     per = "/s" if suffix else ""
     return {
         quantity.key + suffix: (
