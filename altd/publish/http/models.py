@@ -333,10 +333,8 @@ def _numbers(
     name: str, meaning: str, quantities: Sequence[Quantity], suffix: str, sigma: type[BaseModel] | None = None
 ) -> type[BaseModel]:
     """An object with a number, or null, for each quantity."""
-    fields = _fields(quantities, suffix)
-    if sigma is not None:
-        fields["sigma"] = (sigma, ...)
-    return create_model(name, __base__=Answer, __doc__=meaning, **fields)
+    more: dict[str, Any] = {} if sigma is None else {"sigma": (sigma, ...)}
+    return create_model(name, __base__=Answer, __doc__=meaning, **_fields(quantities, suffix), **more)
 
 
 def _fields(quantities: Sequence[Quantity], suffix: str) -> dict[str, Any]:
