@@ -57,8 +57,8 @@ def _ask_http(host: str, port: int) -> tuple[int, Any]:
     connection = http.client.HTTPConnection(host, port, timeout=_TIMEOUT_S)
     try:
         connection.request("POST", _TARGET, headers=_HEADERS)
-        answer = connection.getresponse()
-        return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
+        with connection.getresponse() as answer:
+            return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
     except OSError as error:
         raise NoAnswerError(f"no daemon answers at {host} port {port}: {error.strerror or error}") from error
     except (http.client.HTTPException, ValueError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -187,7 +188,7 @@ class Daemon:
         for name, camera in self._cameras.items():
             exposure, health = self._exposure.get(name), self.health.component(f"camera {name}")
             acquiring = tasks.create_task(acquire(camera, sink, health, exposure), name=health.name)
-            acquiring.add_done_callback(lambda _, name=name: frames.end(name))  # type: ignore[misc]
+            acquiring.add_done_callback(partial(_end_of, frames, name))
             locating = locate_frames(buffers, self.chain.locators[name], exposure, camera.waits, pictures.put)
             tasks.create_task(locating, name=f"locate {name}")
         pipeline = Pipeline(
@@ -292,6 +293,11 @@ def daemon_of(config: Config, place: Path) -> Daemon:
         daemon.keep_state_in(folder)
     daemon.past.keep_as(config, calibration)
     return daemon
+
+
+def _end_of(frames: LatestFrames, camera: str, _: object) -> None:
+    """No more frames come from a camera."""
+    frames.end(camera)
 
 
 def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:

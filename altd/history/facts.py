@@ -8,16 +8,24 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from altd.history.batch import Notice
+from altd.history.schema import ForeignFileError
 from altd.status.event_log import EventKind
 
 _KINDS = {
     "config": (EventKind.CONFIG, "the settings have changed"),
     "calibration": (EventKind.CALIBRATION, "the calibration has changed"),
     "version": (EventKind.VERSION, "the program has changed"),
-    "serial": (EventKind.HISTORY, "this history was begun by another unit"),
 }
 _MAX_CHANGES = 10
 _MAX_CHARACTERS = 60
+
+
+def check_unit(connection: sqlite3.Connection, facts: Mapping[str, str]) -> None:
+    """Raise ForeignFileError for a history of another unit: what that measured is none of this one's past."""
+    found = connection.execute("SELECT value FROM facts WHERE name = 'serial'").fetchone()
+    serial = facts.get("serial")
+    if found is not None and serial is not None and found[0] != serial:
+        raise ForeignFileError(f"is of unit {found[0]!r}, and this one is {serial!r}")
 
 
 def changed_facts(connection: sqlite3.Connection, facts: Mapping[str, str]) -> list[Notice]:

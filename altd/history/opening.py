@@ -16,6 +16,7 @@ from altd.errors import one_line
 from altd.history.schema import (
     VERSION,
     DamagedFileError,
+    ForeignFileError,
     UnusableFileError,
     check_tables,
     migrate,
@@ -25,8 +26,11 @@ from altd.history.schema import (
 WAL_PAGES = 1000
 """Of 4096 bytes: so large the write-ahead log grows before its pages are put into the file."""
 
-MAX_DAMAGED_FILES = 3
+MAX_FILES_ASIDE = 3
 """More are not put beside each other: a disk that damages every file shall not be filled with them."""
+
+DAMAGED, FOREIGN = "damaged", "of-another-unit"
+"""What was moved aside, in its name."""
 
 _BUSY_TIMEOUT_S = 0.2
 _MAX_VALUE_BYTES = 1 << 20
@@ -49,16 +53,21 @@ def is_damage(error: sqlite3.Error) -> bool:
     return code is not None and code & 0xFF in _DAMAGED_CODES
 
 
+def check_folder(path: Path) -> None:
+    """Raise UnusableFileError where nothing can be written beside a history."""
+    if not path.parent.is_dir():
+        raise UnusableFileError(f"the folder {path.parent} does not exist")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise UnusableFileError(f"the folder {path.parent} cannot be written")
+
+
 def open_to_write(path: Path) -> sqlite3.Connection:
     """A history that is there, of whichever version, brought to the newest; or a new one.
 
     Each commit is on the disk when it returns (WAL, ``synchronous = FULL``). Raises UnusableFileError,
     OSError and sqlite3.Error.
     """
-    if not path.parent.is_dir():
-        raise UnusableFileError(f"the folder {path.parent} does not exist")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise UnusableFileError(f"the folder {path.parent} cannot be written")
+    check_folder(path)
     if os.path.lexists(path):
         _check_regular(path)
     connection = _connected(path, "rwc")
@@ -111,16 +120,29 @@ def open_to_read(path: Path) -> sqlite3.Connection:
         raise
 
 
-def move_aside(path: Path, now: datetime | None = None) -> Path:
-    """Give a damaged file, and what SQLite keeps beside it, another name; returns that name.
+def set_aside(path: Path, error: Exception) -> Path | None:
+    """Move a file away that is damaged or of another unit, by what was said of it; None: it stays.
 
-    Raises UnusableFileError when there are too many already, OSError.
+    Raises as ``move_aside`` does.
     """
-    earlier = [of.name for of in path.parent.glob(f"{glob.escape(path.name)}.damaged-*")]
-    if sum(not name.endswith(_BESIDE) for name in earlier) >= MAX_DAMAGED_FILES:
-        raise UnusableFileError(f"is damaged, as {MAX_DAMAGED_FILES} before it: move {path}.damaged-* away")
+    if isinstance(error, ForeignFileError):
+        return move_aside(path, FOREIGN)
+    if isinstance(error, DamagedFileError) or (isinstance(error, sqlite3.Error) and is_damage(error)):
+        return move_aside(path, DAMAGED)
+    return None
+
+
+def move_aside(path: Path, what: str, now: datetime | None = None) -> Path:
+    """Give a file that is ``DAMAGED`` or ``FOREIGN``, and what SQLite keeps beside it, another name.
+
+    Returns that name. Raises UnusableFileError when there are too many already, OSError.
+    """
+    earlier = [of.name for of in path.parent.glob(f"{glob.escape(path.name)}.{what}-*")]
+    if sum(not name.endswith(_BESIDE) for name in earlier) >= MAX_FILES_ASIDE:
+        before = f"is {what.replace('-', ' ')}, as {MAX_FILES_ASIDE} before it"
+        raise UnusableFileError(f"{before}: move {path}.{what}-* away")
     when = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%S%fZ")
-    aside = path.with_name(f"{path.name}.damaged-{when}")
+    aside = path.with_name(f"{path.name}.{what}-{when}")
     for ending in _BESIDE:
         beside = path.with_name(path.name + ending)
         if beside.exists():

@@ -96,6 +96,10 @@ class NewerFileError(UnusableFileError):
     """A history of a newer program."""
 
 
+class ForeignFileError(UnusableFileError):
+    """A history of another unit."""
+
+
 def column_name(part: str, number: int) -> str:
     """The name of a quantity's column, such as ``mean_3``."""
     return f"{part}_{number}"

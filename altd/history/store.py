@@ -13,14 +13,14 @@ from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, Sta
 from altd.history.columns import Column, value_of
 from altd.history.columns_in_file import prepare_columns
 from altd.history.epochs import Epochs
-from altd.history.facts import changed_facts
-from altd.history.opening import check_pages, damage_told, is_damage, move_aside, open_to_write
+from altd.history.facts import changed_facts, check_unit
+from altd.history.lock import WriteLock
+from altd.history.opening import check_folder, check_pages, damage_told, open_to_write, set_aside
 from altd.history.reasons import Reasons
 from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,
     SUMMARIES,
-    DamagedFileError,
     UnusableFileError,
     column_name,
 )
@@ -40,8 +40,8 @@ _US = 10**6
 class Store:
     """The history of one daemon. After a failure the next batch opens the file anew.
 
-    A file that is damaged is moved aside, and a new one begun. Each opening begins an epoch, so that nothing
-    that was written before is touched again.
+    A file that is damaged or of another unit is moved aside, and a new one begun. Each opening begins an
+    epoch, so that nothing that was written before is touched again.
     """
 
     def __init__(self, path: Path, max_bytes: int, about: About) -> None:
@@ -52,6 +52,7 @@ class Store:
         self._unwritten: list[Notice] = []
         self._untold: list[Notice] = []
         self._open: _OpenStore | None = None
+        self._lock: WriteLock | None = None
         self._was_open = False
 
     def write(self, batch: Batch) -> Written:
@@ -63,13 +64,15 @@ class Store:
             notices, self._untold = [*self._untold, *self._open.take_notices()], []
             return Written(notices, self._open.retention.used_bytes(), self._open.log_bytes())
         except (OSError, sqlite3.Error, UnusableFileError) as error:
-            self._close()
-            if isinstance(error, DamagedFileError) or (isinstance(error, sqlite3.Error) and is_damage(error)):
-                self._move_aside(error)
+            self._close_file()
+            self._set_aside(error)
             raise
         except BaseException:  # a defect: what is summed up so far is not believed either
-            self._close()
+            self._close_file()
             raise
+        finally:
+            if self._open is None:
+                self._release()
 
     def end(self, batch: Batch | None) -> None:
         """Write the last batch, and that it was the last; failures are of no more interest."""
@@ -81,14 +84,18 @@ class Store:
         except (OSError, sqlite3.Error, UnusableFileError):
             return
         finally:
-            self._close()
+            self._close_file()
+            self._release()
 
     def _opened(self, batch: Batch) -> _OpenStore:
+        check_folder(self.path)
+        self._lock = WriteLock(self.path)
         is_new = not self.path.exists()
         with damage_told():
             connection = open_to_write(self.path)
         try:
             with damage_told():
+                check_unit(connection, self._about.facts)
                 opened = _OpenStore(connection, self.path, self._max_bytes, self._about)
                 if opened.epochs.was_interrupted and not self._was_open:
                     check_pages(connection)  # by another daemon, or by a power cut
@@ -100,15 +107,20 @@ class Store:
         self._was_open = True
         return opened
 
-    def _move_aside(self, why: Exception) -> None:
-        aside = move_aside(self.path)
-        text = f"the history was damaged and is kept as {aside.name}: {why}"
-        self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
+    def _set_aside(self, error: Exception) -> None:
+        if (aside := set_aside(self.path, error)) is not None:
+            text = f"the history before is kept as {aside.name}: {error}"
+            self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
 
-    def _close(self) -> None:
+    def _close_file(self) -> None:
         opened, self._open = self._open, None
         if opened is not None:
             opened.close()
+
+    def _release(self) -> None:
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.release()
 
 
 class _OpenStore:

@@ -37,8 +37,8 @@ def ask(
     connection = _LocalConnection(path, timeout_s)
     try:
         connection.request(method, target, headers=dict(headers or {}))
-        answer = connection.getresponse()
-        return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
+        with connection.getresponse() as answer:  # which holds the socket where the server closes
+            return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
     except TimeoutError as error:
         raise NoAnswerError(f"the daemon at {path} does not answer within {timeout_s:g} s") from error
     except PermissionError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 
@@ -53,8 +52,11 @@ class RecordingKeeper(Protocol):
     async def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """A marked recording is never removed to make room."""
 
-    def folder_of(self, name: str) -> Path:
-        """Where a recording lies."""
+    async def files(self, name: str) -> Sequence[str]:
+        """The files of a recording, by their paths in it, ``recording.json`` the last."""
+
+    async def content(self, name: str, file: str) -> bytes | None:
+        """One of them; None: it is gone."""
 
 
 class RecordingDesk:

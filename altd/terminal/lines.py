@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from textwrap import wrap
 
-from altd.terminal.documents import CauseDocument, SelfCheckDocument, Shown, StatusDocument
+from altd.reasons import Reason
+from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
 
+_NOT_LIVE = {str(Reason.PLAYBACK), str(Reason.SIMULATED)}
 _SPANS = {
     "last_hour": "of the last hour",
     "last_day": "of the last day",
@@ -18,6 +20,13 @@ def state_text(signal: str) -> str:
     """A state as it is called out: ``good``, ``MAINTENANCE REQUIRED``."""
     text = signal.replace("_", " ")
     return text if signal == "good" else text.upper()
+
+
+def verdict_text(reading: Reading) -> str:
+    """Whether the numbers may be used, as it is called out: ``VALID``, ``NOT LIVE``, ``NOT VALID``."""
+    if not reading.valid:
+        return "NOT VALID"
+    return "VALID" if _NOT_LIVE.isdisjoint(reading.status) else "NOT LIVE"
 
 
 def cause_text(cause: CauseDocument) -> str:

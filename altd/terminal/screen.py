@@ -16,6 +16,7 @@ from altd.terminal.lines import (
     number_text,
     self_check_text,
     state_text,
+    verdict_text,
 )
 from altd.terminal.target_picture import Frame, draw_target, rows_for
 from altd.terminal.trend import draw_trend, limits_of
@@ -76,7 +77,7 @@ def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View
 
 def _head(canvas: Canvas, moment: Moment) -> None:
     """The unit with its state, and whether it measures."""
-    status, reading = moment.status, moment.reading
+    status = moment.status
     if moment.lost:
         canvas.put(0, 0, "NO CONNECTION: nothing is known of the unit now", Style.BAD)
         why = hanging("", f"{moment.lost}; it is asked again and again", max(canvas.columns - 1, 1), 0)
@@ -89,18 +90,19 @@ def _head(canvas: Canvas, moment: Moment) -> None:
         text = f"{status.serial}  {state_text(status.state.signal)} for {duration(status.state.for_s)}"
         canvas.put(0, canvas.columns - len(status.version) - 5, f"altd {status.version}", Style.DIM)
         canvas.put(0, 0, f"{text} ", _STYLES.get(status.state.signal, Style.WARNING))
-    canvas.put(1, 0, _verdict(moment), Style.GOOD if reading is not None and reading.valid else Style.BAD)
+    canvas.put(1, 0, *_verdict(moment))
 
 
-def _verdict(moment: Moment) -> str:
+def _verdict(moment: Moment) -> tuple[str, Style]:
     reading = moment.reading
     if reading is None:
-        return "NOT VALID: nothing was measured so far"
-    codes = ", ".join(reading.status)
+        return "NOT VALID: nothing was measured so far", Style.BAD
+    codes, verdict = ", ".join(reading.status), verdict_text(reading)
     if not reading.valid:
-        return f"NOT VALID: {codes}"
+        return f"{verdict}: {codes}", Style.BAD
     age = "of unknown age" if moment.age_s is None else f"{moment.age_s:.1f} s old"
-    return f"VALID, {age}, mean of {reading.frames} exposures" + (f"; {codes}" if codes else "")
+    text = f"{verdict}, {age}, mean of {reading.frames} exposures" + (f"; {codes}" if codes else "")
+    return text, Style.GOOD if verdict == "VALID" else Style.WARNING
 
 
 def _numbers(canvas: Canvas, moment: Moment, row: int) -> None:

@@ -13,6 +13,7 @@ from altd.terminal.lines import (
     number_text,
     self_check_text,
     state_text,
+    verdict_text,
 )
 
 WIDTH = 79
@@ -50,8 +51,8 @@ def _measured(reading: Reading | None) -> Iterator[str]:
         return
     age = "of unknown age" if reading.age_s is None else f"{reading.age_s:.2f} s old"
     said = f"{age}, mean of {reading.frames} exposures, number {reading.sequence}"
-    verdict = "VALID" if reading.valid else "NOT VALID"
-    yield from hanging("measuring", ", ".join(filter(None, [verdict, said, reading.time])), WIDTH, _INDENT)
+    text = ", ".join(filter(None, [verdict_text(reading), said, reading.time]))
+    yield from hanging("measuring", text, WIDTH, _INDENT)
     yield from (f"  {number_text(number, reading.valid)}" for number in reading.numbers)
 
 

@@ -45,11 +45,6 @@ class UnitSpec:
         return replace(self.config, laser=laser, lux=self.lux, vibration=self.vibration, dust=self.dust)
 
 
-def _spec(name: str, seed: int, laser: Laser = _REFERENCE, **more: object) -> UnitSpec:
-    of_unit = {key: more.pop(key) for key in ("speckle_contrast", "bits", "hot_pixels") if key in more}
-    return UnitSpec(name, UnitConfig(seed=seed, laser=laser, **of_unit), **more)  # type: ignore[arg-type]
-
-
 def _switched(t_s: float) -> float:
     """Lights that go on and off between 0 and 1000 lx."""
     return 0.0 if t_s < 0.25 else 1000.0
@@ -58,18 +53,22 @@ def _switched(t_s: float) -> float:
 SIMULATED: dict[str, UnitSpec] = {
     spec.name: spec
     for spec in (
-        _spec("plain", 1),
-        _spec("flat", 2, flat=True),
-        _spec("round-6", 3, Laser(1.0, (6.0, 6.0))),
-        _spec("super-15", 4, Laser(3.0, (15.0, 15.0), order=2.0), flat=True),
-        _spec("ellipse", 5, Laser(3.0, (14.0, 7.0), angle_rad=0.9), speckle_contrast=0.2),
-        _spec("bits-12", 6, bits=12, speckle_contrast=0.12, flat=True),
-        _spec("dim", 7, light=0.25, lux=600.0),
-        _spec("bright", 8, Laser(3.0, (9.0, 8.0), order=1.5), light=1.5, lux=0.0),
-        _spec("shaking", 9, vibration=Vibration()),
-        _spec("driving", 10, vibration=Vibration(rms_mm=0.02, rms_mrad=0.05), drives=True),
-        _spec("dusty", 11, dust=0.5),
-        _spec("lights", 12, lux_of=_switched, flat=True, hot_pixels=200),
+        UnitSpec("plain", UnitConfig(seed=1)),
+        UnitSpec("flat", UnitConfig(seed=2), flat=True),
+        UnitSpec("round-6", UnitConfig(seed=3, laser=Laser(1.0, (6.0, 6.0)))),
+        UnitSpec("super-15", UnitConfig(seed=4, laser=Laser(3.0, (15.0, 15.0), order=2.0)), flat=True),
+        UnitSpec(
+            "ellipse", UnitConfig(seed=5, laser=Laser(3.0, (14.0, 7.0), angle_rad=0.9), speckle_contrast=0.2)
+        ),
+        UnitSpec("bits-12", UnitConfig(seed=6, bits=12, speckle_contrast=0.12), flat=True),
+        UnitSpec("dim", UnitConfig(seed=7), light=0.25, lux=600.0),
+        UnitSpec("bright", UnitConfig(seed=8, laser=Laser(3.0, (9.0, 8.0), order=1.5)), light=1.5, lux=0.0),
+        UnitSpec("shaking", UnitConfig(seed=9), vibration=Vibration()),
+        UnitSpec(
+            "driving", UnitConfig(seed=10), vibration=Vibration(rms_mm=0.02, rms_mrad=0.05), drives=True
+        ),
+        UnitSpec("dusty", UnitConfig(seed=11), dust=0.5),
+        UnitSpec("lights", UnitConfig(seed=12, hot_pixels=200), lux_of=_switched, flat=True),
     )
 }
 

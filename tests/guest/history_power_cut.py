@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -21,14 +22,14 @@ def tell(line: str) -> None:
     os.write(console, f"{line}\n".encode())
 
 
-def with_less_care(path: Path) -> object:
+def with_less_care(path: Path) -> sqlite3.Connection:
     connection = opening.open_to_write(path)
     connection.execute(f"PRAGMA synchronous = {synchronous}")
     return connection
 
 
 if synchronous != "FULL":
-    store_module.open_to_write = with_less_care  # type: ignore[assignment]
+    store_module.open_to_write = with_less_care
 DISK.mkdir()
 subprocess.run(["mount", "-t", "ext4", "/dev/ubda", str(DISK)], check=True)  # replays its journal
 path = DISK / "history.db"

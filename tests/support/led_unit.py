@@ -7,7 +7,7 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from altd.app.daemon import Daemon
 from altd.config import Config
@@ -157,7 +157,7 @@ async def led_unit(
     unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
     seen = _LitUnit(unit, leds)
     schedule = Schedule(unit.config.period_ns, real_time=True)
-    cameras = {name: SimulatedCamera(seen, name, schedule, waits=False) for name in CAMERAS}  # type: ignore[arg-type]
+    cameras = {name: SimulatedCamera(cast("Unit", seen), name, schedule, waits=False) for name in CAMERAS}
     running = LedUnit(Daemon(settings, calibration, cameras, lamps=leds), unit, leds, seen)
     prepare(running)
     tasks = [asyncio.create_task(running.daemon.run()), asyncio.create_task(running.poll())]

@@ -52,7 +52,7 @@ async def test_the_frames_of_a_fault_are_replayed_as_they_were_measured(
         for poll in running.polls:
             if (measurement := poll.measurement) is not None and measurement.time is not None:
                 live[measurement.time] = measurement
-        folder = running.daemon.health.recordings.keeper.folder_of(recording.name)
+        folder = tmp_path / "recordings" / recording.name
         assert (await running.daemon.health.recordings.keeper.keep("asked")).exposures > 20
     assert 2.5 < recording.seconds < 3.3
 

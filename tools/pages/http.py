@@ -210,8 +210,8 @@ A program sends its token:
 A page logs in, with `POST /api/v1/login` and `{{"name": "ana", "password": "…"}}`, and gets a cookie that no
 script can read (`HttpOnly`, `SameSite=Strict`, with TLS `Secure` and `__Host-`). A session ends with
 `POST /api/v1/logout`, after {IDLE_S / 60:g} minutes without a request, and after {LONGEST_S / 3600:g} hours;
-there are {MAX_SESSIONS} at most. `GET /api/v1/session` says who is logged in. Without TLS a password goes
-over the network as it is typed: use both.
+there are {MAX_SESSIONS} at most, and the pictures that it is shown end with it. `GET /api/v1/session` says
+who is logged in. Without TLS a password goes over the network as it is typed: use both.
 
 No secret is ever in a URL, an answer, an event or the log. Who logs in or out, and each wrong password or
 token, is an event (`request`) with the address, and with the name where it is one of the file; of many alike
@@ -261,7 +261,7 @@ requests.
 | TLS handshakes at a time | {MAX_HANDSHAKES}, {HANDSHAKE_TIMEOUT_S:g} s each |
 | requests of an address | {_rate(REQUESTS)}; then 429 with `Retry-After` |
 | TLS connections of an address | {_rate(CONNECTIONS)}; then closed |
-| wrong passwords, tokens, sessions of an address | {_rate(ATTEMPTS)}; then 429, also for right ones |
+| wrong passwords of an address | {_rate(ATTEMPTS)}; then 429, also for right ones |
 | the same of all addresses | {_rate(ALL_ATTEMPTS)}; then 429 |
 | streams | {MAX_STREAMS} |
 | time to send the request header | {REQUEST_TIMEOUT_S:g} s, then the connection is closed |

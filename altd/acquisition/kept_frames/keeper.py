@@ -21,7 +21,7 @@ from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, Clock
 from altd.reasons import Signal
 from altd.records import Frame
-from altd.runtime.threads import DeviceThread
+from altd.runtime.threads import DeviceThread, call_in_thread
 from altd.status.cause import ShownCause, StateReport
 from altd.status.health import Component, State
 from altd.status.recording_desk import KeptRecording, NotKeptError
@@ -36,6 +36,8 @@ _GRAVE = (Signal.FAILURE, Signal.OUT_OF_SPECIFICATION)
 _MAX_PAUSE_S = 0.1
 _DISK_TIMEOUT_S = 120.0
 """A recording is written at half a core's pace: seconds."""
+_READ_TIMEOUT_S = 10.0
+"""A file is read in milliseconds."""
 _END_TIMEOUT_S = 1.0
 _MAX_WAITING = 4
 """Recordings that are asked for or under way at a time."""
@@ -114,9 +116,13 @@ class FrameKeeper:
         self._recordings = tuple(kept if each.name == name else each for each in self._recordings)
         return kept
 
-    def folder_of(self, name: str) -> Path:
-        """Where a recording lies; raises NotKeptError."""
-        return self._store.folder_of(name)
+    async def files(self, name: str) -> Sequence[str]:
+        """The files of a recording, by their paths in it; raises NotKeptError."""
+        return await _beside(partial(self._store.files, name))
+
+    async def content(self, name: str, file: str) -> bytes | None:
+        """One of them, None when it is gone; raises NotKeptError."""
+        return await _beside(partial(self._store.content, name, file))
 
     @property
     def _before_ns(self) -> int:
@@ -211,13 +217,20 @@ class FrameKeeper:
         yield from pairer.flush()
 
     async def _on_disk(self, call: Callable[[], Result]) -> Result:
-        """Have the disk's thread do something; NotKeptError when a disk that hangs holds it."""
+        """Have the disk's thread do something; NotKeptError when that fails or the disk hangs."""
         if self._disk is None:
             raise NotKeptError("the unit starts")
         try:
             return await self._disk.call(call, within_s=_DISK_TIMEOUT_S)
+        except NotKeptError:
+            raise
         except TimeoutError:
             raise NotKeptError(f"the disk does not answer within {_DISK_TIMEOUT_S:g} s") from None
+        except OSError as error:
+            raise NotKeptError(error.strerror or str(error)) from error
+        except Exception as error:  # whatever is wrong with it, the next fault is to be recorded
+            log.exception("kept frames: a defect")
+            raise NotKeptError(f"a defect: {type(error).__name__}: {error}") from error
 
     def _say(self) -> None:
         taken = sum(kept.bytes for kept in self._recordings)
@@ -225,6 +238,20 @@ class FrameKeeper:
         self._component.set_state(
             State.OK, f"{count} recording{'s' * (count != 1)}, {taken >> 20} of {self._settings.disk_mb} MB"
         )
+
+
+async def _beside(call: Callable[[], Result]) -> Result:
+    """What the disk says while a recording may be written; raises NotKeptError, also for a disk that hangs.
+
+    In a thread that ends with it: one that hangs holds neither the loop nor the end of the process.
+    """
+    try:
+        async with asyncio.timeout(_READ_TIMEOUT_S):
+            return await call_in_thread(call, "kept-frames read")
+    except TimeoutError:
+        raise NotKeptError(f"the disk does not answer within {_READ_TIMEOUT_S:g} s") from None
+    except OSError as error:
+        raise NotKeptError(error.strerror or str(error)) from error
 
 
 def _key(shown: ShownCause) -> str:

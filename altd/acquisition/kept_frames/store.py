@@ -68,6 +68,19 @@ class RecordingStore:
             raise NotKeptError("there is no such recording")
         return path
 
+    def files(self, name: str) -> list[str]:
+        """The files of a recording, by their paths in it; raises NotKeptError when there is none."""
+        folder = self.folder_of(name)
+        files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
+        return sorted(path.relative_to(folder).as_posix() for path in files)
+
+    def content(self, name: str, file: str) -> bytes | None:
+        """One of ``files``; None: it is gone."""
+        try:
+            return (self._folder / name / file).read_bytes()
+        except OSError:
+            return None
+
     def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """Mark a recording, or take its mark away."""
         path = self.folder_of(name)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.contour import ContourSet
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
@@ -162,12 +163,12 @@ def _key(axes: Axes, plane: Plane, length_mm: float, words: str) -> None:
     _quiver(axes, np.array([[right - length_mm, top]]), np.array([[length_mm, 0.0]]), INK)
 
 
-def _bar(canvas: Canvas, axes: Axes, filled: object, unit: str) -> None:
+def _bar(canvas: Canvas, axes: Axes, filled: ContourSet, unit: str) -> None:
     """A colour scale at the right edge, as high as the axes."""
     box = axes.get_position()
     inch = 1 / canvas.width_in
     bar = canvas.figure.add_axes((box.x1 + 0.07 * inch, box.y0, 0.1 * inch, box.height))
-    scale = canvas.figure.colorbar(filled, cax=bar)  # type: ignore[arg-type]
+    scale = canvas.figure.colorbar(filled, cax=bar)
     scale.outline.set_edgecolor(FAINT)
     bar.set_title(unit, fontsize=7, fontweight="normal", loc="left", pad=4)
     bar.tick_params(labelsize=6.5, length=2)

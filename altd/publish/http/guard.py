@@ -91,8 +91,11 @@ class Guard:
             self._identified(connection, self._known())
 
     def _identified(self, request: HTTPConnection, known: Known) -> str:
-        """Who asks, by what he shows; raises Refused."""
-        self._check_attempts(request)
+        """Who asks, by what he shows; raises Refused.
+
+        What is wrong is not counted, as passwords are: nobody guesses 256 bits, and a page whose session is
+        over, or a program whose token is, would keep its own user from logging in.
+        """
         token, secret = _token_of(request), secret_of(request)
         if token is not None:
             name = known.name_of_token(token)
@@ -101,7 +104,6 @@ class Guard:
         else:
             raise _unknown("a token, or a session that /api/v1/login begins, is needed")
         if name is None:
-            self._count_attempt(request)
             if token is not None:
                 self._note(request, "a wrong token", "token_refused")
             raise _unknown("the token or the session is unknown or over")

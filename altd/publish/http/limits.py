@@ -26,7 +26,7 @@ CONNECTIONS = Rate(burst=200, per_s=100.0)
 """Of one address, where a connection costs a TLS handshake, before a byte of it is read."""
 
 ATTEMPTS = Rate(burst=5, per_s=0.1)
-"""Wrong passwords, tokens and sessions of one address."""
+"""Wrong passwords of one address."""
 
 ALL_ATTEMPTS = Rate(burst=20, per_s=0.2)
 """The same of all addresses together: a password that is tried takes 0.2 s of a core."""

@@ -5,6 +5,8 @@ The answers themselves are made elsewhere, byte for byte (``altd/status``); the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from types import GenericAlias
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
@@ -293,7 +295,6 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         """
 
         model_config = ConfigDict(extra="allow")
-        __pydantic_extra__: dict[str, of_target] = Field(init=False)  # type: ignore[valid-type]
         sequence: int
         """That of the newest exposure; it rises, with gaps."""
         time: str | None
@@ -318,10 +319,12 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
         crc32: str
         """Of all bytes before `, "crc32":`."""
 
+    beside: dict[str, Any] = {"__pydantic_extra__": (GenericAlias(dict, (str, of_target)), Field(init=False))}
     return create_model(
         "Measurement",
         __base__=Measurement,
         __doc__=Measurement.__doc__,
+        **beside,
         **_fields(quantities.of_unit, ""),
         sigma=(sigma, ...),
         sigma_now=(sigma_now, ...),
@@ -330,20 +333,14 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
 
 
 def _numbers(
-    name: str,
-    meaning: str,
-    quantities: list[Quantity] | tuple[Quantity, ...],
-    suffix: str,
-    sigma: type[BaseModel] | None = None,
+    name: str, meaning: str, quantities: Sequence[Quantity], suffix: str, sigma: type[BaseModel] | None = None
 ) -> type[BaseModel]:
     """An object with a number, or null, for each quantity."""
-    fields = _fields(quantities, suffix)
-    if sigma is not None:
-        fields["sigma"] = (sigma, ...)
-    return create_model(name, __base__=Answer, __doc__=meaning, **fields)
+    more: dict[str, Any] = {} if sigma is None else {"sigma": (sigma, ...)}
+    return create_model(name, __base__=Answer, __doc__=meaning, **_fields(quantities, suffix), **more)
 
 
-def _fields(quantities: list[Quantity] | tuple[Quantity, ...], suffix: str) -> dict[str, Any]:
+def _fields(quantities: Sequence[Quantity], suffix: str) -> dict[str, Any]:
     per = "/s" if suffix else ""
     return {
         quantity.key + suffix: (

@@ -83,10 +83,11 @@ class Past:
         """From when to when, µs since 1970; what is negative counts from now."""
         now = self._clock.utc(self._clock.monotonic_ns())
         now_s = 0.0 if now is None else now.timestamp()
-        return tuple(  # type: ignore[return-value]
-            round(min(max(now_s + second if second < 0 else second, 0), LAST_S) * _US)
-            for second in (query.number("from", from_s), query.number("to", now_s + 1))
-        )
+
+        def absolute_us(second: float) -> int:
+            return round(min(max(now_s + second if second < 0 else second, 0), LAST_S) * _US)
+
+        return absolute_us(query.number("from", from_s)), absolute_us(query.number("to", now_s + 1))
 
     async def _answer(self, request: Request, made: Callable[[Query], Callable[[Reader], str]]) -> Response:
         try:

@@ -3,7 +3,8 @@
 The unit's first message is JSON text, ``{"views": […]}``: what does not change in the pictures. Whenever the
 browser has drawn what it got it sends a text, and gets the newest pictures that it has not seen, as one
 binary message: the length of a JSON header in four bytes, the highest first, that header, and the JPEGs
-behind one another. So nothing waits on the way, however slow the browser is.
+behind one another. So nothing waits on the way, however slow the browser is. ``held_s`` in the header is the
+time from the text to the message: what more passed where the text was sent, passed on the way.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ MAX_REASON_LETTERS = 60
 """Of the 123 bytes that a close frame has room for."""
 
 _SEND_TIMEOUT_S = 10.0
-_TRY_LATER, _GOING_AWAY, _NOT_ACCEPTED = 1013, 1001, 1003
+_TRY_LATER, _GOING_AWAY, _NOT_ACCEPTED, _NOT_ALLOWED = 1013, 1001, 1003, 1008
 """Status codes of closing (RFC 6455, 7.4, and its registry)."""
 
 
@@ -90,19 +91,28 @@ class Viewers:
             except KeyError:  # a binary message
                 await socket.close(_NOT_ACCEPTED, "ask by a text")
                 return
+            try:
+                self._guard.check_may_look(socket)
+            except Refused:
+                await socket.close(_NOT_ALLOWED, "log in again")
+                return
+            asked_ns = self._component.clock.monotonic_ns()
             pictures: Sequence[Picture] = ()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(NOTHING_NEW_S):
                     pictures = await maker.newer(seen)
             seen |= {picture.target: picture.number for picture in pictures}
             self._component.count("pictures", len(pictures))
-            await _within(socket.send_bytes(message(pictures, self._component.clock.monotonic_ns())))
+            await _within(
+                socket.send_bytes(message(pictures, asked_ns, self._component.clock.monotonic_ns()))
+            )
 
 
-def message(pictures: Sequence[Picture], now_ns: int) -> bytes:
-    """Pictures as one message of the WebSocket."""
+def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
+    """Pictures as one message of the WebSocket, which is sent now and was asked for then."""
     header = json.dumps(
         {
+            "held_s": round((now_ns - asked_ns) * 1e-9, 3),
             "pictures": [
                 {
                     "target": picture.target,
@@ -116,7 +126,7 @@ def message(pictures: Sequence[Picture], now_ns: int) -> bytes:
                     "bytes": len(picture.jpeg),
                 }
                 for picture in pictures
-            ]
+            ],
         }
     ).encode()
     return b"".join([len(header).to_bytes(4, "big"), header, *(picture.jpeg for picture in pictures)])

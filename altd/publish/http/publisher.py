@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
 from collections.abc import Callable
@@ -66,8 +67,9 @@ class HttpPublisher:
         self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
         self._answers = Answers(board, health, component, guard, past)
-        self._answers.document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
-        self._answers.api_page = api_page_of(self._answers.document)
+        document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
+        self._answers.document = json.dumps(document).encode()
+        self._answers.api_page = api_page_of(document)
 
     @property
     def open_viewers(self) -> int:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import tarfile
-from collections.abc import AsyncIterator
-from pathlib import Path
+from collections.abc import AsyncIterator, Sequence
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
@@ -13,7 +11,7 @@ from starlette.types import Receive, Scope, Send
 
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
-from altd.status.recording_desk import NotKeptError, RecordingDesk
+from altd.status.recording_desk import NotKeptError, RecordingDesk, RecordingKeeper
 
 MAX_DOWNLOADS = 2
 """Archives that are sent at a time."""
@@ -61,12 +59,12 @@ class Recordings:
             return refusal(409, str(error))
         return JSONResponse(kept.as_object())
 
-    def archive(self, request: Request) -> Response:
+    async def archive(self, request: Request) -> Response:
         """A recording as a tar archive, for who may see pictures."""
         try:
             self._guard.check_may_look(request)
             name = self._known_name(request)
-            folder = self._desk.keeper.folder_of(name)
+            files = await self._desk.keeper.files(name)
         except Refused as refused:
             return refused.answer
         except NotKeptError as error:
@@ -75,7 +73,7 @@ class Recordings:
             return Response(media_type=_Archive.media_type)
         if self.downloads >= MAX_DOWNLOADS:
             return refusal(503, f"{MAX_DOWNLOADS} recordings are being fetched already")
-        return _Archive(self, folder)
+        return _Archive(self, self._desk.keeper, name, files)
 
     def _known_name(self, request: Request) -> str:
         """The recording that the path names, one of the list; raises Refused."""
@@ -86,14 +84,16 @@ class Recordings:
 
 
 class _Archive(StreamingResponse):
-    """A folder, sent as fast as it is taken; a client that goes away ends it."""
+    """A recording, sent as fast as it is taken; a client that goes away ends it."""
 
     media_type = "application/x-tar"
 
-    def __init__(self, recordings: Recordings, folder: Path) -> None:
+    def __init__(
+        self, recordings: Recordings, keeper: RecordingKeeper, name: str, files: Sequence[str]
+    ) -> None:
         self._recordings = recordings
-        named = {"Content-Disposition": f'attachment; filename="{folder.name}.tar"'}
-        super().__init__(_tar(folder), headers=named)
+        named = {"Content-Disposition": f'attachment; filename="{name}.tar"'}
+        super().__init__(_tar(keeper, name, files), headers=named)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it."""
@@ -104,23 +104,22 @@ class _Archive(StreamingResponse):
             self._recordings.downloads -= 1
 
 
-async def _tar(folder: Path) -> AsyncIterator[bytes]:
-    """The files of a folder as a POSIX tar archive (ustar); one that goes meanwhile is left out."""
-    for path in await asyncio.to_thread(lambda: sorted(folder.rglob("*"))):
+async def _tar(keeper: RecordingKeeper, name: str, files: Sequence[str]) -> AsyncIterator[bytes]:
+    """The files of a recording as a POSIX tar archive (ustar); one that goes meanwhile is left out.
+
+    A disk that hangs ends it before ``recording.json``, the last: what has come then is no recording.
+    """
+    for file in files:
         try:
-            content = await asyncio.to_thread(_content_of, path)
-        except OSError:
-            continue
+            content = await keeper.content(name, file)
+        except NotKeptError:
+            return
         if content is None:
             continue
-        entry = tarfile.TarInfo(f"{folder.name}/{path.relative_to(folder).as_posix()}")
+        entry = tarfile.TarInfo(f"{name}/{file}")
         entry.size, entry.mode = len(content), _READABLE
         yield entry.tobuf(tarfile.USTAR_FORMAT)
         for begin in range(0, len(content), _PIECE_BYTES):
             yield content[begin : begin + _PIECE_BYTES]
         yield bytes(-len(content) % _BLOCK)
     yield bytes(2 * _BLOCK)
-
-
-def _content_of(path: Path) -> bytes | None:
-    return path.read_bytes() if path.is_file() and not path.is_symlink() else None

@@ -71,8 +71,8 @@ class Resume:
             rows = await self._history.ask(self._read)
         except NoHistoryError as error:
             return self._gap(str(error))
-        if rows is None:
-            return self._gap("the history does not have it any more")
+        if rows is None:  # what came just now is not written yet
+            return self._waited(now_ns, "the history does not have it", is_short=True, came=False)
         events: list[str] = []
         for key, line in rows:
             if key == key_of(until):
@@ -82,15 +82,16 @@ class Resume:
             self._sent += 1
         if self._sent >= MAX_ROWS:
             return [*events, *self._gap("too much was missed; /api/v1/trend tells of it")]
-        return [*events, *self._waited(now_ns, is_short=len(rows) < MAX_ROWS_AT_ONCE, came=bool(rows))]
+        why, is_short = "the history does not have the newest measurements", len(rows) < MAX_ROWS_AT_ONCE
+        return [*events, *self._waited(now_ns, why, is_short=is_short, came=bool(rows))]
 
-    def _waited(self, now_ns: int, *, is_short: bool, came: bool) -> Sequence[str]:
+    def _waited(self, now_ns: int, why: str, *, is_short: bool, came: bool) -> Sequence[str]:
         """Look again soon, or give up what does not come."""
         self._looked_ns = now_ns if is_short else None
         if came or self._waits_since_ns is None:
             self._waits_since_ns = now_ns
         if now_ns - self._waits_since_ns > MAX_WAIT_S * 1e9:
-            return self._gap("the history does not have the newest measurements")
+            return self._gap(why)
         return ()
 
     def _gap(self, why: str) -> Sequence[str]:

@@ -236,8 +236,9 @@ class _BoundedProtocol(H11Protocol):
     _early: bytes = b""
     """What TLS deciphered before the handshake's end came to ``connection_made``."""
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Write nothing ahead of the client, and wait for its request only so long."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
         super().connection_made(transport)
         # asyncio's TLS would stop at a mark of 0 and never go on
         transport.set_write_buffer_limits(high=1 if is_ssl(transport) else 0)
@@ -324,8 +325,9 @@ class _BoundedProtocol(H11Protocol):
 class _BoundedWebSocket(WSProtocol):
     """uvicorn's WebSocket protocol; whatever it fails on ends the connection and nothing else."""
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take over from HTTP, whose headers for each answer would say that the connection closes."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
         super().connection_made(transport)
         self.default_headers = []
 

@@ -6,7 +6,7 @@ import math
 import sqlite3
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from fuzz.folder import folder, one_line
 from fuzz.spoil import EXTREME_NUMBERS, EXTREME_TEXTS, spoilt_bytes
@@ -83,9 +83,9 @@ def _forge(path: Path, table: str, number: int, value: object) -> None:
 
 def _export(path: Path, into: Path) -> None:
     span_us = (0, 2**62)
-    for every in ("measurement", "second", "minute", "hour"):
+    for every in get_args(export.Every):
         try:
-            export.answer(export.Question(path, span_us, every, "csv", into / "table.csv"))  # type: ignore[arg-type]
+            export.answer(export.Question(path, span_us, every, "csv", into / "table.csv"))
         except BadInputError as error:
             one_line(error)
     try:

@@ -89,13 +89,7 @@ async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
     """What came back by the time that another client has its answer."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     heard = b""
-    with contextlib.suppress(ConnectionError):
-        for begin in range(0, len(stream), piece):
-            if writer.transport.is_closing():
-                break
-            writer.write(stream[begin : begin + piece])
-            await asyncio.sleep(0)
-        await writer.drain()
+    await send_in_pieces(writer, stream, piece)
     await _another_client(port)
     with contextlib.suppress(ConnectionError, TimeoutError):
         while True:
@@ -106,6 +100,17 @@ async def _exchange(port: int, stream: bytes, piece: int) -> bytes:
     writer.transport.abort()
     await asyncio.sleep(0)
     return heard
+
+
+async def send_in_pieces(writer: asyncio.StreamWriter, stream: bytes, piece: int) -> None:
+    """Send as much of it as is taken, so many bytes at a time."""
+    with contextlib.suppress(ConnectionError):
+        for begin in range(0, len(stream), piece):
+            if writer.transport.is_closing():
+                break
+            writer.write(stream[begin : begin + piece])
+            await asyncio.sleep(0)
+        await writer.drain()
 
 
 async def _another_client(port: int) -> None:

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from fuzz.served import served
-from fuzz.targets.http import STREAMS
+from fuzz.targets.http import STREAMS, send_in_pieces
 from hypothesis import strategies as st
 
 from altd.local_socket.asking import ask
@@ -33,13 +33,7 @@ def check(example: tuple[bytes, int]) -> None:
 async def _exchange(stream: bytes, piece: int) -> bytes:
     reader, writer = await asyncio.open_unix_connection(_PATH)
     heard = b""
-    with contextlib.suppress(ConnectionError):
-        for begin in range(0, len(stream), piece):
-            if writer.transport.is_closing():
-                break
-            writer.write(stream[begin : begin + piece])
-            await asyncio.sleep(0)
-        await writer.drain()
+    await send_in_pieces(writer, stream, piece)
     status, document = await asyncio.to_thread(ask, _PATH, "/api/v1/measurement", 5.0)
     assert (status, document["sequence"]) == (200, 160)
     with contextlib.suppress(ConnectionError, TimeoutError):

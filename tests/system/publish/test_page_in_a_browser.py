@@ -303,6 +303,46 @@ async def test_a_unit_that_is_lost_is_blank_within_two_seconds_and_comes_back(
             await shown.until_pictures()
 
 
+LATE = """{
+    const made = createImageBitmap;
+    window.createImageBitmap = async blob => {
+        const image = await made(blob);
+        setTimeout(() => image.close());
+        return image;
+    };
+}"""
+"""Each picture is closed before it is drawn, as by the next one where a browser is busy."""
+
+
+async def test_a_picture_that_is_overtaken_stops_nothing(calibration_of_unit_3: Calibration) -> None:
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.page.add_init_script(LATE)
+        await shown.page.reload()
+        await shown.until_measured()
+        for _ in range(3):
+            before = (await shown.now())["sequence"]
+            await shown.until(lambda now, before=before: now["sequence"] != before)  # type: ignore[misc]
+            await asyncio.sleep(0.5)
+        assert shown.complaints == []
+
+
+async def test_a_page_that_fails_shows_nothing_old_and_is_loaded_again(
+    calibration_of_unit_3: Calibration,
+) -> None:
+    eye = "export function Eyes() { if (globalThis.broken) throw new Error('a defect'); return null; }"
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.page.route(
+            "**/page/eye.js", lambda route: route.fulfill(body=eye, content_type="text/javascript")
+        )
+        await shown.page.reload()
+        await shown.until_measured()
+        async with shown.page.expect_event("load"):
+            await shown.page.evaluate("globalThis.broken = true")
+            await shown.page.get_by_text("this page has failed and shows nothing").wait_for(timeout=2000)
+            assert "mm" not in await shown.page.inner_text("body")
+        await shown.until_measured()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 async def test_who_cannot_see_it_can_use_it(
     calibration_of_unit_3: Calibration, tmp_path: Path, scheme: str

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.cli import altd_here, refusal
+from support.no_daemon import GARBAGE, http
 from support.unit_toml import played_toml
 
 
@@ -34,25 +35,16 @@ def answered(tmp_path: Path, answer: bytes) -> Iterator[Path]:
         thread.join()
 
 
-def http(body: bytes, status: str = "200 OK") -> bytes:
-    return f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n".encode() + body
-
-
 @pytest.mark.parametrize(
     ("answer", "complaint"),
     [
         (b"", "no daemon answers at 127.0.0.1 port "),
-        (b"SSH-2.0-OpenSSH_9.2\r\n", "is no daemon of altd: SSH-2.0-OpenSSH_9.2"),
-        (http(b"<html>"), "is no daemon of altd: is not JSON: "),
-        (http(b"\xff\xfe"), "is no daemon of altd: is not JSON: "),
-        (http(b"[" * 500_000), "is no daemon of altd: is nested too deeply"),
-        (http(b'{"verdict": "good"}')[:-4], "is no daemon of altd: "),
-        (http(b'{"verdict": "' + b"x" * 2_000_000), "is no daemon of altd: "),
+        *GARBAGE,
         (http(b"[]"), "the answer is 200, and no verdict"),
-        (http(b'{"error": {"a": 1}}', "500 Oh"), "the answer is 500, and no verdict"),
-        (http(b'{"verdict": "good"}', "302 Elsewhere"), "the answer is 302, and no verdict"),
-        (http(b'{"error": "no frame LEDs"}', "409 No"), "no frame LEDs"),
-        (http(b'{"error": "a\\n\\u001b[2Jb"}', "409 No"), r"a\n\x1b[2Jb"),
+        (http(b'{"error": {"a": 1}}', b"HTTP/1.1 500 Oh"), "the answer is 500, and no verdict"),
+        (http(b'{"verdict": "good"}', b"HTTP/1.1 302 Elsewhere"), "the answer is 302, and no verdict"),
+        (http(b'{"error": "no frame LEDs"}', b"HTTP/1.1 409 No"), "no frame LEDs"),
+        (http(b'{"error": "a\\n\\u001b[2Jb"}', b"HTTP/1.1 409 No"), r"a\n\x1b[2Jb"),
     ],
 )
 def test_what_is_no_check_is_one_line_and_status_1(tmp_path: Path, answer: bytes, complaint: str) -> None:

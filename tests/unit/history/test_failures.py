@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from support.history import ABOUT, START_S, batch, event, sample, store, write_seconds
+from support.history import ABOUT, START_S, batch, event, renamed, sample, store, write_seconds
 
 from altd.history import opening
 from altd.history import store as store_module
-from altd.history.opening import MAX_DAMAGED_FILES, open_to_read
+from altd.history.opening import MAX_FILES_ASIDE, open_to_read
 from altd.history.reader import Reader
-from altd.history.schema import SECONDS, VERSION, NewerFileError, UnusableFileError
+from altd.history.schema import SECONDS, VERSION, ForeignFileError, NewerFileError, UnusableFileError
 from altd.status.event_log import EventKind
 
 
@@ -55,7 +57,7 @@ def test_pages_that_are_damaged_are_found_after_a_crash(tmp_path: Path) -> None:
 
 def test_a_disk_that_damages_every_file_is_not_filled(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
-    for _ in range(MAX_DAMAGED_FILES):
+    for _ in range(MAX_FILES_ASIDE):
         path.write_bytes(b"x" * 5000)
         with pytest.raises(sqlite3.DatabaseError):
             store(tmp_path).write(batch(START_S))
@@ -63,6 +65,52 @@ def test_a_disk_that_damages_every_file_is_not_filled(tmp_path: Path) -> None:
     with pytest.raises(UnusableFileError, match=r"as 3 before it: move .*history\.db\.damaged-\* away"):
         store(tmp_path).write(batch(START_S))
     assert path.read_bytes() == b"y" * 5000
+
+
+def test_a_history_of_another_unit_is_kept_and_none_of_this_ones(tmp_path: Path) -> None:
+    """A memory card that was moved from unit to unit."""
+    writing = store(tmp_path)
+    write_seconds(writing, START_S, [10.0])
+    writing.end(batch(START_S + 2))
+    writing = store(tmp_path, renamed(ABOUT, serial="TEST-2"))
+    with pytest.raises(ForeignFileError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
+        writing.write(batch(START_S + 8))
+    (aside,) = tmp_path.glob("history.db.of-another-unit-*")
+    assert len(sequences(aside)) == 20
+    written = writing.write(batch(START_S + 9, [sample(START_S + 8, sequence=5)]))
+    writing.end(None)
+    assert sequences(tmp_path / "history.db") == [5]
+    assert [aside.name in notice.text for notice in written.notices] == [True, False]
+
+
+def test_of_two_daemons_on_one_history_the_second_writes_nothing_until_the_first_has_ended(
+    tmp_path: Path,
+) -> None:
+    first, second = store(tmp_path), store(tmp_path)
+    first.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
+    with pytest.raises(UnusableFileError, match="another daemon writes it"):
+        second.write(batch(START_S + 1, [sample(START_S, sequence=100)]))
+    first.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+    assert sequences(tmp_path / "history.db") == [1, 2]
+    first.end(batch(START_S + 3))
+    notices = second.write(batch(START_S + 4, [sample(START_S + 3, sequence=101)])).notices
+    second.end(None)
+    assert sequences(tmp_path / "history.db") == [1, 2, 101]
+    assert notices == []  # nobody crashed
+
+
+def test_a_daemon_that_was_killed_holds_the_history_no_more(tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from altd.history.lock import WriteLock;"
+        "WriteLock(Path(sys.argv[1])); print('held', flush=True); os.kill(os.getpid(), 9)"
+    )
+    killed = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "history.db")], capture_output=True, check=False
+    )
+    assert (killed.stdout, killed.returncode) == (b"held\n", -9)
+    writing = store(tmp_path)
+    writing.write(batch(START_S + 1, [sample(START_S)]))
+    writing.end(None)
 
 
 def test_a_newer_history_is_left_as_it_is(tmp_path: Path) -> None:

@@ -247,14 +247,14 @@ class TestStart:
 
     def test_what_has_changed_since_is_said(self, tmp_path: Path) -> None:
         self.notices(tmp_path, renamed(ABOUT, config='{"measuring": {"window": 20}, "a": [1, 2]}'))
-        about = renamed(ABOUT, config='{"measuring": {"window": 10}, "a": [1, 2]}', serial="TEST-2")
+        about = renamed(ABOUT, config='{"measuring": {"window": 10}, "a": [1, 2]}', version="2.0.0")
         writing = store(tmp_path, about)
         written = writing.write(batch(START_S + 9))
         writing.end(None)
         found = {notice.kind: notice.detail for notice in written.notices}
         assert found == {
             EventKind.CONFIG: {"changed": {"measuring.window": ["20", "10"]}},
-            EventKind.HISTORY: {"before": "TEST-1", "after": "TEST-2"},
+            EventKind.VERSION: {"before": "1", "after": "2.0.0"},
         }
 
 

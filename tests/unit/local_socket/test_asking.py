@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support.no_daemon import GARBAGE, http
 
 from altd.local_socket.asking import NoAnswerError, ask
 
@@ -43,10 +44,6 @@ def saying(answer: bytes) -> Callable[[socket.socket], None]:
     return serve
 
 
-def http(body: bytes, head: bytes = b"HTTP/1.1 200 OK") -> bytes:
-    return head + b"\r\nContent-Length: %d\r\n\r\n" % len(body) + body
-
-
 def test_status_and_document_come_back(tmp_path: Path) -> None:
     with answered(tmp_path / "s", saying(http(b'{"a": 1}', b"HTTP/1.1 503 No"))) as path:
         assert ask(path, "/api/measurement", 5.0) == (503, {"a": 1})
@@ -70,14 +67,7 @@ def test_the_request_is_one_that_the_daemon_takes(tmp_path: Path) -> None:
     ("answer", "said"),
     [
         (b"", "is no daemon of altd: Remote end closed connection without response"),
-        (b"SSH-2.0-OpenSSH_9.2\r\n", "is no daemon of altd: SSH-2.0-OpenSSH_9.2"),
-        (http(b"<html>"), "is no daemon of altd: is not JSON: "),
-        (http(b"\xff\xfe"), "is no daemon of altd: is not JSON: "),
-        (http(b"[" * 500_000), "is no daemon of altd: is nested too deeply"),
-        (http(b"{}")[:-1], "is no daemon of altd: "),
-        (http(b'{"a": "' + b"x" * 2_000_000), "is no daemon of altd: "),
-        (b"HTTP/1.1 200 OK\r\n" + b"A: b\r\n" * 1000 + b"\r\n{}", "is no daemon of altd: got more than 100"),
-        (b"HTTP/1.1 200 OK\r\nA: " + b"x" * 100_000, "is no daemon of altd: got more than 65536 bytes"),
+        *GARBAGE,
         (b"HTTP/1.1 \x1b[2J\n\r\n", r"\x1b[2J"),
     ],
 )

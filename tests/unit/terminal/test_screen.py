@@ -8,13 +8,16 @@ from typing import Any
 import pytest
 from support.daemon_documents import CHECK, TARGETS, invalid, measurement, status
 
-from altd.terminal.canvas import Canvas
-from altd.terminal.documents import self_check_of, status_of, targets_of
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.terminal.canvas import Canvas, Style
+from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import HOLD_S, Knowledge
 from altd.terminal.screen import PAGES, View, draw
+from altd.terminal.status_text import status_text
 
 from .moments import LAST_S, after_a_minute, hear, screen
 
+CHECKED = self_check_of(CHECK)
 SCREENS = Path(__file__).with_name("screens")
 """Looked at by eye; where spots stand in them, ``test_the_spot_stands_where_…`` says by arithmetic."""
 
@@ -88,6 +91,20 @@ def test_before_the_first_measurement_it_says_so() -> None:
     assert "no answer so far" in screen(knowledge, 0.0)
     hear(knowledge, {"error": "nothing was measured", "status": ["warming_up"]}, 1.0)
     assert "NOT VALID: nothing was measured so far" in screen(knowledge, 1.0)
+
+
+@pytest.mark.parametrize("code", ["simulated", "playback"])
+def test_numbers_that_are_not_of_now_are_not_called_valid(code: str) -> None:
+    """A technician who looks at a recording must not take it for the unit's beam."""
+    knowledge = after_a_minute()
+    hear(knowledge, measurement(status=["exposures_lost", code]), LAST_S)
+    canvas = Canvas(24, 80, is_utf8=False)
+    draw(knowledge, LAST_S, View(), canvas)
+    (text, style), *_ = canvas.runs()[1]
+    assert text.startswith(f"NOT LIVE, 0.5 s old, mean of 20 exposures; exposures_lost, {code}")
+    assert style is Style.WARNING
+    shown = status_text(reading_of(measurement(status=[code]), QUANTITIES), status_of(status()), CHECKED)
+    assert "measuring    NOT LIVE, 0.50 s old" in shown
 
 
 def test_the_age_grows_between_two_answers() -> None:

@@ -13,7 +13,7 @@ export function Causes({ status }) {
   const causes = status?.state?.causes ?? [];
   return html`<section class="causes" aria-labelledby="causes-title">
     <h2 id="causes-title">State</h2>
-    ${status === null ? html`<p>not known</p>` : html`<p><${Badge} status=${status} /> for ${duration(status.state?.for_s ?? 0)}</p>`}
+    ${status?.state ? html`<p><${Badge} status=${status} /> for ${duration(status.state.for_s)}</p>` : html`<p>not known</p>`}
     <ul aria-live="polite">
       ${causes.map(cause => html`<li key=${`${cause.code} ${cause.of}`} class=${cause.signal} data-code=${cause.code}>
         <strong><span aria-hidden="true">${SIGNALS[cause.signal]?.mark}</span> ${cause.brief}${cause.of ? html` <em>(${cause.of})</em>` : ""}</strong>
@@ -22,7 +22,7 @@ export function Causes({ status }) {
           cause.times > 1 ? `, ${cause.times} times` : ""}</small>
       </li>`)}
     </ul>
-    ${status !== null && causes.length === 0 && html`<p>nothing is wrong</p>`}
+    ${status?.state && causes.length === 0 && html`<p>nothing is wrong</p>`}
   </section>`;
 }
 

@@ -1,10 +1,14 @@
 // What the unit has said within the last seconds, and nothing older.
 //
 // A stream brings measurements; twice a second, and when a reason comes or goes, the status is asked for, and
-// when the stream is silent the measurement too. What that does not confirm goes within two seconds.
+// when the stream is silent the measurement too. What that does not confirm goes within two seconds. What was held
+// back on its way, by a computer that slept, a slow line or a proxy, is as old as its `clock_ms` says, and no news.
 
 export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400;
 const MEASUREMENT = "/api/v1/measurement", STATUS = "/api/v1/status", STREAM = "/api/v1/stream";
+
+// Of two numbers of messages, which begin anew after 32 bits.
+const isLater = (message, last) => ((message - last) | 0) > 0;
 
 // `show` is called with {words, measurement, status}; words are empty while the unit answers.
 export class Link {
@@ -13,7 +17,8 @@ export class Link {
     this.world = world;
     this.known = { words: "connecting…", measurement: null, status: null };
     this.open = false;
-    this.heard = 0;
+    this.heard = 0;  // when what is shown was sent
+    this.sent = null;  // the clock of this session: at `at` here it was `clock_ms` there, or later
     this.looking = false;
   }
 
@@ -36,8 +41,10 @@ export class Link {
     this.stream = stream;
     stream.onopen = () => { this.open = true; };
     stream.onmessage = message => {
-      this.heard = this.world.Date.now();
       const reasons = this.reasons, measurement = JSON.parse(message.data);
+      const sentAt = this.sentAt(measurement);
+      if (sentAt === null) return;
+      this.heard = sentAt;
       this.tell({ words: "", measurement });
       if (this.reasons !== reasons) this.look();
     };
@@ -49,6 +56,23 @@ export class Link {
   }
 
   get reasons() { return this.known.measurement?.status.join(); }
+
+  // When a measurement was sent, or a little before; null for one that is no news: not newer than all before, or too
+  // long on its way. Where none is news, the unit is asked as when the stream is silent.
+  sentAt({ session, message, clock_ms }) {
+    if (session !== this.sent?.session || !isLater(message, this.sent.message)) return null;
+    const at = this.timeOf(clock_ms);
+    if (this.world.Date.now() - at > OLD_MS) return null;
+    this.sent.message = message;
+    return at;
+  }
+
+  // Of the unit's clock here; nothing came before it was sent, and by that the clocks are kept together.
+  timeOf(clock_ms) {
+    const now = this.world.Date.now(), at = this.sent.at + ((clock_ms - this.sent.clock_ms) | 0);
+    if (at > now) Object.assign(this.sent, { clock_ms, at: now });
+    return Math.min(at, now);
+  }
 
   // a clock that was set back is no news either
   silentMs() { return Math.abs(this.world.Date.now() - this.heard); }
@@ -77,15 +101,26 @@ export class Link {
   }
 
   async ask() {
-    const before = this.heard, measurement = await this.answered(MEASUREMENT);
+    const at = this.world.Date.now(), before = this.heard, last = { ...this.sent };
+    const measurement = await this.answered(MEASUREMENT);
+    if (measurement === null) return;
+    const { error, session, message, clock_ms } = measurement;
+    if (!error) {
+      if (session === last.session && !isLater(message, last.message)) return;  // it is repeated: not the unit answered
+      if (session !== this.sent?.session) this.sent = { session, message, clock_ms, at };
+      else if (this.timeOf(clock_ms) < at) Object.assign(this.sent, { clock_ms, at });  // it was sent after it was asked for
+    }
     if (this.heard !== before) return;  // what the stream brought meanwhile is newer
-    this.heard = this.world.Date.now();
-    if (measurement.error) this.tell({ words: "nothing measured yet", measurement: null });
-    else this.tell({ words: "", measurement });
+    if (!error) this.sent.message = message;
+    this.heard = error ? at : this.timeOf(clock_ms);
+    this.tell(error ? { words: "nothing measured yet", measurement: null } : { words: "", measurement });
   }
 
+  // null where it is refused, as to who asks too often: nothing is known by that; before the first measurement there
+  // are reasons in `status`.
   async answered(path) {
     const signal = this.world.AbortSignal.timeout(ANSWER_MS);
-    return await (await this.world.fetch(path, { cache: "no-store", signal })).json();
+    const answer = await (await this.world.fetch(path, { cache: "no-store", signal })).json();
+    return answer.error && !answer.status ? null : answer;
   }
 }

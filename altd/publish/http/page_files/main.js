@@ -4,12 +4,14 @@ import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
 import { Eyes } from "./eye.js";
+import { guard } from "./failing.js";
 import { Link } from "./link.js";
+import { Memory } from "./memory.js";
 import { Parts, SelfCheck, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
 import { Pictures } from "./pictures.js";
 import { Events, PastTrends, Recordings, SPANS, useAnswer } from "./past.js";
-import { LiveTrends, Memory } from "./trend.js";
+import { LiveTrends } from "./trend.js";
 import { QUANTITIES, verdictOf } from "./words.js";
 
 const CHECK_MS = 5000, LIVE = "10 minutes";
@@ -85,4 +87,5 @@ function Page() {
 
 const root = document.getElementById("page");
 root.replaceChildren();
+guard(root);
 render(html`<${Page} />`, root);

@@ -3,12 +3,12 @@
 import { html, useState } from "./vendor/htm-preact.js";
 import { QUANTITIES, UNKNOWN, fixed, sigmaOf } from "./words.js";
 
-function Row({ quantity, measurement, sigmaFrom }) {
+function Row({ quantity, measurement }) {
   return html`<tr>
     <th scope="row">${quantity.label}</th>
     <td class="value" id=${quantity.key}>${fixed(measurement?.[quantity.key], quantity.decimals)}</td>
     <td class="unit">${quantity.unit}</td>
-    <td class="sigma" id=${`sigma_${quantity.key}`}>${sigmaOf(measurement, sigmaFrom ?? quantity)}</td>
+    <td class="sigma" id=${`sigma_${quantity.key}`}>${sigmaOf(measurement, quantity)}</td>
   </tr>`;
 }
 

@@ -1,92 +1,8 @@
 // Live pictures of the targets: the next is asked for when the last was drawn, nothing while nobody looks.
 
 import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
+import { Watcher } from "./watcher.js";
 import { words } from "./words.js";
-
-const OLD_MS = 1300, RETRY_MS = 1000, MAX_PATH = 200;
-
-function parsed(buffer) {
-  const length = new DataView(buffer).getUint32(0);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  let offset = 4 + length;
-  return header.pictures.map(picture => {
-    const jpeg = new Blob([new Uint8Array(buffer, offset, picture.bytes)], { type: "image/jpeg" });
-    offset += picture.bytes;
-    return { ...picture, jpeg };
-  });
-}
-
-// Opens and closes the socket with the page's visibility; `take` gets what is shown now, by target.
-class Watcher {
-  constructor(take) {
-    this.take = take;
-    this.shown = {};
-    this.views = [];
-    this.onVisible = () => document.hidden ? this.close() : this.connect();
-  }
-
-  start() {
-    document.addEventListener("visibilitychange", this.onVisible);
-    this.timer = setInterval(() => this.forget(), 250);
-    this.onVisible();
-  }
-
-  stop() {
-    document.removeEventListener("visibilitychange", this.onVisible);
-    clearInterval(this.timer);
-    this.close();
-  }
-
-  connect() {
-    if (this.socket) return;
-    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/v1/pictures`);
-    this.socket = socket;
-    socket.binaryType = "arraybuffer";
-    socket.onmessage = async message => {
-      if (typeof message.data === "string") this.views = JSON.parse(message.data).views;
-      else await this.draw(parsed(message.data));
-      if (socket.readyState === WebSocket.OPEN) socket.send("next");
-    };
-    socket.onclose = event => {
-      if (this.socket !== socket) return;
-      this.socket = null;
-      this.words = event.reason || "no pictures from the unit";
-      clearTimeout(this.retry);
-      this.retry = setTimeout(() => { if (!document.hidden) this.connect(); }, RETRY_MS);
-    };
-  }
-
-  close() {
-    const socket = this.socket;
-    this.socket = null;
-    clearTimeout(this.retry);
-    socket?.close();
-    this.shown = {};
-    this.tell();
-  }
-
-  async draw(pictures) {
-    for (const picture of pictures) {
-      const image = await createImageBitmap(picture.jpeg);
-      const before = this.shown[picture.target];
-      before?.image.close();
-      const path = [...(before?.path ?? []), picture.spot && [picture.spot.u_px, picture.spot.v_px]].slice(-MAX_PATH);
-      this.shown = { ...this.shown, [picture.target]: { ...picture, image, path, at: performance.now() - 1000 * picture.age_s } };
-    }
-    this.words = "";
-    this.tell();
-  }
-
-  // what is not seen any more is not shown
-  forget() {
-    const now = performance.now();
-    const kept = Object.entries(this.shown).filter(([, picture]) => now - picture.at < OLD_MS);
-    if (kept.length < Object.keys(this.shown).length) this.shown = Object.fromEntries(kept);
-    this.tell();
-  }
-
-  tell() { this.take({ views: this.views, shown: this.shown, words: this.words }); }
-}
 
 function line(context, points, close) {
   context.beginPath();
@@ -163,9 +79,12 @@ function Target({ view, shown, views, lost }) {
   const seen = picture && !picture.spot && !picture.leds_on
     ? views.find(other => other.target !== view.target && shown[other.target]?.spot) : undefined;
   const aim = seen && aimIn(view, seen, shown[seen.target].spot);
-  useEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
+  useEffect(() => {
+    if (picture?.image.width === 0) return;  // it is closed: a newer one is there, and drawn next
+    paint(canvas.current, view, picture, aim);
+  }, [view, picture, aim?.[0], aim?.[1]]);
   const said = saidOf(view, picture, seen?.target, lost);
-  const age = picture ? (performance.now() - picture.at) / 1000 : null;
+  const age = picture ? (Date.now() - picture.at) / 1000 : null;
   return html`<figure class="target" data-target=${view.target} data-sequence=${picture?.sequence ?? ""}>
     <canvas ref=${canvas} role="img" aria-label=${`${view.target} target: ${said}`}></canvas>
     <figcaption><strong>${view.target}</strong> <span class="said">${said}</span>

@@ -11,11 +11,19 @@ export function fixed(value, decimals) {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
 }
 
+// What a unit of the quantity that has the uncertainty is in the unit of this one: a slope is the tangent of an angle.
+function scaleOf(measurement, { key, unit, is_also }) {
+  if (!is_also) return 1;
+  return unit === "mm/m" ? (1000 + measurement[key] ** 2 / 1000) * Math.PI / 180 : null;
+}
+
 // The uncertainty as a statement about now; at rest where nobody knows how the beam moves.
 export function sigmaOf(measurement, quantity) {
-  const then = measurement?.sigma?.[quantity.key] ?? null, now = measurement?.sigma_now?.[quantity.key] ?? null;
-  if (then === null) return "";
-  return now === null ? `± ${fixed(then, quantity.decimals)} (at rest)` : `± ${fixed(now, quantity.decimals)} (1σ)`;
+  const key = quantity.is_also || quantity.key;
+  const then = measurement?.sigma?.[key] ?? null, now = measurement?.sigma_now?.[key] ?? null;
+  const scale = then === null ? null : scaleOf(measurement, quantity);
+  if (scale === null) return "";
+  return `± ${fixed((now ?? then) * scale, quantity.decimals)} (${now === null ? "at rest" : "1σ"})`;
 }
 
 export function duration(seconds) {

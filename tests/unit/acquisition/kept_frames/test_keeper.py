@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from support.clock import FakeClock, stop
 from support.frames import Blob, frame, light
 
 from altd.acquisition.exposures_writer import RecordingPlan
+from altd.acquisition.kept_frames import keeper as keeper_module
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
@@ -104,7 +106,7 @@ async def running(unit: Unit) -> AsyncIterator[Unit]:
 
 
 def times_s(unit: Unit, kept: KeptRecording) -> list[float]:
-    return [row.t_s for row in open_recording(unit.keeper.folder_of(kept.name)).rows if row.camera == "front"]
+    return [row.t_s for row in open_recording(unit.store.folder_of(kept.name)).rows if row.camera == "front"]
 
 
 async def test_after_a_fault_the_seconds_before_and_after_it_are_written(tmp_path: Path) -> None:
@@ -119,7 +121,7 @@ async def test_after_a_fault_the_seconds_before_and_after_it_are_written(tmp_pat
         at_s = times_s(unit, kept)
         assert at_s[-1] - at_s[0] == pytest.approx(2.5, abs=0.06)
         assert kept.exposures == len(at_s) == round(kept.seconds * 20)
-        recording = open_recording(unit.keeper.folder_of(kept.name))
+        recording = open_recording(unit.store.folder_of(kept.name))
         assert recording.header.kind == "measurement"
         assert recording.header.unit.serial == "ALT-7"
         assert recording.header.note == "altd run, simulated"
@@ -199,7 +201,7 @@ async def test_exposures_of_a_change_are_left_out_and_lit_ones_say_so(tmp_path: 
         await unit.expose(5, changing=True)
         await unit.expose(3, leds_on=True)
         kept = await unit.keeper.keep("asked")
-        rows = open_recording(unit.keeper.folder_of(kept.name)).rows
+        rows = open_recording(unit.store.folder_of(kept.name)).rows
         assert [row.leds_on for row in rows if row.camera == "rear"] == [False] * 10 + [True] * 3
 
 
@@ -245,6 +247,46 @@ async def test_a_folder_that_cannot_be_had_is_told_and_nothing_else_happens(tmp_
             while not unit.component.counters:  # noqa: ASYNC110  a real disk, not this clock
                 await asyncio.sleep(0.005)
         assert unit.component.message.startswith("spot_missing front was not recorded: ")
+
+
+async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs = threading.Event()
+    monkeypatch.setattr(keeper_module, "_READ_TIMEOUT_S", 0.05)
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(40)
+        kept = await unit.keeper.keep("asked")
+        assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
+        monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(20))
+        try:
+            with pytest.raises(NotKeptError, match="does not answer"):
+                await unit.keeper.content(kept.name, "recording.json")
+            (held,) = [each for each in threading.enumerate() if each.name == "kept-frames read"]
+            assert held.daemon, "the end of the process would wait for it"
+        finally:
+            hangs.set()
+            held.join()
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [(MemoryError("no room"), "a defect: MemoryError: no room"), (OSError(5, "Input/output error"), "Input")],
+)
+async def test_whatever_fails_is_said_and_the_next_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    async with running(Unit(tmp_path)) as unit:
+        await unit.expose(40)
+        with monkeypatch.context() as broken:
+            broken.setattr(unit.store, "add", fail)
+            with pytest.raises(NotKeptError, match=said):
+                await unit.keeper.keep("asked")
+        assert (unit.component.state, unit.component.counters) == (State.DEGRADED, {"not_kept": 1})
+        assert (await unit.keeper.keep("asked")).exposures > 0
 
 
 async def test_the_frames_are_let_go_once_they_are_written(tmp_path: Path) -> None:

@@ -54,6 +54,15 @@ def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
     assert (shelf.store.folder_of(kept.name) / "frame").stat().st_size == 10 * KIB
 
 
+def test_a_link_to_elsewhere_is_none_of_its_files(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path)
+    kept = shelf.add()
+    (tmp_path / kept.name / "elsewhere").symlink_to("/etc/passwd")
+    assert shelf.store.files(kept.name) == ["frame", "kept.json"]
+    assert shelf.store.content(kept.name, "frame") == (tmp_path / kept.name / "frame").read_bytes()
+    assert shelf.store.content(kept.name, "gone") is None
+
+
 def test_two_of_one_second_have_two_names(tmp_path: Path) -> None:
     store = RecordingStore(tmp_path, 1 << 20)
     names = [store.add("asked", START, KIB, content(KIB)).name for _ in range(3)]  # type: ignore[arg-type]

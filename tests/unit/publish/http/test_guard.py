@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from altd.publish.http.limits import ATTEMPTS
 from altd.publish.http.sessions import IDLE_S
 from altd.status.event_log import MAX_OF_ONE_IN_WINDOW, WINDOW_S, Event, EventKind, EventLog
 from altd.status.health import Component, Health, State
+from altd.status.picture_desk import Picture, TargetView
 from altd.status.self_check_desk import SelfCheckReport
 
 from .conftest import Answer, Served, Unit
@@ -202,12 +204,26 @@ async def test_wrong_attempts_are_limited_and_time_heals(
         refused = await log_in(unit)
         assert refused.status == 429, "also the right one, or a guess could be told from the others"
         assert 1 <= int(refused.headers["retry-after"]) <= 10
-        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 429
+        assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 200, "nobody guesses a token"
         clock.now_ns += 10_000_000_000
         assert (await log_in(unit)).status == 200
         assert (await log_in(unit)).status == 200, "who knows the password is not limited"
         assert (await unit.ask("/api/v1/status")).status == 200
-    assert checked == []
+    assert checked == [1]
+
+
+async def test_a_page_whose_session_is_over_does_not_keep_its_user_from_logging_in(
+    served: Served, credentials: Path, clock: FakeClock
+) -> None:
+    """After a restart of the daemon, or 30 minutes: the page goes on asking for pictures every second."""
+    async with served(credentials=credentials) as unit:
+        for _ in range(2 * ATTEMPTS.burst):
+            for headers in ({"Cookie": f"altd_{unit.port}=over"}, {"Authorization": "Bearer revoked"}):
+                with pytest.raises(InvalidStatus) as refused:
+                    await connect(f"ws://127.0.0.1:{unit.port}/api/v1/pictures", additional_headers=headers)
+                assert refused.value.response.status_code == 401
+            clock.now_ns += 1_000_000_000
+        assert (await log_in(unit)).status == 200
 
 
 async def test_who_is_taken_out_of_the_file_loses_his_session(
@@ -240,6 +256,32 @@ async def test_pictures_are_for_who_is_known_where_credentials_are_set(
             with pytest.raises(InvalidStatus) as refused:
                 await connect(url, additional_headers=headers)
             assert refused.value.response.status_code == 401
+
+
+class Maker:
+    """Makes no picture at once."""
+
+    views: Sequence[TargetView] = ()
+
+    async def newer(self, seen: dict[str, int]) -> Sequence[Picture]:
+        return ()
+
+
+async def test_pictures_end_with_the_session_that_they_were_shown_to(
+    served: Served, credentials: Path, health: Health
+) -> None:
+    health.pictures.open(Maker())
+    async with served(credentials=credentials) as unit:
+        cookie = cookie_of(await log_in(unit))
+        url = f"ws://127.0.0.1:{unit.port}/api/v1/pictures"
+        async with connect(url, additional_headers={"Cookie": cookie}) as browser:
+            assert "views" in await browser.recv()
+            await browser.send("next")
+            assert isinstance(await browser.recv(), bytes)
+            await unit.ask("/api/v1/logout", "POST", {**OURS, "Cookie": cookie})
+            await browser.send("next")
+            with pytest.raises(ConnectionClosed, match="1008"):
+                await browser.recv()
 
 
 async def test_a_session_ends_by_itself(served: Served, credentials: Path, clock: FakeClock) -> None:

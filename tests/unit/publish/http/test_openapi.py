@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from openapi_spec_validator import OpenAPIV31SpecValidator
+from starlette.responses import JSONResponse
 from support.clock import FakeClock
 from support.measurements import changed, measured
 
@@ -65,6 +66,14 @@ async def test_it_is_served_as_it_is(served: Served, health: Health) -> None:
     async with served() as unit:
         answer = await unit.ask("/api/v1/openapi.json")
     assert answer.json == document_of(PATHS, QUANTITIES, health.facts["version"])
+
+
+async def test_it_is_made_once_and_not_for_each_who_asks(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with served() as unit:
+        monkeypatch.setattr(JSONResponse, "render", lambda *_: pytest.fail("it is made in the loop"))
+        assert (await unit.ask("/api/v1/openapi.json")).status == 200
 
 
 async def test_measurements_of_every_kind_are_what_the_document_says(

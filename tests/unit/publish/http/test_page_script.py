@@ -1,10 +1,11 @@
-"""The page's link to the unit, run by Node.js: it knows nothing that was not said within the last seconds.
+"""The page's links to the unit, run by Node.js: they know nothing that was not said within the last seconds.
 
 The network and the clock are the test's; a browser shows the page in tests/system/publish/http.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 from collections.abc import Iterator
@@ -21,7 +22,16 @@ from tools.pages.example import AGE_S, MEASURED
 STATUS_PATH, MEASUREMENT_PATH = "/api/v1/status", "/api/v1/measurement"
 HERE = Path(__file__).parent
 
-VALID = as_object_now(MEASURED, AGE_S)
+SESSION = "5C1E90A7"
+
+
+def sent(message: int, clock_ms: int, **other: Any) -> dict[str, Any]:
+    """The measurement as it is sent as this message, when the unit's clock shows so many milliseconds."""
+    proof = {"session": SESSION, "message": message, "clock_ms": clock_ms}
+    return {**as_object_now(MEASURED, AGE_S), **proof, **other}
+
+
+VALID = sent(1, 345_000)
 STATUS = {
     "serial": "ALT-0007",
     "components": {
@@ -30,6 +40,7 @@ STATUS = {
     },
 }
 WELL = {STATUS_PATH: STATUS, MEASUREMENT_PATH: VALID}
+WELL_LATER = {STATUS_PATH: STATUS, MEASUREMENT_PATH: sent(9, 349_000)}
 NOTHING = {"x_mm": "\N{EN DASH}", "sigma_x_mm": "", "sequence": None, "components": []}
 NO_VALUES = {"x_mm": "\N{EN DASH}", "sigma_x_mm": "", "sequence": None}
 
@@ -49,25 +60,41 @@ class Page:
         return shown
 
     def measuring(self) -> dict[str, Any]:
-        """Open the stream, with one measurement and a look at the components."""
-        self.do(answers=WELL, opened=True, message=VALID)
+        """Ask once, and open the stream, with one measurement and a look at the components."""
+        self.do(answers=WELL, tick=True)
+        self.do(opened=True, message=sent(2, 345_000))
         return self.do(tick=True)
+
+
+@contextlib.contextmanager
+def driven(driver: str, folder: Path, *names: str) -> Iterator[Page]:
+    """Some of the page's scripts, by a driver of this folder."""
+    for name in names:
+        (folder / f"{name}.mjs").write_bytes(page_files()[f"{name}.js"].content)
+    command = [need_program("node", "nodejs"), str(HERE / driver), str(folder)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield Page(process)
+        process.kill()
 
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    for name in ("link", "words"):
-        (tmp_path / f"{name}.mjs").write_bytes(page_files()[f"{name}.js"].content)
-    command = [need_program("node", "nodejs"), str(HERE / "page_in_node.mjs"), str(tmp_path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield Page(process)
-        process.kill()
+    with driven("page_in_node.mjs", tmp_path, "link", "words") as page:
+        yield page
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Iterator[Page]:
+    with driven("watcher_in_node.mjs", tmp_path, "watcher") as pictures:
+        yield pictures
 
 
 def test_it_shows_what_the_unit_says(page: Page) -> None:
     shown = page.measuring()
     assert (shown["verdict"], shown["kind"], shown["x_mm"]) == ("valid", "good", "10.012")
     assert shown["sigma_x_mm"] == "± 0.029 (1σ)"  # √(0.004² + 0.0102² + (0.0512 · 0.52)²) mm
+    # 1000 (tan(1.7184° + 0.00161°) − tan 1.7184°), near enough
+    assert shown["sigma_pitch_mm_per_m"] == "± 0.0281 (1σ)"
     assert shown["components"] == ["camera rear", "http"]
     assert shown["sequence"] == 160
     assert shown["asked"] == [STATUS_PATH]  # the stream tells the rest
@@ -75,7 +102,7 @@ def test_it_shows_what_the_unit_says(page: Page) -> None:
 
 def test_where_nobody_knows_how_the_beam_moves_its_sigma_is_said_to_be_that_at_rest(page: Page) -> None:
     unknown = {**VALID, "sigma_now": dict.fromkeys(VALID["sigma"])}
-    shown = page.do(answers=WELL, opened=True, message=unknown)
+    shown = page.do(answers={**WELL, MEASUREMENT_PATH: unknown}, tick=True)
     assert shown["sigma_x_mm"] == "± 0.004 (at rest)"
 
 
@@ -112,7 +139,7 @@ def test_a_page_that_slept_shows_nothing_old_while_it_asks(page: Page) -> None:
 def test_where_the_stream_is_silent_the_measurement_is_asked_for(page: Page) -> None:
     """Behind a proxy that holds the stream back, or where measurements are far between."""
     page.measuring()
-    stale = {**VALID, "valid": False, "status": ["stale"], "x_mm": None}
+    stale = sent(3, 346_000, valid=False, status=["stale"], x_mm=None)
     stale["sigma"] = stale["sigma_now"] = dict.fromkeys(VALID["sigma"])
     shown = page.do(answers={**WELL, MEASUREMENT_PATH: stale}, pass_ms=1000, tick=True)
     assert shown["asked"] == [STATUS_PATH, MEASUREMENT_PATH]
@@ -128,15 +155,183 @@ def test_before_the_first_measurement_it_says_so(page: Page) -> None:
 def test_a_unit_that_is_back_is_shown_again_with_one_stream(page: Page) -> None:
     page.measuring()
     page.do(answers={}, pass_ms=1000, tick=True)
-    shown = page.do(answers=WELL, pass_ms=1000, tick=True)
-    assert (shown["verdict"], shown["streams"]) == ("valid", 2)
-    shown = page.do(opened=True, message={**VALID, "sequence": 161})
+    shown = page.do(answers={**WELL, MEASUREMENT_PATH: sent(3, 347_000)}, pass_ms=1000, tick=True)
+    assert shown["verdict"] == "valid"
+    streams = shown["streams"]
+    shown = page.do(opened=True, message=sent(4, 347_050, sequence=161))
     assert shown["sequence"] == 161
-    assert page.do(pass_ms=500, tick=True)["streams"] == 2
+    assert page.do(pass_ms=300, tick=True)["streams"] == streams
 
 
 def test_where_all_streams_are_taken_the_values_are_asked_for_and_stay(page: Page) -> None:
     page.do(answers=WELL, broken=2)
-    for _ in range(3):
-        assert page.do(pass_ms=1000, tick=True)["x_mm"] == "10.012"
+    for second in range(1, 4):
+        answers = {**WELL, MEASUREMENT_PATH: sent(second, 345_000 + 1000 * second)}
+        assert page.do(answers=answers, pass_ms=1000, tick=True)["x_mm"] == "10.012"
         assert page.do(broken=2)["x_mm"] == "10.012"
+
+
+def test_what_a_slow_line_or_a_proxy_held_back_is_not_shown_as_new(page: Page) -> None:
+    """The stream comes 3 s late and without a gap: each number is one of 3 s ago."""
+    page.measuring()
+    page.do(answers={**WELL, MEASUREMENT_PATH: "silent"}, pass_ms=3000, tick=True)
+    for number in range(30):
+        shown = page.do(pass_ms=50, message=sent(3 + number, 345_050 + 50 * number))
+        assert shown.items() >= NO_VALUES.items()
+    answers = {**WELL, MEASUREMENT_PATH: sent(90, 349_500, sequence=230)}
+    page.do(answers=answers, give_up=True)
+    shown = page.do(tick=True, message=sent(33, 346_550))
+    assert (shown["verdict"], shown["sequence"]) == ("valid", 230)  # asked for, and not of the stream
+
+
+def test_an_answer_that_took_long_once_does_not_make_all_that_follows_late(page: Page) -> None:
+    """It took a second on its way back: so far the clocks may be apart, until an answer is quick."""
+    late = {"after_ms": 1000, "document": sent(1, 346_000)}
+    page.do(answers={**WELL, MEASUREMENT_PATH: late}, opened=True, tick=True)
+    page.do(pass_ms=1000)
+    for number in range(1, 41):
+        clock_ms = 346_000 + 100 * number
+        quick = sent(2 * number + 3, clock_ms, sequence=number)
+        news = sent(2 * number + 2, clock_ms, sequence=number)
+        answers = {**WELL, MEASUREMENT_PATH: quick}
+        shown = page.do(answers=answers, pass_ms=100, message=news, tick=number % 5 == 0)
+        assert (shown["verdict"], shown["sequence"]) == ("valid", number)
+        assert shown["asked"] in ([], [STATUS_PATH]) or number < 10
+    assert page.do(pass_ms=1300, answers={**WELL, MEASUREMENT_PATH: "silent"}, tick=True)["sequence"] == 40
+
+
+def test_what_came_late_is_gone_the_sooner(page: Page) -> None:
+    """Sent 1.2 s before it came, it is shown for 0.2 s: nothing that is shown was sent 1.5 s ago."""
+    page.measuring()
+    answers = {**WELL, MEASUREMENT_PATH: "silent"}
+    shown = page.do(answers=answers, pass_ms=1250, message=sent(3, 345_050, sequence=161))
+    assert shown["sequence"] == 161
+    assert page.do(pass_ms=150, tick=True)["sequence"] == 161
+    assert page.do(pass_ms=100, tick=True).items() >= NO_VALUES.items()
+
+
+def test_what_waited_while_the_computer_slept_is_not_shown(page: Page) -> None:
+    page.measuring()
+    answers = {STATUS_PATH: STATUS, MEASUREMENT_PATH: "silent"}
+    shown = page.do(answers=answers, pass_ms=3_600_000, message=sent(3, 345_050), tick=True)
+    assert shown.items() >= NO_VALUES.items()
+
+
+def test_an_answer_that_is_repeated_is_no_news(page: Page) -> None:
+    """A proxy that keeps what it was told not to: the same valid measurement for ever."""
+    page.measuring()
+    page.do(broken=2)
+    for _ in range(4):
+        shown = page.do(answers=WELL, pass_ms=500, tick=True)  # message 1, and 2 was seen
+    assert shown.items() >= NO_VALUES.items()
+
+
+def test_a_unit_that_was_restarted_is_asked_before_its_stream_is_believed(page: Page) -> None:
+    page.measuring()
+    new = {"session": "0000BEEF", "sequence": 7}
+    answers = {**WELL, MEASUREMENT_PATH: {**sent(1, 60), **new}}
+    page.do(answers=answers, pass_ms=600, message={**sent(1, 40), **new}, tick=True)
+    shown = page.do(pass_ms=50, message={**sent(2, 110), **new, "sequence": 8})
+    assert (shown["verdict"], shown["sequence"]) == ("valid", 8)
+
+
+def test_a_refusal_says_nothing_of_the_unit(page: Page) -> None:
+    """Who asks too often is refused: neither is nothing wrong then, nor was nothing measured."""
+    page.measuring()
+    refused = {"error": "too many requests; wait 1 s"}
+    answers = {STATUS_PATH: refused, MEASUREMENT_PATH: refused}
+    assert page.do(answers=answers, pass_ms=500, tick=True)["knows_status"] is False
+    for _ in range(3):
+        shown = page.do(pass_ms=500, tick=True)
+    assert (shown["verdict"], shown["knows_status"]) == ("no news from the unit", False)
+    assert page.do(answers=WELL_LATER, pass_ms=500, tick=True)["verdict"] == "valid"
+
+
+@pytest.mark.parametrize("step_ms", [-3_600_000, 3_600_000])
+def test_a_browser_whose_clock_is_set_goes_on(page: Page, step_ms: int) -> None:
+    page.measuring()
+    answers = {**WELL, MEASUREMENT_PATH: sent(4, 345_100)}
+    page.do(answers=answers, pass_ms=step_ms, message=sent(3, 345_050), tick=True)
+    shown = page.do(pass_ms=50, message=sent(5, 345_150, sequence=163))
+    assert (shown["verdict"], shown["sequence"]) == ("valid", 163)
+
+
+def test_numbers_and_clocks_that_begin_anew_after_32_bits_are_no_repetition(page: Page) -> None:
+    last = 0xFFFF_FFFE
+    page.do(answers={**WELL, MEASUREMENT_PATH: sent(last, last)}, tick=True)
+    page.do(opened=True)
+    shown = page.do(pass_ms=50, message=sent(0, 49, sequence=161))
+    assert (shown["verdict"], shown["sequence"]) == ("valid", 161)
+
+
+@pytest.mark.parametrize("rate", [0.97, 1.03])
+def test_clocks_that_drift_apart_are_kept_together(page: Page, rate: float) -> None:
+    """By 3 s in the end, and the page shows a late number at no time, nor nothing."""
+    page.measuring()
+    for number in range(1, 1001):
+        message, clock_ms = 2 * number + 1, 345_000 + round(100 * number * rate)
+        answers = {**WELL, MEASUREMENT_PATH: sent(message + 1, clock_ms, sequence=number)}
+        news = sent(message, clock_ms, sequence=number)
+        shown = page.do(answers=answers, pass_ms=100, message=news, tick=number % 5 == 0)
+        assert shown["verdict"] == "valid"
+        assert number - shown["sequence"] <= 10
+
+
+def message(sequence: int, age_s: float = 0.1, held_s: float = 0.05) -> dict[str, Any]:
+    return {
+        "held_s": held_s,
+        "pictures": [{"target": "front", "sequence": sequence, "age_s": age_s, "spot": None, "bytes": 0}],
+    }
+
+
+def test_a_picture_is_as_old_as_its_light_and_its_way(pictures: Page) -> None:
+    """It came 350 ms after it was asked for; the unit held it for 50 ms of them."""
+    shown = pictures.do(pass_ms=350, message=message(7, age_s=0.1, held_s=0.05))
+    assert shown["shown"] == {"front": [7, pytest.approx(0.4)]}
+    assert pictures.do(pass_ms=800, tick=True)["shown"] == {"front": [7, pytest.approx(1.2)]}
+    assert pictures.do(pass_ms=200, tick=True)["shown"] == {}
+
+
+@pytest.mark.parametrize("slept_ms", [1400, 3_600_000])
+def test_a_picture_that_waited_for_a_computer_that_slept_is_not_shown(pictures: Page, slept_ms: int) -> None:
+    pictures.do(pass_ms=100, message=message(7))
+    shown = pictures.do(pass_ms=slept_ms, message=message(8), tick=True)
+    assert shown["shown"] == {}
+    assert shown["asked"] == 3  # the next is asked for nevertheless
+    assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
+
+
+def test_a_browser_whose_clock_is_set_back_keeps_no_picture_for_it(pictures: Page) -> None:
+    pictures.do(pass_ms=100, message=message(7))
+    assert pictures.do(pass_ms=-3_600_000, tick=True)["shown"] == {}
+    pictures.do(message=message(8))
+    assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
+
+
+def test_a_trend_holds_nothing_of_another_unit(tmp_path: Path) -> None:
+    """A unit was exchanged for another one, at the same address, while the page was open."""
+    (tmp_path / "memory.mjs").write_bytes(page_files()["memory.js"].content)
+    script = """
+        const { Memory } = await import(process.argv[1]);
+        const memory = new Memory();
+        JSON.parse(process.argv[2]).forEach(measurement => memory.add(measurement));
+        console.log(JSON.stringify(memory.columns("x_mm").slice(0, 2)));
+    """
+    units = ["1E4B2D8E", "1E4B2D8E", "00C0FFEE", "00C0FFEE"]
+    measured = [
+        {"time": f"2026-11-20T08:15:{second:02d}Z", "valid": True, "x_mm": second, "unit": unit}
+        for second, unit in enumerate(units)
+    ]
+    node = need_program("node", "nodejs")
+    command = [
+        node,
+        "--input-type=module",
+        "-e",
+        script,
+        (tmp_path / "memory.mjs").as_uri(),
+        json.dumps(measured),
+    ]
+    said = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+    times_s, xs_mm = json.loads(said)
+    assert xs_mm == [2, 3]
+    assert times_s[1] - times_s[0] == 1

@@ -251,7 +251,7 @@ async def test_who_missed_nothing_gets_nothing_twice(
         ("160", "it is no id of this stream"),
         ("1-2-3", "it is no id of this stream"),
         ("9" * 30 + "-1", "it is no id of this stream"),
-        ("7-7", "the history does not have it any more"),
+        ("7-7", "the history does not have it"),
     ],
 )
 async def test_what_cannot_be_resumed_is_a_gap_that_says_why(
@@ -263,10 +263,34 @@ async def test_what_cannot_be_resumed_is_a_gap_that_says_why(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+    monkeypatch.setattr(resuming, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 59, 5.9, 60))
     async with served(board, health, recorded) as unit:
         _, gap = await read(unit, last_id, 2)
     assert (gap["event"], gap["data"]) == ("gap", {"after": last_id[:64], "why": why})
+
+
+async def test_who_comes_back_before_his_last_one_is_written_misses_nothing(
+    board: Board,
+    health: Health,
+    recorded: History,
+    clock: WallClock,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The history writes a batch a second: what was sent last is not in it when the line breaks."""
+    monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
+    board.publish(at(START_S + 62, 6.2, 63))
+    async with served(board, health, recorded) as unit:
+        reading = asyncio.create_task(read(unit, key(61), 2))
+        await asyncio.sleep(0.2)
+        kept = store(tmp_path)
+        kept.write(batch(START_S + 64, [sample(START_S + t, 0.1 * t, t + 1) for t in (60, 61, 62)]))
+        kept.end(None)
+        clock.now_ns += 600_000_000
+        now, missed = await reading
+    assert now["data"]["sequence"] == 63
+    assert (missed.get("event"), missed["data"].get("sequence")) == ("past", 62)
 
 
 async def test_no_history_and_one_that_lags_are_gaps(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from support.clock import FakeClock
 from unit.publish.http.conftest import Served, Unit
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -73,14 +74,19 @@ async def first(browser: ClientConnection) -> Any:
         return json.loads(await browser.recv())
 
 
-async def shown(browser: ClientConnection, ask: str = "next") -> list[tuple[dict[str, Any], bytes]]:
-    """Each picture's header and its JPEG."""
+async def answered(browser: ClientConnection, ask: str = "next") -> tuple[dict[str, Any], bytes]:
+    """The header of the next message, and what is behind it."""
     async with asyncio.timeout(5.0):  # asyncio.wait_for of Python 3.11 may lose a cancellation
         await browser.send(ask)
         message = await browser.recv()
     assert isinstance(message, bytes)
     length = int.from_bytes(message[:4], "big")
-    header, rest = json.loads(message[4 : 4 + length]), message[4 + length :]
+    return json.loads(message[4 : 4 + length]), message[4 + length :]
+
+
+async def shown(browser: ClientConnection, ask: str = "next") -> list[tuple[dict[str, Any], bytes]]:
+    """Each picture's header and its JPEG."""
+    header, rest = await answered(browser, ask)
     found = []
     for each in header["pictures"]:
         found.append((each, rest[: each["bytes"]]))
@@ -161,6 +167,18 @@ async def test_a_picture_says_how_old_its_light_is(
     async with served() as unit, looking(unit) as browser:
         await first(browser)
         assert (await shown(browser))[0][0]["age_s"] == 1.234
+
+
+async def test_a_message_says_for_how_long_the_unit_held_it(
+    served: Served, maker: Maker, clock: FakeClock
+) -> None:
+    async with served() as unit, looking(unit) as browser:
+        await first(browser)
+        answer = asyncio.create_task(answered(browser))
+        await unit.until(lambda: len(maker.asked) == 1)
+        clock.now_ns += 250_000_000
+        maker.put(picture("front", 1))
+        assert (await answer)[0]["held_s"] == 0.25
 
 
 async def test_a_browser_that_asks_for_nothing_any_more_is_closed(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
 import subprocess
+import tarfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +31,7 @@ class Keeper:
         self.folder = folder
         self.asked: list[str] = []
         self.refuses = ""
+        self.hangs_at = ""
         self.recordings: Sequence[KeptRecording] = (KEPT,)
 
     async def keep(self, why: str) -> KeptRecording:
@@ -41,8 +44,15 @@ class Keeper:
         self.recordings = (replace(KEPT, is_marked=is_marked),)
         return self.recordings[0]
 
-    def folder_of(self, name: str) -> Path:
-        return self.folder / name
+    async def files(self, name: str) -> Sequence[str]:
+        self._check()
+        return FILES
+
+    async def content(self, name: str, file: str) -> bytes | None:
+        if file == self.hangs_at:
+            raise NotKeptError("the disk does not answer")
+        path = self.folder / name / file
+        return path.read_bytes() if path.exists() else None
 
     def _check(self) -> None:
         if self.refuses:
@@ -107,7 +117,6 @@ async def test_a_recording_is_marked_and_its_mark_taken_away(served: Served, kee
 
 
 async def test_a_foreign_tar_unpacks_what_is_fetched(served: Served, keeper: Keeper, tmp_path: Path) -> None:
-    (tmp_path / NAME / "elsewhere").symlink_to("/etc/passwd")
     async with served() as unit:
         answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n")
     assert answer.status == 200
@@ -149,8 +158,30 @@ async def test_no_other_file_is_given(served: Served, keeper: Keeper, name: str)
         assert (await asked(unit, "GET", f"/api/v1/recordings/{name}")).status == 404
 
 
+async def test_a_file_that_is_gone_is_left_out(served: Served, keeper: Keeper, tmp_path: Path) -> None:
+    (tmp_path / NAME / "front" / "000000.png").unlink()
+    async with served() as unit:
+        names = _names(await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n"))
+    assert names == [f"{NAME}/empty", f"{NAME}/recording.json"]
+
+
+async def test_what_a_disk_that_hangs_gives_is_no_recording(served: Served, keeper: Keeper) -> None:
+    keeper.hangs_at = "front/000000.png"
+    async with served() as unit:
+        answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}", "Connection: close\r\n")
+        assert _names(answer) == [f"{NAME}/empty"]
+        keeper.refuses = "the disk does not answer"
+        refused = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
+        assert (refused.status, json.loads(refused.body)) == (409, {"error": keeper.refuses})
+
+
+def _names(answer: Answer) -> list[str]:
+    with tarfile.open(fileobj=io.BytesIO(unchunked(answer))) as archive:
+        return archive.getnames()
+
+
 async def test_few_are_fetched_at_a_time(served: Served, keeper: Keeper, tmp_path: Path) -> None:
-    (tmp_path / NAME / "front" / "large.png").write_bytes(bytes(8 << 20))
+    (tmp_path / NAME / "front" / "000000.png").write_bytes(bytes(8 << 20))
     async with served() as unit:
         slow = [await unit.connect() for _ in range(recordings.MAX_DOWNLOADS)]
         for reader, writer in slow:

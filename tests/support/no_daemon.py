@@ -1,0 +1,21 @@
+"""What may answer where a daemon is expected, and is none: for each side that asks one."""
+
+from __future__ import annotations
+
+
+def http(body: bytes, head: bytes = b"HTTP/1.1 200 OK") -> bytes:
+    """An answer of HTTP with this body."""
+    return head + b"\r\nContent-Length: %d\r\nConnection: close\r\n\r\n" % len(body) + body
+
+
+GARBAGE = (
+    (b"SSH-2.0-OpenSSH_9.2\r\n", "is no daemon of altd: SSH-2.0-OpenSSH_9.2"),
+    (http(b"<html>"), "is no daemon of altd: is not JSON: "),
+    (http(b"\xff\xfe"), "is no daemon of altd: is not JSON: "),
+    (http(b"[" * 500_000), "is no daemon of altd: is nested too deeply"),
+    (http(b'{"verdict": "good"}')[:-4], "is no daemon of altd: "),
+    (http(b'{"verdict": "' + b"x" * 2_000_000), "is no daemon of altd: "),
+    (b"HTTP/1.1 200 OK\r\n" + b"A: b\r\n" * 1000 + b"\r\n{}", "is no daemon of altd: got more than 100"),
+    (b"HTTP/1.1 200 OK\r\nA: " + b"x" * 100_000, "is no daemon of altd: got more than 65536 bytes"),
+)
+"""Answers with what is said of each."""
