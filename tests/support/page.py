@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from playwright.async_api import Browser, Page, Request, async_playwright
+from playwright.async_api import Browser, Locator, Page, Request, async_playwright
 
 from altd.app.history import history_about
 from altd.config import HttpSettings, KeptFrames
@@ -73,10 +73,16 @@ class Seen:
         await self.until(lambda now: len(now["pictures"]) == 2)
 
 
-async def picture(shown: Seen, name: str) -> None:
-    """For docs: ``make docs`` names the folder."""
-    if folder := os.environ.get("ALTD_PICTURES"):
-        await shown.page.screenshot(path=f"{folder}/{name}.png", full_page=True)
+async def picture(shown: Seen, name: str, last: Locator | None = None) -> None:
+    """For docs, of the whole page or down to its ``last`` part: ``make docs`` names the folder."""
+    folder = os.environ.get("ALTD_PICTURES")
+    if not folder:
+        return
+    box = None if last is None else await last.bounding_box()
+    options: dict[str, Any] = {}
+    if box is not None:
+        options["clip"] = {"x": 0, "y": 0, "width": SIZES["desk"][0], "height": box["y"] + box["height"] + 16}
+    await shown.page.screenshot(path=f"{folder}/{name}.png", full_page=True, **options)
 
 
 @contextlib.asynccontextmanager

@@ -2,17 +2,18 @@
 
 import { html } from "./vendor/htm-preact.js";
 import { useAnswer } from "./past.js";
-import { QUANTITIES, UNKNOWN, utc } from "./words.js";
+import { QUANTITIES, UNKNOWN, fixed, utc } from "./words.js";
 
 const ASK_MS = 60000;
 
 const plain = value => value === null || value === undefined ? UNKNOWN : String(value).replace("-", "−");
-const both = values => values.map(plain).join(", ");
+const listed = (values, decimals) => values.map(value => fixed(value, decimals)).join(", ");
+const PX = 3, MM = 4;  // decimals, as altd calibrate prints them
 
 function Facts({ calibration }) {
   const sigma = Object.entries(calibration.expected_sigma).map(([key, value]) => {
     const quantity = QUANTITIES.find(each => each.key === key);
-    return `${quantity?.label ?? key} ${plain(value)} ${quantity?.unit ?? ""}`;
+    return `${quantity?.label ?? key} ${fixed(value, (quantity?.decimals ?? MM) + 1)} ${quantity?.unit ?? ""}`;
   });
   const facts = [["made", utc(calibration.created)], ["from", calibration.recording.note], ["unit", calibration.unit],
     [`expected sigma of ${calibration.exposures} exposures, rms over the area`, sigma.join("; ") || "not known"],
@@ -22,13 +23,13 @@ function Facts({ calibration }) {
 
 const ROWS = [
   ["place, mm", target => plain(target.z_mm)],
-  ["calibrated from x, y, mm", target => both([target.x_mm[0], target.y_mm[0]])],
-  ["calibrated to x, y, mm", target => both([target.x_mm[1], target.y_mm[1]])],
+  ["calibrated from x, y, mm", target => [target.x_mm[0], target.y_mm[0]].map(plain).join(", ")],
+  ["calibrated to x, y, mm", target => [target.x_mm[1], target.y_mm[1]].map(plain).join(", ")],
   ["map", target => target.map],
-  ["left out, px", target => plain(target.left_out_px)],
-  ["residual mean, std, max, mm", ({ residuals }) => both([residuals.mean_mm, residuals.std_mm, residuals.max_mm])],
-  ["repeatability u, v, px", target => both(target.repeatability_px)],
-  ["cross-check", ({ cross_check: check }) => `${check.map}: ${plain(check.largest_px)} px of ${plain(check.bound_px)}`],
+  ["left out, px", target => fixed(target.left_out_px, PX)],
+  ["residual mean, std, max, mm", ({ residuals }) => listed([residuals.mean_mm, residuals.std_mm, residuals.max_mm], MM)],
+  ["repeatability u, v, px", target => listed(target.repeatability_px, PX)],
+  ["cross-check", ({ cross_check: check }) => `${check.map}: ${fixed(check.largest_px, PX)} px apart, bound ${fixed(check.bound_px, PX)} px`],
   ["frame LEDs known", target => target.leds],
   ["flat", target => ({ recording: "recorded", print: "model of the print" })[target.flat] ?? "none: taken as plain"],
   ["camera's view", ({ fingerprint }) => fingerprint

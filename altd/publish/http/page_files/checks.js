@@ -5,7 +5,7 @@ import { useAnswer } from "./past.js";
 import { axesOf, colours } from "./trend.js";
 import { UNKNOWN, fixed, utc, words } from "./words.js";
 
-const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, DECIMALS = 3;
+const ASK_MS = 10000, SHOWN = 20, DRAWN = 200, DECIMALS = 3, MIN_SPAN_PX = 0.2;
 
 export function SelfCheck({ check, children }) {
   if (!check) return html`<section aria-labelledby="check-title"><h2 id="check-title">Self-check</h2><p>not known</p></section>`;
@@ -36,6 +36,12 @@ export function shiftsOf(events, target) {
   return columns;
 }
 
+// What a check scatters by shall not look like a drift.
+function rangeOf(_, low, high) {
+  const add = Math.max((MIN_SPAN_PX - (high - low)) / 2, 0.05 * (high - low));
+  return [low - add, high + add];
+}
+
 function Shifts({ target, columns }) {
   const place = useRef(null);
   useEffect(() => {
@@ -43,7 +49,7 @@ function Shifts({ target, columns }) {
     const dots = { show: true, size: 5 };
     const plot = new uPlot({
       width: place.current.clientWidth, height: 150, legend: { show: false }, cursor: { y: false },
-      axes: axesOf(colour, { decimals: DECIMALS }, t.at(-1) - t[0]),
+      scales: { y: { range: rangeOf } }, axes: axesOf(colour, { decimals: DECIMALS }, t.at(-1) - t[0]),
       series: [{}, { stroke: colour("--accent"), width: 1.5, points: dots },
         { stroke: colour("--warned"), width: 1.5, dash: [6, 4], points: dots }],
     }, columns, place.current);
@@ -65,7 +71,7 @@ export function PastChecks() {
     ${drawn.length > 0 && html`<p class="hint">How far the frame LEDs have moved in the picture since the calibration. Times are UTC.</p>
       <div class="plots">${drawn.map(([target, columns]) => html`<${Shifts} key=${target} target=${target} columns=${columns} />`)}</div>`}
     ${events.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="self-checks so far"><table class="events">
-      <thead><tr><th scope="col">UTC</th><th scope="col">verdict</th><th scope="col">for</th><th scope="col">says</th></tr></thead>
+      <thead><tr><th scope="col">UTC</th><th scope="col">verdict</th><th scope="col">why</th><th scope="col">says</th></tr></thead>
       <tbody>${events.slice(0, SHOWN).map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}><td>${utc(event.time)}</td>
         <td>${words(String(event.detail.verdict ?? "not known"))}</td><td>${words(String(event.detail.cause ?? ""))}</td><td>${event.text}</td></tr>`)}</tbody>
     </table></div>`}</section>`;
