@@ -191,6 +191,35 @@ async def test_a_unit_that_is_lost_is_blank_within_two_seconds_and_comes_back(
             await shown.until_pictures()
 
 
+async def test_pictures_are_drawn_by_a_browser_that_draws_less_often_than_they_come(
+    calibration_of_unit_3: Calibration,
+) -> None:
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.until_pictures()
+        await shown.page.evaluate(
+            """() => { const later = window.setTimeout;
+                window.requestAnimationFrame = work => later(() => work(performance.now()), 700);
+                window.setTimeout = (work, ms) => later(work, 700 + (ms ?? 0)); }"""
+        )
+        before = int((await shown.now())["sequence"])
+        await shown.until(lambda now: int(now["sequence"] or 0) > before + 60)
+        assert min(await shown.page.evaluate(GREEN)) > 60
+        assert shown.complaints == []
+
+
+async def test_a_page_that_cannot_draw_any_more_shows_no_old_number_and_begins_anew(
+    calibration_of_unit_3: Calibration,
+) -> None:
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.until_pictures()
+        async with shown.page.expect_event("load", timeout=20_000):
+            await shown.page.evaluate(
+                "() => { CanvasRenderingContext2D.prototype.fillRect = () => { throw Error('broken'); }; }"
+            )
+        await shown.until_measured()
+        assert {complaint for complaint in shown.complaints if "broken" not in complaint} == set()
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 async def test_who_cannot_see_it_can_use_it(
     calibration_of_unit_3: Calibration, tmp_path: Path, scheme: str

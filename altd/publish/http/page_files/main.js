@@ -1,6 +1,6 @@
 // The page: what the unit says now, put together; which view is shown stands behind # in the address.
 
-import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
+import { html, render, useEffect, useLayoutEffect, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
 import { Calibration } from "./calibration.js";
@@ -14,9 +14,10 @@ import { Events, PastTrends, Recordings, SPANS, useAnswer } from "./past.js";
 import { LiveTrends, Memory } from "./trend.js";
 import { QUANTITIES, verdictOf } from "./words.js";
 
-const CHECK_MS = 5000, LIVE = "10 minutes";
+const CHECK_MS = 5000, WATCH_MS = 500, LATE = 3, LIVE = "10 minutes";
 const VIEWS = { "": "Overview", drive: "Drive", trends: "Trends", events: "Events", unit: "Unit" };
 const memory = new Memory();
+let told = 0, drawn = 0;  // how often there was news, and with how many of it the page was drawn
 const hasEyes = ["x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m"].every(key => QUANTITIES.some(quantity => quantity.key === key));
 
 function useView() {
@@ -63,9 +64,10 @@ function Page() {
   const [known, setKnown] = useState({ words: "connecting…", measurement: null, status: null });
   const view = useView(), [session, onSession] = useSession(known.status !== null);
   useEffect(() => {
-    const link = new Link(now => { memory.add(now.measurement); setKnown(now); });
+    const link = new Link(now => { told += 1; memory.add(now.measurement); setKnown(now); });
     link.start();
   }, []);
+  useLayoutEffect(() => { drawn = told; });
   const { measurement, status } = known, verdict = verdictOf(known);
   useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
   return html`
@@ -87,6 +89,19 @@ function Page() {
     </main>`;
 }
 
+// An error while drawing would leave the numbers of then on the screen: the page is emptied and begins anew.
+function watch() {
+  let last = 0, late = 0;
+  setInterval(() => {
+    late = told !== drawn && drawn === last ? late + 1 : 0;
+    last = drawn;
+    if (late < LATE) return;
+    root.remove();
+    location.reload();
+  }, WATCH_MS);
+}
+
 const root = document.getElementById("page");
 root.replaceChildren();
 render(html`<${Page} />`, root);
+watch();

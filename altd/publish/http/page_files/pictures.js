@@ -1,6 +1,6 @@
 // Live pictures of the targets: the next is asked for when the last was drawn, nothing while nobody looks.
 
-import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
+import { html, useEffect, useLayoutEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { words } from "./words.js";
 
 const OLD_MS = 1300, RETRY_MS = 1000, MAX_PATH = 200;
@@ -66,15 +66,16 @@ class Watcher {
   }
 
   async draw(pictures) {
-    for (const picture of pictures) {
-      const image = await createImageBitmap(picture.jpeg);
-      const before = this.shown[picture.target];
-      before?.image.close();
+    const images = await Promise.all(pictures.map(picture => createImageBitmap(picture.jpeg))), old = [];
+    for (const [number, picture] of pictures.entries()) {
+      const image = images[number], before = this.shown[picture.target];
+      old.push(before?.image);
       const path = [...(before?.path ?? []), picture.spot && [picture.spot.u_px, picture.spot.v_px]].slice(-MAX_PATH);
       this.shown = { ...this.shown, [picture.target]: { ...picture, image, path, at: performance.now() - 1000 * picture.age_s } };
     }
     this.words = "";
     this.tell();
+    old.forEach(image => image?.close());
   }
 
   // what is not seen any more is not shown
@@ -105,6 +106,7 @@ function cross(context, [u, v], half) {
 }
 
 function paint(canvas, view, picture, aim) {
+  if (picture && !picture.image.width) return;  // closed: nothing can be drawn of it, and an error would end the page
   const context = canvas.getContext("2d");
   canvas.width = picture?.width ?? Math.min(view.width, 800);
   canvas.height = picture?.height ?? Math.round(view.height * canvas.width / view.width);
@@ -163,7 +165,7 @@ function Target({ view, shown, views, lost }) {
   const seen = picture && !picture.spot && !picture.leds_on
     ? views.find(other => other.target !== view.target && shown[other.target]?.spot) : undefined;
   const aim = seen && aimIn(view, seen, shown[seen.target].spot);
-  useEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
+  useLayoutEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
   const said = saidOf(view, picture, seen?.target, lost);
   const age = picture ? (performance.now() - picture.at) / 1000 : null;
   return html`<figure class="target" data-target=${view.target} data-sequence=${picture?.sequence ?? ""}>
