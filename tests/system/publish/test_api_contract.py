@@ -10,9 +10,13 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from support.evidence import calibration
 from support.history import START_S, batch, event, sample, store
 from support.measurements import measurement
 
+from altd.app.calibration_files import ReadCalibrationFiles
+from altd.app.calibration_summary import summary_of
+from altd.calibration.file import load_calibration, save_calibration
 from altd.config import HttpSettings
 from altd.credentials.changing import change
 from altd.credentials.hashes import new_token, token_digest
@@ -41,6 +45,10 @@ async def port(board: Board, health: Health, tmp_path: Path) -> AsyncIterator[in
     digest = token_digest(new_token())
     change(tmp_path / "credentials", "press", lambda known: known.with_token("press", digest))
     settings = HttpSettings(host="127.0.0.1", port=0, credentials=tmp_path / "credentials")
+    save_calibration(calibration(), tmp_path / "cal.json")
+    loaded = load_calibration(tmp_path / "cal.json")
+    files = ReadCalibrationFiles(tmp_path / "cal.json", loaded.file)
+    health.calibration.open(summary_of(loaded, loaded.target_names, 20, "cal.json"), files)
     kept = store(tmp_path)
     kept.write(batch(START_S + 61, [sample(START_S + t, 0.1 * t, t) for t in range(60)], [event(1, START_S)]))
     kept.end(None)
@@ -53,6 +61,7 @@ async def port(board: Board, health: Health, tmp_path: Path) -> AsyncIterator[in
     task.cancel()
     await asyncio.wait({task})
     await history.end()
+    await files.end()
 
 
 async def tried(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
