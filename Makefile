@@ -135,7 +135,7 @@ docs: venv ## write the generated pages and pictures of docs/
 	$(python) -m tools.pages.states_picture >docs/states.svg
 	.ci/programs must tmux chromium pdftoppm=poppler-utils
 	$(python) -m tools.pictures
-	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish/test_page_in_a_browser.py -k "faults or night"
+	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish -k "faults or night or checks_so_far"
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock
@@ -148,7 +148,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium unzip mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \

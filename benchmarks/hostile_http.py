@@ -45,6 +45,8 @@ _PATHS = (
     *("/", "/api/measurement", "/api/status", "/api/self-check", "/api/stream", "/healthz", "/readyz"),
     *("/metrics", "/api/v1/", "/api/v1/openapi.json", "/api/v1/measurement", "/api/v1/self-check"),
     *("/api/v1/session", "/api/v1/login", "/api/v1/logout", "/api/v1/stream", "/api/v1/pictures"),
+    *("/api/v1/calibration", "/api/v1/calibration/file", "/api/v1/calibration/report"),
+    "/api/v1/diagnostics",
     *("/api%2Fstatus", "/api/../etc/passwd", "http://unit/api/status", "*", "//evil/"),
     "/api/v1/status?" + "y=1&" * 50,
 )

@@ -24,6 +24,9 @@ from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.service import SelfChecks
+from altd.app.calibration_files import ReadCalibrationFiles
+from altd.app.calibration_summary import summary_of
+from altd.app.diagnostics import diagnostic_parts
 from altd.app.history import DaemonHistory
 from altd.app.kept_frames import folder_of_recordings, frame_keeper, frame_ring
 from altd.app.local import local_socket_of
@@ -39,7 +42,7 @@ from altd.config import (
     ModbusRtuPortSettings,
     TelegramPortSettings,
 )
-from altd.errors import BadInputError, bare
+from altd.errors import BadInputError, bare, one_line
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
@@ -84,6 +87,11 @@ class Daemon:
             "calibration": _about(calibration),
         }
         self.health.targets = target_areas_of(config, calibration)
+        self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
+        names, window = [target.name for target in config.targets], config.measuring.window
+        summary = summary_of(calibration, names, window, config.unit.calibration.name)
+        self.health.calibration.open(summary, self._calibration_files)
+        self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
         self.board = Board(self.clock, config.measuring.stale_after_s, instrument.quantities, identity)
@@ -149,7 +157,10 @@ class Daemon:
         daemon with that failure. A publisher's failure never does.
         """
         async with self.past.recorded():
-            await self._run()
+            try:
+                await self._run()
+            finally:
+                await self._calibration_files.end()
 
     async def _run(self) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
@@ -306,7 +317,7 @@ def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:
 
 
 def _about(calibration: Calibration) -> str:
-    made, note = f"{calibration.created:%Y-%m-%d}", calibration.recording_note
+    made, note = f"{calibration.created:%Y-%m-%d}", one_line(calibration.recording_note)
     return ", ".join(filter(None, (made, note, "from SIMULATED frames" if calibration.simulated else "")))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -14,10 +16,10 @@ from altd.errors import BadInputError
 from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
 from altd.files.writing import write_file
-from altd.measuring.calibration import Calibration
+from altd.measuring.calibration import Calibration, CalibrationFile
 from altd.records import CameraIdentity
 
-_MAX_BYTES = 1 << 26
+MAX_BYTES = 1 << 26
 """Two flats of 20 megapixels that no compression makes smaller."""
 
 _Z_TOLERANCE_MM = 1e-3
@@ -30,9 +32,14 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     write_file(path, (json.dumps(document, indent=1) + "\n").encode())
 
 
+def calibration_checksum(calibration: Calibration) -> str:
+    """The checksum that its file carries."""
+    return checksum_of(document_of(calibration))
+
+
 def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     """Read and check a calibration; raises BadInputError when checksum, version, content or unit is wrong."""
-    content = read_file(path, _MAX_BYTES)
+    content = read_file(path, MAX_BYTES)
     try:
         document = parse_json(content)
     except ValueError as error:
@@ -56,7 +63,7 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
         raise BadInputError(path, str(error)) from error
     if unit_serial is not None and calibration.unit_serial != unit_serial:
         raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
-    return calibration
+    return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), str(checksum)))
 
 
 def check_image_size(calibration: Calibration, path: Path, target: str, width: int, height: int) -> None:

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from altd.calibration.result import CalibrationResult
     from altd.recording.reader import Recording
 
+_BESIDE = Path()
+"""Where ``--report`` stands without a folder."""
+
 SUMMARY = "fit the maps from scans or LED plates; prints the residuals"
 
 
@@ -24,7 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="a scan or a plate")
     add_output(parser, "FILE")
     parser.add_argument("--flat", type=Path, metavar="DIR", help="a recording of the evenly lit targets")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="what it rests on, as HTML and PDF")
+    parser.add_argument(
+        "--report",
+        type=Path,
+        nargs="?",
+        const=_BESIDE,
+        metavar="DIR",
+        help="what it rests on, as HTML and PDF under FILE's name; without DIR beside FILE",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,14 +42,15 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.target_names import why_unusable
     from altd.calibration.calibrating import calibrate
     from altd.calibration.file import save_calibration
-    from altd.calibration.report.write import check_report, write_together
+    from altd.calibration.report.write import check_report, report_names, write_together
     from altd.files.writing import check_replaceable
     from altd.recording.gaps import gap_lines
     from altd.recording.reader import open_recording
 
     check_replaceable(options.output)
-    if options.report is not None:
-        check_report(options.report)
+    folder = options.output.parent if options.report is _BESIDE else options.report
+    if folder is not None:
+        check_report(folder, report_names(options.output))
     recordings = [open_recording(path) for path in options.recordings]
     for path, recording in zip(options.recordings, recordings, strict=True):
         for target in recording.header.shown_targets:
@@ -51,11 +62,11 @@ def run(options: argparse.Namespace) -> int:
     result = calibrate(recordings, flat, progress_on("frames"))
     report = {} if options.report is None else _report(options, recordings, result)
     save_calibration(result.calibration, options.output)
-    if options.report is not None:
-        write_together(options.report, report)
+    if folder is not None:
+        write_together(folder, report)
     _print_result(result)
     if report:
-        print(f"report: {', '.join(str(options.report / name) for name in report)}")
+        print(f"report: {', '.join(str(folder / name) for name in report)}")
     return 0
 
 
@@ -93,11 +104,11 @@ def _report(
     from altd.calibration.report.pictures import scan_negatives
     from altd.calibration.report.sheets import pdf_sheets
     from altd.calibration.report.source import Source
-    from altd.calibration.report.write import PAGE, SHEETS
+    from altd.calibration.report.write import report_names
     from altd.calibration.target_frames import target_frames
 
     given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]
-    given += ["-o", options.output, "--report", options.report]
+    given += ["-o", options.output, "--report", *([] if options.report is _BESIDE else [options.report])]
     command = shlex.join(["altd", "calibrate", *map(str, given)])
     show = progress_on("files of the report")
     show(0, 2)
@@ -107,6 +118,7 @@ def _report(
         document = report_on(Source(result.calibration, result.evidence, negatives, command, headers))
     except ValueError as error:
         raise BadInputError(", ".join(map(str, options.recordings)), str(error)) from error
-    files = {PAGE: html_page(document), SHEETS: pdf_sheets(document, result.calibration.created)}
+    page, sheets = report_names(options.output)
+    files = {page: html_page(document), sheets: pdf_sheets(document, result.calibration.created)}
     show(2, 2)
     return files

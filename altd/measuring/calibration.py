@@ -82,15 +82,27 @@ class TargetCalibration:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class CalibrationFile:
+    """The file that a calibration was read from: SHA-256 of its bytes, and the checksum that it carries."""
+
+    sha256: str
+    checksum: str
+
+
 @dataclass(frozen=True)
 class Calibration:
-    """One unit's targets in beam order, and where the knowledge comes from."""
+    """One unit's targets in beam order, and where the knowledge comes from.
+
+    ``file`` is None where it was made and not read.
+    """
 
     unit_serial: str
     created: datetime
     recording_note: str
     recording_sha256: str
     targets: tuple[TargetCalibration, ...]
+    file: CalibrationFile | None = None
 
     @property
     def simulated(self) -> bool:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from altd.ports import Clock
+from altd.status.calibration_desk import CalibrationDesk
 from altd.status.cause import StateReport
+from altd.status.diagnostic_part import DiagnosticPart
 from altd.status.picture_desk import PictureDesk
 from altd.status.recording_desk import RecordingDesk
 from altd.status.self_check_desk import SelfCheckDesk
@@ -122,6 +124,9 @@ class Health:
         self.self_check = SelfCheckDesk()
         self.recordings = RecordingDesk()
         self.pictures = PictureDesk()
+        self.calibration = CalibrationDesk()
+        self.diagnostics: tuple[DiagnosticPart, ...] = ()
+        """What diagnostics hold beside what every face sees."""
         self.state: Callable[[], StateReport | None] = lambda: None
         """The unit's state at this moment; None: nobody finds it out."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from altd.ports import Clock
 from altd.reasons import Signal
@@ -80,8 +80,17 @@ class StateEvents:
         verdict = str(latest.document.get("verdict"))
         keys = ("verdict", "number", "cause", "exposures_lost")
         detail = {key: latest.document[key] for key in keys if key in latest.document}
+        if shifts := _shifts_px(latest.document.get("targets")):
+            detail["shift_px"] = shifts
         severity = _SEVERITY_OF_VERDICT.get(verdict, _SEVERITY_WITHOUT_VERDICT)
         self._log.note(EventKind.SELF_CHECK, latest.sentence, None, severity, detail)
 
     def _note_request(self, by: str) -> None:
         self._log.note(EventKind.REQUEST, "a self-check was asked for", by)
+
+
+def _shifts_px(targets: object) -> dict[str, object]:
+    """By target, how far its frame LEDs have moved, u and v in px; None where that is not known."""
+    if not isinstance(targets, Mapping):
+        return {}
+    return {name: of.get("shift_px") for name, of in targets.items() if isinstance(of, Mapping)}

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import sys
 
+from altd.history.reader import MAX_ROWS as EVENT_ROWS
 from altd.publish.http.answers import NOTHING_YET
 from altd.publish.http.application import MAX_TARGET_BYTES
+from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
+from altd.publish.http.downloads import MAX_DOWNLOADS
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, CONNECTIONS, REQUESTS, Rate
 from altd.publish.http.login import BODY_TIMEOUT_S, MAX_BODY_BYTES
+from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
-from altd.publish.http.paths import COMMON_ERRORS, PATHS
+from altd.publish.http.paths import PATHS
 from altd.publish.http.resuming import MAX_ROWS
 from altd.publish.http.self_check import MAX_WAITING
 from altd.publish.http.server import (
@@ -141,6 +145,28 @@ unit's worst state and what was lost to. `events` gives what happened, the newes
 next page. `from` and `to` are seconds since 1970 in UTC, or negative: before now. At most {MAX_POINTS} points
 and {MAX_EVENTS} events come at once. Where the [history](history.md) cannot be read the answer is 503.
 
+## The calibration
+
+    curl http://UNIT:8080/api/v1/calibration
+    curl -OJ http://UNIT:8080/api/v1/calibration/file
+
+gives what the loaded calibration says of itself, in the words of [calibration](calibration.md): what it was
+made from, `expected_sigma`, and for each target residuals, repeatability, cross-check, flat and fingerprint.
+The file is given as it was loaded: where another one lies in its place since, the answer is 409. `report`
+says whether the report that lies beside it is on this very calibration, by the checksum that both carry; only
+then `/api/v1/calibration/report` gives it, in a sandbox (Content Security Policy) where it runs and loads
+nothing.
+
+## For who helps from afar
+
+    curl -OJ http://UNIT:8080/api/v1/diagnostics
+
+gives one zip archive: status, measurement, self-check, targets, calibration, metrics, the events of the last
+31 days (at most {MAX_EVENT_PAGES * EVENT_ROWS:,}, JSON lines), the minutes of the last day (CSV, as
+`altd export` has them), the settings as they were read, and versions. `README.txt` in it says what each file
+is, and which could not be had and why. It holds no password, token or key, no picture, and no log. Each part
+ends at {MAX_PART_BYTES / 1e6:g} MB.
+
 ## For Prometheus
 
     scrape_configs:
@@ -189,7 +215,8 @@ another site cannot send unasked, and no `Origin` but the unit's own; else it is
 
 Without `credentials` only the unit's own computer may, through its local socket or on its own address, and
 `Host` must be an address. With them a token or a login is needed, on the unit's own computer too (its local
-socket needs none: the file says who may open it), and for pictures as well:
+socket needs none: the file says who may open it), and for pictures as well, so for recordings, the
+calibration's file and report, and diagnostics:
 
     sudo altd password /etc/altd/credentials ana      # asks for it; from a pipe: one line
     sudo altd token /etc/altd/credentials press_7     # prints the token, this once
@@ -264,6 +291,7 @@ requests.
 | wrong passwords of an address | {_rate(ATTEMPTS)}; then 429, also for right ones |
 | the same of all addresses | {_rate(ALL_ATTEMPTS)}; then 429 |
 | streams | {MAX_STREAMS} |
+| downloads (recordings, diagnostics, calibration files, reports) | {MAX_DOWNLOADS} |
 | time to send the request header | {REQUEST_TIMEOUT_S:g} s, then the connection is closed |
 | size of a request header | {MAX_HEADER_BYTES} bytes, {MAX_HEADER_LINES} lines |
 | path with its query | {MAX_TARGET_BYTES} bytes; a `%` in the path, or a whole URL in its place, is 404 |

@@ -9,6 +9,7 @@ import matplotlib
 import numpy as np
 
 from altd import __version__
+from altd.calibration.file import calibration_checksum
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
@@ -24,6 +25,7 @@ from altd.records import utc_text
 def report_on(source: Source) -> Document:
     """Compute, judge and arrange. Raises ValueError when the targets have no area in common."""
     prediction = predict(source.calibration)
+    checksum = calibration_checksum(source.calibration)
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
@@ -35,7 +37,7 @@ def report_on(source: Source) -> Document:
         *covariances(source),
         *pictures(source),
         *_left_out(source),
-        *_inputs(source),
+        *_inputs(source, checksum),
     ]
     serial = source.calibration.unit_serial
     made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
@@ -43,6 +45,7 @@ def report_on(source: Source) -> Document:
         f"Calibration of unit {serial}",
         f"{source.calibration.recording_note} · {made}",
         tuple(blocks),
+        checksum,
         "SIMULATED" if source.calibration.simulated else "",
     )
 
@@ -151,13 +154,14 @@ def _recordings(source: Source) -> list[tuple[str, str]]:
     return facts
 
 
-def _inputs(source: Source) -> list[Block]:
+def _inputs(source: Source, checksum: str) -> list[Block]:
     calibration = source.calibration
     exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
     facts = [
         ("Unit", calibration.unit_serial),
         *_recordings(source),
         ("Calibrated", utc_text(calibration.created)),
+        ("Checksum of the calibration", checksum),
         ("Command", source.command),
         ("Exposures used", exposures),
     ]

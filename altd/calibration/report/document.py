@@ -74,9 +74,13 @@ Block = Heading | Words | Banner | Table | Row
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The whole report. ``mark`` stands across every sheet; empty: nothing does."""
+    """The whole report, on the calibration whose file carries ``checksum``.
+
+    ``mark`` stands across every sheet; empty: nothing does.
+    """
 
     title: str
     subtitle: str
     blocks: tuple[Block, ...]
+    checksum: str
     mark: str = ""

@@ -20,6 +20,7 @@ from altd.calibration.report.document import (
     Table,
     Words,
 )
+from altd.calibration.report.identity import meta_line
 from altd.calibration.report.verdict import Level
 
 MARKS = {Level.GOOD: "✓", Level.USABLE: "!", Level.BAD: "✗"}
@@ -91,6 +92,7 @@ def html_page(document: Document) -> bytes:
 <html lang="en">
 <head>
 <meta charset="utf-8">
+{meta_line(document.checksum)}
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="{_NOTHING_FROM_OUTSIDE}">
 <title>{title}</title>

@@ -6,20 +6,30 @@ import importlib
 import logging
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from altd.calibration.report.identity import PAGE_SUFFIX, SHEETS_SUFFIX
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, write_files
 
-PAGE, SHEETS = "calibration.html", "calibration.pdf"
+
+def report_names(calibration: Path) -> tuple[str, str]:
+    """Page and sheets of the report on the calibration of this file.
+
+    Raises BadInputError where one of them has the file's own name.
+    """
+    names = calibration.stem + PAGE_SUFFIX, calibration.stem + SHEETS_SUFFIX
+    if calibration.name in names:
+        raise BadInputError(calibration, "is what its report would be called; possible: calibration.json")
+    return names
 
 
-def check_report(folder: Path) -> None:
+def check_report(folder: Path, names: Sequence[str]) -> None:
     """Say before any work is done what would stop a report: no matplotlib, a folder that cannot be written.
 
-    Leaves nothing behind. Raises BadInputError.
+    ``names`` are those of its files. Leaves nothing behind. Raises BadInputError.
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # the first time, it tells of its font cache
     try:
@@ -33,7 +43,7 @@ def check_report(folder: Path) -> None:
         descriptor, trial = tempfile.mkstemp(dir=folder, prefix=".trial.")
         os.close(descriptor)
         Path(trial).unlink()
-        for name in (PAGE, SHEETS):
+        for name in names:
             check_replaceable(folder / name)
         if is_new:
             folder.rmdir()

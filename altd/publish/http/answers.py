@@ -6,6 +6,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from altd.publish.http import login, self_check
+from altd.publish.http.calibration import LoadedCalibration
+from altd.publish.http.diagnostics import Diagnostics
+from altd.publish.http.downloads import Downloads
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import CONTENT_TYPE, Metrics
@@ -52,7 +55,10 @@ class Answers:
         self._page_files = page_files()
         self.streams = Streams(board, component, self._stamps)
         self.viewers = Viewers(health.pictures, component, guard)
-        self._kept = Recordings(health.recordings, guard)
+        self._downloads = Downloads()
+        self._kept = Recordings(health.recordings, guard, self._downloads)
+        self._calibration = LoadedCalibration(health.calibration, guard, self._downloads)
+        self._diagnostics = Diagnostics(board, health, past, self._metrics)
         self.document = b""
         self.api_page = ""
 
@@ -145,6 +151,22 @@ class Answers:
     async def mark_recording(self, request: Request) -> Response:
         """Mark a recording, or take its mark away."""
         return await self._kept.mark(request)
+
+    async def calibration(self, _: Request) -> Response:
+        """What the loaded calibration says of itself."""
+        return await self._calibration.summary()
+
+    async def calibration_file(self, request: Request) -> Response:
+        """Its file."""
+        return self._calibration.file(request)
+
+    async def calibration_report(self, request: Request) -> Response:
+        """The report on it."""
+        return self._calibration.report(request)
+
+    async def diagnostics(self, request: Request) -> Response:
+        """All of it for who looks for a fault."""
+        return self._diagnostics.archive(request, self._guard, self._downloads)
 
     async def metrics(self, _: Request) -> Response:
         """All numbers for Prometheus."""

@@ -17,7 +17,8 @@ from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
 from altd.publish.http.limits import Buckets
-from altd.publish.http.paths import ALIVE, ServedPath
+from altd.publish.http.operations import ServedPath
+from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
 

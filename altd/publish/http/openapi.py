@@ -10,7 +10,7 @@ from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.models import Error, measurement_model
-from altd.publish.http.paths import COMMON_ERRORS, JSON, Operation, ServedPath
+from altd.publish.http.operations import COMMON_ERRORS, JSON, Operation, ServedPath
 from altd.records import Quantities
 
 _SCHEMA = "#/components/schemas/{model}"

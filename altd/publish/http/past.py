@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from datetime import datetime
 from json import dumps
 
 from starlette.requests import Request
@@ -58,6 +59,10 @@ class Past:
         """What a stream missed since the event of that id."""
         return Resume(last_id, self.history, self._quantities, self._clock)
 
+    def now(self) -> datetime | None:
+        """The time of day in UTC; None: it is not known."""
+        return self._clock.utc(self._clock.monotonic_ns())
+
     def _trend_query(self, query: Query) -> Callable[[Reader], str]:
         from_us, to_us = self._span(query)
         points = query.whole("points", POINTS, 1, MAX_POINTS)
@@ -75,13 +80,13 @@ class Past:
 
         def read(reader: Reader) -> str:
             found = reader.events(from_us, to_us, () if kind is None else [kind], limit, before)
-            return dumps({"events": list(map(_event, found))}, allow_nan=False)
+            return dumps({"events": list(map(event_object, found))}, allow_nan=False)
 
         return read
 
     def _span(self, query: Query, from_s: float = -SPAN_S) -> tuple[int, int]:
         """From when to when, µs since 1970; what is negative counts from now."""
-        now = self._clock.utc(self._clock.monotonic_ns())
+        now = self.now()
         now_s = 0.0 if now is None else now.timestamp()
 
         def absolute_us(second: float) -> int:
@@ -155,6 +160,7 @@ def _columns(trend: Trend, reader: Reader) -> dict[str, object]:
     }
 
 
-def _event(event: StoredEvent) -> dict[str, object]:
+def event_object(event: StoredEvent) -> dict[str, object]:
+    """An event as plain JSON types."""
     shown = asdict(event)
     return {"id": shown.pop("id"), "time": time_of(shown.pop("t_us")), **shown}

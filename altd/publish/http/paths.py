@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-from pydantic import BaseModel
-from starlette.requests import Request
-from starlette.responses import Response
-
-from altd.publish.http import models
+from altd.publish.http import calibration_models, models
 from altd.publish.http.answers import Answers
+from altd.publish.http.diagnostics import ZIP
+from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
 from altd.status.event_log import EventKind
 
-JSON = "application/json"
 HTML = "text/html"
 EVENT_STREAM = "text/event-stream"
 TEXT = "text/plain"
@@ -24,68 +20,6 @@ ALIVE = "/healthz"
 
 _KINDS = {"type": "string", "enum": [str(kind) for kind in EventKind]}
 _SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}
-
-Handler = Callable[[Answers, Request], Awaitable[Response]]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A parameter of a query, which may be left out, with its JSON Schema."""
-
-    name: str
-    meaning: str
-    schema: Mapping[str, object]
-    is_in_path: bool = False
-    """It stands in the path, and may not be left out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Operation:
-    """One method of a path. ``models`` are the objects of good answers by their status; None: no object.
-
-    ``errors`` says in a sentence what each error of its own means; those that any path may have stand in
-    ``COMMON_ERRORS``.
-    """
-
-    handler: Handler
-    summary: str
-    model: type[BaseModel] | str | None = None
-    """``measurement``: that of the unit's quantities, which are known at its start only."""
-    media_type: str = JSON
-    status: int = 200
-    takes: type[BaseModel] | None = None
-    errors: Mapping[int, str] = field(default_factory=dict)
-    query: tuple[Parameter, ...] = ()
-    acts: bool = False
-    """It asks for the header that no page of another site can send."""
-    needs_actor: bool = False
-    """Not everybody may ask for it."""
-
-
-@dataclass(frozen=True, slots=True)
-class ServedPath:
-    """One path that is served, with its operations by their methods; ``HEAD`` comes with ``GET``."""
-
-    path: str
-    gives: str
-    operations: Mapping[str, Operation]
-
-    @property
-    def is_old(self) -> bool:
-        """Whether it is one of the first release, which stay as they are."""
-        return not self.path.startswith("/api/v1") and self.path.startswith("/api/")
-
-
-COMMON_ERRORS = {
-    400: "what was sent is no request",
-    404: "there is no such path",
-    414: "the path with its query is too long",
-    431: "the header is too large, or has too many lines",
-    405: "the path has no such method; `Allow` has those that it has",
-    421: "the name in `Host` is none of the unit's",
-    429: "too many requests; `Retry-After` says for how many seconds to wait",
-}
-"""What any path may answer."""
 
 _NOT_ALLOWED = {
     401: "the token or the session is missing, unknown or over",
@@ -196,6 +130,59 @@ _MARK = Operation(
     needs_actor=True,
 )
 
+_NO_DOWNLOAD = {401: _NOT_ALLOWED[401], 503: "enough downloads are under way already"}
+_NO_CALIBRATION = "there is no calibration"
+_CALIBRATION_FILES = (
+    ServedPath(
+        "/api/v1/calibration",
+        "what the loaded calibration says of itself, one JSON object",
+        {
+            "GET": Operation(
+                Answers.calibration,
+                "The loaded calibration, what it was made from, and what it is worth",
+                calibration_models.CalibrationSummary,
+                errors={503: _NO_CALIBRATION},
+            )
+        },
+    ),
+    ServedPath(
+        "/api/v1/calibration/file",
+        "its file as it was loaded, for `altd replay` on another computer",
+        {
+            "GET": Operation(
+                Answers.calibration_file,
+                "The calibration file as it was loaded",
+                calibration_models.CalibrationFile,
+                errors={
+                    **_NO_DOWNLOAD,
+                    409: "the file cannot be read, or is another one than the unit has loaded",
+                },
+            )
+        },
+    ),
+    ServedPath(
+        "/api/v1/calibration/report",
+        "the report on it, a page of HTML",
+        {
+            "GET": Operation(
+                Answers.calibration_report,
+                "The report on the loaded calibration",
+                media_type=HTML,
+                errors={**_NO_DOWNLOAD, 404: "there is no report on the loaded calibration"},
+            )
+        },
+    ),
+)
+_DIAGNOSTICS = ServedPath(
+    "/api/v1/diagnostics",
+    "what a technician mails to who knows the unit, in a zip archive",
+    {
+        "GET": Operation(
+            Answers.diagnostics, "All of it for who looks for a fault", media_type=ZIP, errors=_NO_DOWNLOAD
+        )
+    },
+)
+
 PATHS = (
     ServedPath(
         "/",
@@ -251,9 +238,8 @@ PATHS = (
                 "A recording as a tar archive",
                 media_type="application/x-tar",
                 errors={
-                    401: _NOT_ALLOWED[401],
+                    **_NO_DOWNLOAD,
                     **_NO_RECORDING,
-                    503: "enough recordings are being fetched already",
                 },
                 query=(_RECORDING_NAME,),
             )
@@ -264,6 +250,8 @@ PATHS = (
         "`PUT`: it is never removed to make room; `DELETE`: it may be",
         {"PUT": _MARK, "DELETE": replace(_MARK, summary="Take the mark of a recording away")},
     ),
+    *_CALIBRATION_FILES,
+    _DIAGNOSTICS,
     ServedPath(
         "/api/v1/session",
         "who is logged in, and whether he may act",

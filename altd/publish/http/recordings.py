@@ -7,27 +7,24 @@ from collections.abc import AsyncIterator, Sequence
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
-from starlette.types import Receive, Scope, Send
 
+from altd.publish.http.downloads import PIECE_BYTES, Downloads, saved_as
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
 from altd.status.recording_desk import NotKeptError, RecordingDesk, RecordingKeeper
 
-MAX_DOWNLOADS = 2
-"""Archives that are sent at a time."""
-
+_TAR = "application/x-tar"
 _BLOCK = tarfile.BLOCKSIZE
-_PIECE_BYTES = 1 << 18
 _READABLE = 0o644
 
 
 class Recordings:
     """The recordings of one unit, as HTTP gives them."""
 
-    def __init__(self, desk: RecordingDesk, guard: Guard) -> None:
+    def __init__(self, desk: RecordingDesk, guard: Guard, downloads: Downloads) -> None:
         self._desk = desk
         self._guard = guard
-        self.downloads = 0
+        self._downloads = downloads
 
     def listed(self) -> Response:
         """What there is."""
@@ -70,10 +67,13 @@ class Recordings:
         except NotKeptError as error:
             return refusal(409, str(error))
         if request.method == "HEAD":
-            return Response(media_type=_Archive.media_type)
-        if self.downloads >= MAX_DOWNLOADS:
-            return refusal(503, f"{MAX_DOWNLOADS} recordings are being fetched already")
-        return _Archive(self, self._desk.keeper, name, files)
+            return Response(media_type=_TAR)
+
+        async def made() -> Response:
+            named = saved_as(f"{name}.tar")
+            return StreamingResponse(_tar(self._desk.keeper, name, files), media_type=_TAR, headers=named)
+
+        return self._downloads.of(made)
 
     def _known_name(self, request: Request) -> str:
         """The recording that the path names, one of the list; raises Refused."""
@@ -81,27 +81,6 @@ class Recordings:
         if all(name != recording.name for recording in self._desk.recordings):
             raise Refused(refusal(404, "there is no such recording"))
         return name
-
-
-class _Archive(StreamingResponse):
-    """A recording, sent as fast as it is taken; a client that goes away ends it."""
-
-    media_type = "application/x-tar"
-
-    def __init__(
-        self, recordings: Recordings, keeper: RecordingKeeper, name: str, files: Sequence[str]
-    ) -> None:
-        self._recordings = recordings
-        named = {"Content-Disposition": f'attachment; filename="{name}.tar"'}
-        super().__init__(_tar(keeper, name, files), headers=named)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
-        self._recordings.downloads += 1
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            self._recordings.downloads -= 1
 
 
 async def _tar(keeper: RecordingKeeper, name: str, files: Sequence[str]) -> AsyncIterator[bytes]:
@@ -119,7 +98,7 @@ async def _tar(keeper: RecordingKeeper, name: str, files: Sequence[str]) -> Asyn
         entry = tarfile.TarInfo(f"{name}/{file}")
         entry.size, entry.mode = len(content), _READABLE
         yield entry.tobuf(tarfile.USTAR_FORMAT)
-        for begin in range(0, len(content), _PIECE_BYTES):
-            yield content[begin : begin + _PIECE_BYTES]
+        for begin in range(0, len(content), PIECE_BYTES):
+            yield content[begin : begin + PIECE_BYTES]
         yield bytes(-len(content) % _BLOCK)
     yield bytes(2 * _BLOCK)

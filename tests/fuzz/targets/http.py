@@ -37,6 +37,8 @@ _REQUESTS = tuple(
         "GET /api/v1/trend?from=-60&points=3 HTTP/1.1\r\nHost: unit\r\nCookie: altd_80=a; altd_80=b\r\n\r\n",
         "GET /api/v1/events?kind=state&before=9 HTTP/1.1\r\nHost: unit\r\n\r\n",
         "GET /api/v1/stream HTTP/1.1\r\nHost: unit\r\nLast-Event-ID: 160-8000000000\r\n\r\n",
+        "GET /api/v1/calibration/report HTTP/1.1\r\nHost: unit\r\nRange: bytes=0-\r\n\r\n",
+        "HEAD /api/v1/diagnostics HTTP/1.1\r\nHost: unit\r\nAuthorization: Bearer x\r\n\r\n",
         "GET /metrics HTTP/1.1\r\nHost: unit\r\nAccept: application/openmetrics-text;q=1e9\r\n\r\n",
         "HEAD /readyz HTTP/1.1\r\nHost: unit\r\nForwarded: for=127.0.0.1\r\n\r\n",
         "OPTIONS * HTTP/1.1\r\nHost: unit\r\n\r\n",

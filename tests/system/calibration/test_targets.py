@@ -48,13 +48,13 @@ def test_three_targets_become_three_in_beam_order(three: Path) -> None:
 
 
 def test_the_report_shows_all_three_and_names_the_cameras(three: Path) -> None:
-    page = (three / "report" / "calibration.html").read_text()
+    page = (three / "report" / "cal.html").read_text()
     for name in ("front", "middle", "rear"):
         assert f"residual vectors of target {name}" in page
         assert f"spots and LEDs in the picture of {name}" in page
     assert "from all targets together" in page
     assert "Camera near, target front" in page
-    assert (three / "report" / "calibration.pdf").read_bytes().startswith(b"%PDF")
+    assert (three / "report" / "cal.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_a_beam_through_three_targets_is_replayed(three: Path, tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_a_plate_recorded_with_one_camera_calibrates_one_target(tmp_path: Path) 
     u, v = PLATE_VIEW.to_px(np.array([[21.0, -13.0]]))[0]
     mapped = altd_here("map", "--calibration", cal, "--target", "front", stdin=f"{u} {v}\n")
     assert [float(value) for value in mapped.out.split()[:2]] == pytest.approx([21.0, -13.0], abs=0.01)
-    page = (report / "calibration.html").read_text()
+    page = (report / "cal.html").read_text()
     assert "predicted sigma of x over the area" in page
     assert "yaw" not in page
     assert "both targets" not in page
@@ -159,7 +159,7 @@ def test_each_target_is_taken_from_the_recording_that_has_it(tmp_path: Path) -> 
     assert made.recording_note == "a plate; a scan"
     lines = "".join(f"{open_recording(path).sha256()}\n" for path in (plate, scan))
     assert made.recording_sha256 == hashlib.sha256(lines.encode()).hexdigest()
-    page = (tmp_path / "report" / "calibration.html").read_text()
+    page = (tmp_path / "report" / "cal.html").read_text()
     assert "scan, a scan" in page
     assert f"altd calibrate {plate} {scan} -o {cal}" in page
 

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
 import subprocess
-import time
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import axe_playwright_python
 import numpy as np
 import pytest
-from playwright.async_api import Browser, Page, Request, async_playwright
 from support.cli import altd
-from support.cut_cable import Cable
-from support.foreign import need_program
-from support.led_unit import LedUnit, config, led_unit
+from support.led_unit import LedUnit
+from support.page import POSE, SIZES, UNKNOWN, picture, seen
 
-from altd.app.history import history_about
-from altd.config import HttpSettings, KeptFrames
 from altd.measuring.calibration import Calibration
 from altd.ports import CameraLostError
 from altd.records import Frame, Measurement
@@ -31,7 +24,6 @@ from hw_sim.unit import FRONT, REAR
 
 pytestmark = pytest.mark.real_time
 
-PROBE = Path(__file__).with_name("page_probe.js").read_text()
 GREEN = """[...document.querySelectorAll("figure.target canvas")].map(canvas => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     let green = 0;
@@ -39,112 +31,8 @@ GREEN = """[...document.querySelectorAll("figure.target canvas")].map(canvas => 
     return green;
 })"""
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
-SIZES = {"phone": (390, 844), "desk": (1280, 900), "wall": (3840, 2160)}
-POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
 SHOWN_WITHIN_S = 1.0
 BLANK_WITHIN_S = 2.0
-UNKNOWN = "\N{EN DASH}"
-
-
-@dataclass
-class Seen:
-    """A page, and what its browser says of it."""
-
-    page: Page
-    running: LedUnit
-    cable: Cable
-    complaints: list[str] = field(default_factory=list)
-    asked: set[str] = field(default_factory=set)
-
-    def listen(self) -> None:
-        self.page.on("console", lambda message: self._said(message.type, message.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", self._requested)
-        self.page.on("websocket", lambda socket: self.asked.add(socket.url))
-
-    def _said(self, kind: str, text: str) -> None:
-        if kind in ("error", "warning"):
-            self.complaints.append(text)
-
-    def _requested(self, request: Request) -> None:
-        self.asked.add(request.url)
-
-    async def open(self, view: str = "") -> None:
-        await self.page.goto(f"http://127.0.0.1:{self.cable.port}/#{view}")
-
-    async def now(self) -> dict[str, Any]:
-        """What the page shows; no script is evaluated in it, which its policy forbids."""
-        shown: dict[str, Any] = await self.page.evaluate(PROBE)
-        return shown
-
-    async def until(self, holds: Callable[[dict[str, Any]], object], timeout_s: float = 20.0) -> float:
-        """Seconds until the page shows it."""
-        began = time.monotonic()
-        async with asyncio.timeout(timeout_s):
-            while not holds(await self.now()):  # noqa: ASYNC110  a browser tells nothing by itself
-                await asyncio.sleep(0.02)
-        return time.monotonic() - began
-
-    async def until_measured(self) -> None:
-        await self.until(lambda now: now["values"].get("x_mm", UNKNOWN) != UNKNOWN)
-
-    async def until_pictures(self) -> None:
-        await self.until(lambda now: len(now["pictures"]) == 2)
-
-
-async def picture(shown: Seen, name: str) -> None:
-    """For docs: ``make docs`` names the folder."""
-    if folder := os.environ.get("ALTD_PICTURES"):
-        await shown.page.screenshot(path=f"{folder}/{name}.png", full_page=True)
-
-
-@contextlib.asynccontextmanager
-async def browser() -> AsyncIterator[Browser]:
-    async with async_playwright() as playwright:
-        path = need_program("chromium")
-        started = await playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        try:
-            yield started
-        finally:
-            await started.close()
-
-
-@contextlib.asynccontextmanager
-async def seen(
-    calibration: Calibration,
-    size: tuple[int, int] = SIZES["desk"],
-    folder: Path | None = None,
-    **options: Any,
-) -> AsyncIterator[Seen]:
-    """``folder``: the unit keeps its history and its frames there."""
-    kept = KeptFrames(memory_mb=0)
-    if folder is not None:
-        kept = KeptFrames(before_s=2, after_s=1, folder=folder / "kept")
-    settings = config(measuring={"window": 4}).model_copy(
-        update={"http": HttpSettings(host="127.0.0.1", port=0), "kept_frames": kept}
-    )
-
-    def keep(running: LedUnit) -> None:
-        if folder is not None:
-            about = history_about(settings, calibration, running.daemon.board.quantities)
-            running.daemon.past.keep_in(folder / "history.db", 400 * 10**6, about)
-
-    async with browser() as started, led_unit(calibration, settings, keep) as running:
-        running.unit.place(POSE)
-        await running.measured(valid=True)
-        async with Cable(port_of(running)) as cable:
-            page = await started.new_page(viewport={"width": size[0], "height": size[1]}, **options)
-            shown = Seen(page, running, cable)
-            shown.listen()
-            await shown.open()
-            await shown.until_measured()
-            yield shown
-            await page.close()
-
-
-def port_of(running: LedUnit) -> int:
-    message = next(each for each in running.daemon.health if each.name.startswith("http ")).message
-    return int(message.removeprefix("port ").split()[0])
 
 
 def shown_as(value: float | None, decimals: int) -> str:
@@ -341,6 +229,22 @@ async def test_a_page_that_fails_shows_nothing_old_and_is_loaded_again(
             await shown.page.get_by_text("this page has failed and shows nothing").wait_for(timeout=2000)
             assert "mm" not in await shown.page.inner_text("body")
         await shown.until_measured()
+
+
+async def test_pictures_are_drawn_by_a_browser_that_draws_less_often_than_they_come(
+    calibration_of_unit_3: Calibration,
+) -> None:
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.until_pictures()
+        await shown.page.evaluate(
+            """() => { const later = window.setTimeout;
+                window.requestAnimationFrame = work => later(() => work(performance.now()), 700);
+                window.setTimeout = (work, ms) => later(work, 700 + (ms ?? 0)); }"""
+        )
+        before = int((await shown.now())["sequence"])
+        await shown.until(lambda now: int(now["sequence"] or 0) > before + 60)
+        assert min(await shown.page.evaluate(GREEN)) > 60
+        assert shown.complaints == []
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from support.played_unit import PlayedUnit
 from support.recordings import place_px, write_beams
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import check_image_size, load_calibration, save_calibration
+from altd.calibration.file import calibration_checksum, check_image_size, load_calibration, save_calibration
 from altd.errors import BadInputError
 from altd.files.documents import checksum_of
 from altd.measuring.calibration import Calibration
@@ -64,6 +65,16 @@ def test_farther_outside_the_scan_than_half_a_pitch_there_is_no_point(calibratio
     assert target is not None
     assert target.point(*place_px("rear", 76.0, 0.0)) is None
     assert target.point(*place_px("rear", 0.0, -63.5)) is None
+
+
+def test_a_loaded_calibration_knows_its_file_and_a_made_one_has_none(
+    calibration: Calibration, file: Path
+) -> None:
+    read = load_calibration(file).file
+    assert read is not None
+    assert read.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert read.checksum == json.loads(file.read_text())["checksum"] == calibration_checksum(calibration)
+    assert calibration.file is None
 
 
 def test_a_file_gives_back_what_was_saved(calibration: Calibration, file: Path) -> None:

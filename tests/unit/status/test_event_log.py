@@ -142,6 +142,15 @@ class TestStateEvents:
         ]
         assert told[1].detail == {"verdict": "bad", "number": 1}
 
+    def test_how_far_each_target_has_moved_is_noted_with_its_check(
+        self, observer: StateEvents, log: EventLog, desk: SelfCheckDesk
+    ) -> None:
+        seen = {"front": {"leds_found": 8, "shift_px": [0.12, -0.3]}, "rear": {"shift_px": None}}
+        desk.put_up(SelfCheckReport(1, "good", {"verdict": "good", "number": 1, "targets": seen}))
+        observer.look()
+        (told,) = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
+        assert told.detail["shift_px"] == {"front": [0.12, -0.3], "rear": None}
+
 
 def test_a_fault_has_a_target_and_so_has_its_event(
     log: EventLog, board: Board, health: Health, clock: FakeClock

@@ -3,11 +3,13 @@
 import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
+import { Calibration } from "./calibration.js";
+import { PastChecks, SelfCheck } from "./checks.js";
 import { Eyes } from "./eye.js";
 import { guard } from "./failing.js";
 import { Link } from "./link.js";
 import { Memory } from "./memory.js";
-import { Parts, SelfCheck, Unit } from "./more.js";
+import { Parts, Unit } from "./more.js";
 import { Numbers } from "./numbers.js";
 import { Pictures } from "./pictures.js";
 import { Events, PastTrends, Recordings, SPANS, useAnswer } from "./past.js";
@@ -52,9 +54,11 @@ function EventsView({ session }) {
 
 function UnitView({ status, session, onSession }) {
   const check = useAnswer("/api/v1/self-check", CHECK_MS);
-  return html`<${Unit} status=${status} />
+  const mayLook = session && (!session.login || session.name !== null);  // null: not known
+  return html`<${Unit} status=${status} mayLook=${mayLook} />
     <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} mayAct=${session?.may_act} /><//>
-    <${Session} session=${session} onChange=${onSession} /><${Parts} status=${status} />`;
+    <${Session} session=${session} onChange=${onSession} />
+    ${status !== null && html`<${Calibration} mayLook=${mayLook} /><${PastChecks} />`}<${Parts} status=${status} />`;
 }
 
 function Page() {

@@ -3,7 +3,7 @@
 import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { asked } from "./acting.js";
 import { axesOf, colours } from "./trend.js";
-import { QUANTITIES, megabytes, words } from "./words.js";
+import { QUANTITIES, megabytes, utc, words } from "./words.js";
 
 const DAY_S = 86400, POINTS = 600;
 export const SPANS = { "1 hour": 3600, "1 day": DAY_S, "1 week": 7 * DAY_S, "1 month": 31 * DAY_S, "1 year": 366 * DAY_S };
@@ -105,7 +105,7 @@ export function Events() {
     <div class="scrolls" tabindex="0" role="region" aria-label="events"><table class="events">
       <thead><tr><th scope="col">UTC</th><th scope="col">what</th><th scope="col">of</th><th scope="col">says</th></tr></thead>
       <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}>
-        <td>${event.time?.slice(0, 19).replace("T", " ") ?? "not known"}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
+        <td>${utc(event.time)}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
         <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}${
           event.detail.recording ? html` <a href=${`/api/v1/recordings/${event.detail.recording}`} download>its frames</a>` : ""}</td></tr>`)}</tbody>
     </table></div>
@@ -128,7 +128,7 @@ export function Recordings({ mayAct }) {
     <span role="status"> ${said}</span>
     ${kept.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="kept frames"><table>
       <thead><tr><th scope="col">UTC</th><th scope="col">why</th><th scope="col">s</th><th scope="col">size</th><th scope="col">take along</th></tr></thead>
-      <tbody>${kept.map(each => html`<tr key=${each.name}><td>${each.start?.slice(0, 19).replace("T", " ") ?? "not known"}</td><td>${words(each.why)}</td>
+      <tbody>${kept.map(each => html`<tr key=${each.name}><td>${utc(each.start)}</td><td>${words(each.why)}</td>
         <td>${each.seconds.toFixed(1)}</td><td>${megabytes(each.bytes)}</td>
         <td><a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>${each.marked ? " marked" : ""}
           ${mayAct && html` <button type="button" onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>

@@ -1,6 +1,6 @@
 // Live pictures of the targets: the next is asked for when the last was drawn, nothing while nobody looks.
 
-import { html, useEffect, useRef, useState } from "./vendor/htm-preact.js";
+import { html, useEffect, useLayoutEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { Watcher } from "./watcher.js";
 import { words } from "./words.js";
 
@@ -21,6 +21,7 @@ function cross(context, [u, v], half) {
 }
 
 function paint(canvas, view, picture, aim) {
+  if (picture && !picture.image.width) return;  // closed: nothing can be drawn of it, and an error would end the page
   const context = canvas.getContext("2d");
   canvas.width = picture?.width ?? Math.min(view.width, 800);
   canvas.height = picture?.height ?? Math.round(view.height * canvas.width / view.width);
@@ -28,7 +29,7 @@ function paint(canvas, view, picture, aim) {
   context.fillRect(0, 0, canvas.width, canvas.height);
   if (picture) context.drawImage(picture.image, 0, 0);
   const scale = canvas.width / view.width;
-  context.setTransform(scale, 0, 0, scale, 0.5 * (scale - 1), 0.5 * (scale - 1));
+  context.setTransform(scale, 0, 0, scale, 0.5 * scale, 0.5 * scale);  // (0, 0) is the middle of the first pixel
   const thin = 1.5 * view.width / 752;
   context.lineWidth = thin;
   context.strokeStyle = "#6ad";
@@ -79,10 +80,7 @@ function Target({ view, shown, views, lost }) {
   const seen = picture && !picture.spot && !picture.leds_on
     ? views.find(other => other.target !== view.target && shown[other.target]?.spot) : undefined;
   const aim = seen && aimIn(view, seen, shown[seen.target].spot);
-  useEffect(() => {
-    if (picture?.image.width === 0) return;  // it is closed: a newer one is there, and drawn next
-    paint(canvas.current, view, picture, aim);
-  }, [view, picture, aim?.[0], aim?.[1]]);
+  useLayoutEffect(() => { paint(canvas.current, view, picture, aim); }, [view, picture, aim?.[0], aim?.[1]]);
   const said = saidOf(view, picture, seen?.target, lost);
   const age = picture ? (Date.now() - picture.at) / 1000 : null;
   return html`<figure class="target" data-target=${view.target} data-sequence=${picture?.sequence ?? ""}>

@@ -72,19 +72,20 @@ export class Watcher {
   // What passed since they were asked for, beyond what the unit held them, passed on the way: a computer that slept
   // finds pictures that waited for it.
   async draw({ heldMs, pictures }, asked) {
-    const now = this.world.Date.now(), onWay = Math.max(now - asked - heldMs, 0);
+    const old = [], now = this.world.Date.now(), onWay = Math.max(now - asked - heldMs, 0);
     for (const picture of pictures) {
       const at = now - onWay - 1000 * picture.age_s;
       if (now - at > OLD_MS) continue;
       const image = await this.world.createImageBitmap(picture.jpeg).catch(() => null);
       if (!image) continue;
       const before = this.shown[picture.target];
-      before?.image.close();
+      if (before) old.push(before.image);
       const path = [...(before?.path ?? []), picture.spot && [picture.spot.u_px, picture.spot.v_px]].slice(-MAX_PATH);
       this.shown = { ...this.shown, [picture.target]: { ...picture, image, path, at } };
     }
     this.words = "";
     this.tell();
+    old.forEach(image => image.close());  // not before: until it is told of newer ones, the page may draw them
   }
 
   // what is not seen any more is not shown; nor is anything when the clock was set

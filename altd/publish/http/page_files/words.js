@@ -48,6 +48,9 @@ export const SIGNALS = {
   failure: { words: "failure", mark: "✕" },
 };
 
+// A time of the unit to the second; its zone stands beside it.
+export const utc = time => time?.slice(0, 19).replace("T", " ") ?? "not known";
+
 export const words = code => code.replaceAll("_", " ");
 
 // What is shown of the measurement in one line, and how it is meant: good, warned, bad or unknown.

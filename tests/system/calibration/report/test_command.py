@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -36,18 +37,33 @@ def calibrate_without_matplotlib(*arguments: object) -> Outcome:
 def test_a_scan_gives_calibration_page_and_sheets(scan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "report"
     folder.mkdir()
-    (folder / "calibration.html").write_text("older")
+    (folder / "cal.html").write_text("older")
     done = altd("calibrate", scan, "-o", tmp_path / "cal.json", "--report", folder)
     assert (done.status, done.err) == (0, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cal.json", "report"]
-    assert sorted(path.name for path in folder.iterdir()) == ["calibration.html", "calibration.pdf"]
-    assert (folder / "calibration.pdf").read_bytes().startswith(b"%PDF")
-    page = (folder / "calibration.html").read_text()
+    assert sorted(path.name for path in folder.iterdir()) == ["cal.html", "cal.pdf"]
+    assert (folder / "cal.pdf").read_bytes().startswith(b"%PDF")
+    page = (folder / "cal.html").read_text()
     printed = re.findall(r"\d\.\d{4} / \d\.\d{4} / \d\.\d{4}", done.out)
     assert len(printed) == 2
     assert all(numbers in page for numbers in printed)
     assert f"altd calibrate {scan} -o {tmp_path / 'cal.json'} --report {folder}" in page
-    assert f"report: {folder / 'calibration.html'}" in done.out
+    assert f"report: {folder / 'cal.html'}" in done.out
+
+
+def test_without_a_folder_the_report_stands_beside_the_calibration_and_names_it(
+    scan: Path, tmp_path: Path
+) -> None:
+    done = altd("calibrate", "-o", tmp_path / "unit-7.json", "--report", "--", scan)
+    assert (done.status, done.err) == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["unit-7.html", "unit-7.json", "unit-7.pdf"]
+    page, checksum = (tmp_path / "unit-7.html").read_text(), checksum_of_file(tmp_path / "unit-7.json")
+    assert f'<meta name="altd-calibration" content="{checksum}">' in page[:1024]
+    assert page.count(checksum) == 2, "it stands among the inputs, for a person"
+
+
+def checksum_of_file(path: Path) -> str:
+    return str(json.loads(path.read_text())["checksum"])
 
 
 def test_without_matplotlib_the_extra_is_named_before_any_work(tmp_path: Path) -> None:

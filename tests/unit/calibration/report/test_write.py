@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from altd.calibration.report.write import check_report, write_together
+from altd.calibration.report.write import check_report, report_names, write_together
 from altd.errors import BadInputError
+
+NAMES = ("calibration.html", "calibration.pdf")
 
 
 def test_files_are_written_and_replaced_together(tmp_path: Path) -> None:
@@ -58,9 +60,9 @@ def test_nothing_but_a_file_is_replaced(tmp_path: Path) -> None:
 
 
 def test_looking_leaves_nothing_behind(tmp_path: Path) -> None:
-    check_report(tmp_path / "new")
+    check_report(tmp_path / "new", NAMES)
     assert list(tmp_path.iterdir()) == []
-    check_report(tmp_path)
+    check_report(tmp_path, NAMES)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -87,6 +89,13 @@ def test_a_folder_that_cannot_be_used_is_named(place: str, why: str, tmp_path: P
     (tmp_path / "linked").mkdir()
     (tmp_path / "linked" / "calibration.html").symlink_to("/etc/passwd")
     with pytest.raises(BadInputError, match=why) as caught:
-        check_report(tmp_path / place)
+        check_report(tmp_path / place, NAMES)
     assert place in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_report_has_the_name_of_its_calibration_and_never_takes_its_place() -> None:
+    assert report_names(Path("unit-7.json")) == ("unit-7.html", "unit-7.pdf")
+    for name in ("cal.html", "some/cal.pdf"):
+        with pytest.raises(BadInputError, match="is what its report would be called"):
+            report_names(Path(name))

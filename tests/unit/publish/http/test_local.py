@@ -21,7 +21,7 @@ from altd.status.health import Health, State
 from altd.status.self_check_desk import SelfCheckReport
 
 from .conftest import Served
-from .test_answers import WITH_HISTORY
+from .test_answers import NEED_MORE
 
 HEADERS = {"X-Altd-Request": "1"}
 
@@ -43,7 +43,7 @@ async def path(tmp_path: Path, board: Board, health: Health) -> AsyncIterator[Pa
         yield tmp_path / "altd.sock"
 
 
-NOT_JSON = "/", "/stream", "/metrics", "}"
+NOT_JSON = "/", "/stream", "/metrics", "/diagnostics", "}"
 """Pages, streams, numbers for Prometheus, and what needs a name."""
 
 
@@ -60,7 +60,7 @@ async def test_every_path_of_the_network_is_answered_alike(
     async with served() as unit:
         for target in (each for each in paths if not each.endswith(NOT_JSON)):
             (status, local), network = await said(path, target), (await unit.ask(target))
-            assert status == network.status == (503 if target in WITH_HISTORY else 200)
+            assert status == network.status == (503 if target in NEED_MORE else 200)
             if "components" not in local:
                 assert {key: local[key] for key in local.keys() - own} == {
                     key: network.json[key] for key in network.json.keys() - own

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from unit.publish.http.conftest import Answer, Served, Unit
 
-from altd.publish.http import recordings
+from altd.publish.http.downloads import MAX_DOWNLOADS
 from altd.status.health import Health
 from altd.status.recording_desk import KeptRecording, NotKeptError
 
@@ -183,14 +183,14 @@ def _names(answer: Answer) -> list[str]:
 async def test_few_are_fetched_at_a_time(served: Served, keeper: Keeper, tmp_path: Path) -> None:
     (tmp_path / NAME / "front" / "000000.png").write_bytes(bytes(8 << 20))
     async with served() as unit:
-        slow = [await unit.connect() for _ in range(recordings.MAX_DOWNLOADS)]
+        slow = [await unit.connect() for _ in range(MAX_DOWNLOADS)]
         for reader, writer in slow:
             writer.write(f"GET /api/v1/recordings/{NAME} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             assert (await asyncio.wait_for(reader.readline(), 5.0)).startswith(b"HTTP/1.1 200")
         answer = await asked(unit, "GET", f"/api/v1/recordings/{NAME}")
         assert (answer.status, json.loads(answer.body)) == (
             503,
-            {"error": "2 recordings are being fetched already"},
+            {"error": "2 downloads are under way already"},
         )
         for _, writer in slow:
             writer.close()

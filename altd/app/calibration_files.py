@@ -1,0 +1,80 @@
+"""Reads the file of the loaded calibration and the report beside it, in a thread of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+
+from altd.calibration.file import MAX_BYTES
+from altd.calibration.report.identity import HEAD_BYTES, checksum_in, page_beside
+from altd.errors import BadInputError
+from altd.files.reading import read_file, read_head
+from altd.measuring.calibration import CalibrationFile
+from altd.runtime.threads import DeviceThread
+from altd.status.calibration_desk import NoCalibrationFileError, NoReportError
+
+MAX_REPORT_BYTES = 1 << 26
+"""A report has a megabyte, and 5 kB more a node."""
+
+READ_TIMEOUT_S = 10.0
+_NO_ANSWER = "the disk does not answer"
+
+
+class ReadCalibrationFiles:
+    """The files of one loaded calibration; ``loaded`` None: it was not read from a file."""
+
+    def __init__(self, path: Path, loaded: CalibrationFile | None) -> None:
+        self.name = path.name
+        self._path = path
+        self._page = page_beside(path)
+        self._loaded = loaded
+        self._thread: DeviceThread | None = None
+
+    async def calibration(self) -> bytes:
+        """The file as it was loaded; raises NoCalibrationFileError."""
+        try:
+            content = await self._call(lambda: read_file(self._path, MAX_BYTES))
+        except BadInputError as error:
+            raise NoCalibrationFileError(error.message) from error
+        except TimeoutError as error:
+            raise NoCalibrationFileError(_NO_ANSWER) from error
+        if self._loaded is None or sha256(content).hexdigest() != self._loaded.sha256:
+            raise NoCalibrationFileError("the file is another one than the unit has loaded")
+        return content
+
+    async def check_report(self) -> None:
+        """Raise NoReportError where there is no report on the loaded calibration."""
+        self._check(await self._of_page(lambda: read_head(self._page, HEAD_BYTES)))
+
+    async def report(self) -> bytes:
+        """The report; raises NoReportError, also for one that is not on the loaded calibration."""
+        page = await self._of_page(lambda: read_file(self._page, MAX_REPORT_BYTES))
+        self._check(page)
+        return page
+
+    async def end(self) -> None:
+        """No more is read."""
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            await thread.end(lambda: None, READ_TIMEOUT_S)
+
+    async def _of_page(self, read: Callable[[], bytes]) -> bytes:
+        try:
+            return await self._call(read)
+        except BadInputError as error:
+            raise NoReportError(f"{self._page.name} beside the calibration: {error.message}") from error
+        except TimeoutError as error:
+            raise NoReportError(_NO_ANSWER) from error
+
+    def _check(self, page: bytes) -> None:
+        named = checksum_in(page)
+        if named is None:
+            raise NoReportError(f"{self._page.name} beside the calibration does not say what it reports on")
+        if self._loaded is None or named != self._loaded.checksum:
+            raise NoReportError(f"{self._page.name} beside the calibration reports on another calibration")
+
+    async def _call(self, read: Callable[[], bytes]) -> bytes:
+        if self._thread is None:
+            self._thread = DeviceThread("calibration files")
+        return await self._thread.call(read, within_s=READ_TIMEOUT_S)

@@ -1,0 +1,110 @@
+"""What a calibration says of itself, as plain JSON types: for who asks what a unit is worth.
+
+Whatever stands in the file, the answer is small: texts are cut, and arrays appear as their size or limits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from altd.calibration.report.prediction import predict
+from altd.errors import one_line
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.records import utc_text
+from altd.vision.fingerprint import Fingerprint
+
+MAX_TEXT_CHARACTERS = 300
+_GRID = 9, 7
+"""Places for which sigma is predicted: few, for they cost time at the start (the report: 41 × 33)."""
+_DIGITS = 4
+
+
+def summary_of(calibration: Calibration, targets: Iterable[str], exposures: int, name: str) -> dict[str, Any]:
+    """The calibration of these targets, out of the file ``name``; a measurement averages ``exposures``."""
+    chosen = [target for each in targets if (target := calibration.target(each)) is not None]
+    file = calibration.file
+    return {
+        "unit": _shown(calibration.unit_serial),
+        "created": utc_text(calibration.created),
+        "simulated": calibration.simulated,
+        "recording": {
+            "note": _shown(calibration.recording_note),
+            "sha256": _shown(calibration.recording_sha256),
+        },
+        "file": {
+            "name": _shown(name),
+            "sha256": None if file is None else file.sha256,
+            "checksum": None if file is None else file.checksum,
+        },
+        "exposures": exposures,
+        "expected_sigma": _expected_sigma(calibration, exposures),
+        "targets": [_target(target) for target in chosen],
+    }
+
+
+def _expected_sigma(calibration: Calibration, exposures: int) -> dict[str, float | None]:
+    """By quantity, the rms over the area; empty where the targets have no area in common."""
+    try:
+        prediction = predict(calibration, exposures, _GRID)
+    except ValueError:
+        return {}
+    return {key: _rounded(prediction.rms(key)) for key in prediction.quantities}
+
+
+def _target(target: TargetCalibration) -> dict[str, Any]:
+    low, high = target.map.hull_mm.min(axis=0), target.map.hull_mm.max(axis=0)
+    check = target.cross_check
+    return {
+        "name": target.name,
+        "z_mm": target.z_mm,
+        "simulated": target.simulated,
+        "camera": {
+            "serial": _known(target.camera.serial),
+            "model": _known(target.camera.model),
+            "driver": _known(target.camera.driver),
+        },
+        "width": target.width,
+        "height": target.height,
+        "map": target.map.name,
+        "x_mm": [_rounded(low[0]), _rounded(high[0])],
+        "y_mm": [_rounded(low[1]), _rounded(high[1])],
+        "left_out_px": _rounded(target.leave_one_out_px),
+        "residuals": {
+            "mean_mm": _rounded(target.residual_mean_mm),
+            "std_mm": _rounded(target.residual_std_mm),
+            "max_mm": _rounded(target.residual_max_mm),
+        },
+        "repeatability_px": [_rounded(each) for each in target.repeatability_px],
+        "leds": len(target.leds_px),
+        "cross_check": {
+            "map": check.map.name,
+            "left_out_px": _rounded(check.leave_one_out_px),
+            "bound_px": _rounded(check.limit_px),
+            "largest_px": _rounded(check.max_difference_px),
+        },
+        "flat": None if target.flat is None else target.flat.source,
+        "fingerprint": _fingerprint(target.fingerprint),
+    }
+
+
+def _fingerprint(fingerprint: Fingerprint | None) -> dict[str, Any] | None:
+    if fingerprint is None:
+        return None
+    return {"hot_px": len(fingerprint.hot.permanent), "texture": fingerprint.source}
+
+
+def _known(text: str | None) -> str | None:
+    return None if text is None else _shown(text)
+
+
+def _shown(text: str) -> str:
+    """A text of the file, cut, with escapes for what is no letter."""
+    return one_line(text if len(text) <= MAX_TEXT_CHARACTERS else f"{text[:MAX_TEXT_CHARACTERS]}…")
+
+
+def _rounded(number: float) -> float | None:
+    """To four significant digits; None for what is no number, which JSON does not have."""
+    value = float(number)
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None

@@ -1,0 +1,226 @@
+"""All that a technician mails to who knows the unit: one archive, made when somebody asks for it.
+
+Each part is bounded in size and time; one that cannot be had is named in the archive and costs no other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import io
+import json
+import zipfile
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+
+from starlette.requests import Request
+from starlette.responses import Response
+
+from altd.errors import one_line
+from altd.history.reader import MAX_ROWS, Reader
+from altd.history.records import SummaryPoint
+from altd.history.schema import MINUTES
+from altd.publish.http.downloads import Downloads, saved_as, sent_whole
+from altd.publish.http.guard import Guard, Refused
+from altd.publish.http.metrics import Metrics
+from altd.publish.http.past import Past, event_object
+from altd.publish.http.resuming import time_of
+from altd.status.board import Board
+from altd.status.health import Health
+from altd.status.measurement_json import as_object_now
+from altd.status.target_area import as_object
+
+ZIP = "application/zip"
+MAX_PART_BYTES = 16_000_000
+"""Of a part before it is compressed; what is longer ends there, and the archive says so."""
+
+MAX_EVENT_PAGES = 4
+"""So many times ``MAX_ROWS`` events, the newest."""
+
+_PART_TIMEOUT_S = 20.0
+_DAY_S = 86_400
+_EVENT_DAYS = 31
+_US = 10**6
+_README = "README.txt"
+_NO_TIME = datetime.fromtimestamp(0, UTC)
+"""Of a clock that does not know UTC."""
+_MIN_ZIP_YEAR = 1980
+_SUMMARY_PARTS = {"": "mean", "sigma_": "sigma", "min_": "low", "max_": "high"}
+"""As ``altd export`` calls them, and what they are of a ``SummaryValue``."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A file of the archive; ``make`` gives its content."""
+
+    name: str
+    meaning: str
+    make: Callable[[], Awaitable[bytes]]
+
+
+class Diagnostics:
+    """The diagnostics of one unit, for who may see pictures."""
+
+    def __init__(self, board: Board, health: Health, past: Past, metrics: Metrics) -> None:
+        self._board = board
+        self._health = health
+        self._past = past
+        self._metrics = metrics
+
+    def archive(self, request: Request, guard: Guard, downloads: Downloads) -> Response:
+        """A zip archive."""
+        try:
+            guard.check_may_look(request)
+        except Refused as refused:
+            return refused.answer
+        if request.method == "HEAD":
+            return Response(media_type=ZIP)
+
+        async def made() -> Response:
+            now = self._past.now() or _NO_TIME
+            content = await self.made(now)
+            name = f"altd-{self._health.facts.get('serial', 'unit')}-{now:%Y%m%dT%H%M%SZ}.zip"
+            return sent_whole(content, ZIP, saved_as(name))
+
+        return downloads.of(made)
+
+    async def made(self, now: datetime) -> bytes:
+        """The archive of this moment, ``now`` in UTC."""
+        files: dict[str, bytes] = {}
+        said: list[str] = []
+        missing: list[str] = []
+        for part in self._parts(now):
+            try:
+                async with asyncio.timeout(_PART_TIMEOUT_S):
+                    content = await part.make()
+            except TimeoutError:
+                missing.append(f"{part.name}: it took longer than {_PART_TIMEOUT_S:g} s")
+            except Exception as error:  # whatever a part's maker raises: it may cost this part only
+                missing.append(one_line(f"{part.name}: {str(error) or type(error).__name__}"))
+            else:
+                files[part.name] = _cut(content)
+                cut = f" (its first {MAX_PART_BYTES} bytes)" if len(content) > MAX_PART_BYTES else ""
+                said.append(f"{part.name}: {part.meaning}{cut}")
+        serial = one_line(self._health.facts.get("serial", ""))
+        files = {_README: _readme(serial, now, said, missing), **files}
+        return await asyncio.to_thread(_zipped, files, now)
+
+    def _parts(self, now: datetime) -> Iterator[_Part]:
+        end_us = round(now.timestamp()) * _US + _US
+        yield _of("status.json", "what each part of the unit says", lambda: _json(self._health.as_object()))
+        yield _of("measurement.json", "the latest measurement", self._measurement)
+        yield _of("self-check.json", "the last self-check", self._self_check)
+        targets = "the targets, and where each is measured"
+        yield _of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
+        calibration = "what the calibration says of itself"
+        yield _of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
+        yield _of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
+        events_from = end_us - _EVENT_DAYS * _DAY_S * _US
+        yield _Part(
+            "events.jsonl",
+            f"what happened in the last {_EVENT_DAYS} days, an event a line, the newest first, at most "
+            f"{MAX_EVENT_PAGES * MAX_ROWS}",
+            lambda: self._past.history.ask(lambda reader: _events(reader, events_from, end_us)),
+        )
+        trend_from = end_us - _DAY_S * _US
+        yield _Part(
+            "trend.csv",
+            "the last day, a row a minute, its columns as `altd export` names them",
+            lambda: self._past.history.ask(lambda reader: _trend(reader, trend_from, end_us)),
+        )
+        for each in self._health.diagnostics:
+            yield _Part(each.name, each.meaning, partial(asyncio.to_thread, each.make))
+
+    def _measurement(self) -> bytes:
+        measurement = self._board.read()
+        if measurement is None:
+            raise LookupError("nothing was measured since the unit started")
+        return _json(as_object_now(measurement, self._board.age_s()))
+
+    def _self_check(self) -> bytes:
+        desk = self._health.self_check
+        if desk.latest is None:
+            raise LookupError(desk.unavailable or "there was no self-check since the unit started")
+        return _json(desk.latest.document)
+
+
+def _of(name: str, meaning: str, make: Callable[[], bytes]) -> _Part:
+    """A part that is there at once."""
+
+    async def made() -> bytes:
+        return make()
+
+    return _Part(name, meaning, made)
+
+
+def _json(document: Mapping[str, object]) -> bytes:
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _events(reader: Reader, from_us: int, to_us: int) -> bytes:
+    """The newest events of this time as JSON lines, the newest first."""
+    lines: list[str] = []
+    before = None
+    for _ in range(MAX_EVENT_PAGES):
+        found = reader.events(from_us, to_us, limit=MAX_ROWS, before=before)
+        lines += (json.dumps(event_object(event), allow_nan=False) for event in found)
+        if len(found) < MAX_ROWS:
+            break
+        before = found[-1].id
+    return "".join(f"{line}\n" for line in lines).encode()
+
+
+def _trend(reader: Reader, from_us: int, to_us: int) -> bytes:
+    """The minutes of this time as CSV; what was not known is empty."""
+    text = io.StringIO()
+    keys = list(reader.summarised)
+    table = csv.writer(text, lineterminator="\n")
+    names = (prefix + key for key in keys for prefix in _SUMMARY_PARTS)
+    table.writerow(["time", "n", "n_valid", "worst", "worst_cause", "lost_to", *names])
+    table.writerows(_row(point, keys) for point in reader.summaries(MINUTES, from_us, to_us))
+    return text.getvalue().encode()
+
+
+def _row(point: SummaryPoint, keys: Iterable[str]) -> list[object]:
+    values = [point.values.get(key) for key in keys]
+    return [
+        time_of(point.t_us),
+        point.n,
+        point.n_valid,
+        point.worst,
+        point.worst_code,
+        point.lost_to,
+        *(getattr(value, part, None) for value in values for part in _SUMMARY_PARTS.values()),
+    ]
+
+
+def _cut(content: bytes) -> bytes:
+    """What there is room for, up to the end of a line."""
+    if len(content) <= MAX_PART_BYTES:
+        return content
+    return content[: content.rfind(b"\n", 0, MAX_PART_BYTES) + 1]
+
+
+def _readme(serial: str, now: datetime, said: Sequence[str], missing: Sequence[str]) -> bytes:
+    lines = [
+        f"Diagnostics of the unit {serial}, made at {now:%Y-%m-%dT%H:%M:%SZ} (UTC). They hold no password, "
+        "token or key, no picture, and no log: on the unit itself `journalctl -u altd` shows that.",
+        "",
+        *said,
+    ]
+    if missing:
+        lines += ["", "Not in it:", *missing]
+    return ("\n".join(lines) + "\n").encode("utf-8", "backslashreplace")
+
+
+def _zipped(files: Mapping[str, bytes], now: datetime) -> bytes:
+    whole = io.BytesIO()
+    made = now.timetuple()[:6] if now.year >= _MIN_ZIP_YEAR else (_MIN_ZIP_YEAR, 1, 1, 0, 0, 0)
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name, made)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, content)
+    return whole.getvalue()

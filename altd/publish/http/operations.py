@@ -1,0 +1,76 @@
+"""What a path of the API is: its methods, what each takes and gives, and how it may fail."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+
+from pydantic import BaseModel
+from starlette.requests import Request
+from starlette.responses import Response
+
+from altd.publish.http.answers import Answers
+
+JSON = "application/json"
+
+Handler = Callable[[Answers, Request], Awaitable[Response]]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter of a query, which may be left out, with its JSON Schema."""
+
+    name: str
+    meaning: str
+    schema: Mapping[str, object]
+    is_in_path: bool = False
+    """It stands in the path, and may not be left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One method of a path. ``models`` are the objects of good answers by their status; None: no object.
+
+    ``errors`` says in a sentence what each error of its own means; those that any path may have stand in
+    ``COMMON_ERRORS``.
+    """
+
+    handler: Handler
+    summary: str
+    model: type[BaseModel] | str | None = None
+    """``measurement``: that of the unit's quantities, which are known at its start only."""
+    media_type: str = JSON
+    status: int = 200
+    takes: type[BaseModel] | None = None
+    errors: Mapping[int, str] = field(default_factory=dict)
+    query: tuple[Parameter, ...] = ()
+    acts: bool = False
+    """It asks for the header that no page of another site can send."""
+    needs_actor: bool = False
+    """Not everybody may ask for it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServedPath:
+    """One path that is served, with its operations by their methods; ``HEAD`` comes with ``GET``."""
+
+    path: str
+    gives: str
+    operations: Mapping[str, Operation]
+
+    @property
+    def is_old(self) -> bool:
+        """Whether it is one of the first release, which stay as they are."""
+        return not self.path.startswith("/api/v1") and self.path.startswith("/api/")
+
+
+COMMON_ERRORS = {
+    400: "what was sent is no request",
+    404: "there is no such path",
+    414: "the path with its query is too long",
+    431: "the header is too large, or has too many lines",
+    405: "the path has no such method; `Allow` has those that it has",
+    421: "the name in `Host` is none of the unit's",
+    429: "too many requests; `Retry-After` says for how many seconds to wait",
+}
+"""What any path may answer."""

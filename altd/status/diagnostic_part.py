@@ -1,0 +1,18 @@
+"""A file of what a unit gives to who looks for a fault, made where more is known than a face may see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticPart:
+    """``name`` is the file's, ``meaning`` says in a few words what it is.
+
+    ``make`` gives its content, in a thread; whatever it raises costs this part only.
+    """
+
+    name: str
+    meaning: str
+    make: Callable[[], bytes]

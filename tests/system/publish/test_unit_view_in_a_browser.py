@@ -1,0 +1,157 @@
+"""The view Unit in Chromium: the calibration with its file and report, self-checks so far, diagnostics."""
+
+from __future__ import annotations
+
+import asyncio
+import filecmp
+import json
+import shutil
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.page import SIZES, Seen, picture, seen
+
+from altd.measuring.calibration import Calibration
+from altd.status.event_log import Event, EventKind, EventLog
+
+pytestmark = pytest.mark.real_time
+
+REPORT = """<!DOCTYPE html>
+<html><head><meta charset="utf-8">
+<meta name="altd-calibration" content="{checksum}">
+<title>quiet</title></head>
+<body><p>residuals</p><img src="/api/v1/status">
+<form action="/api/v1/logout" method="post"><button>x</button></form>
+<script>document.title = "it ran"; fetch("/api/v1/status");</script>
+<iframe src="/"></iframe></body></html>
+"""
+"""One that would act, could it."""
+
+NO_PROSE = "<img src=x onerror=\"document.title='it ran'\"><script>document.title='it ran'</script>"
+
+
+@pytest.fixture
+def calibration_file(unit_3: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(unit_3 / "cal.json", tmp_path / "unit-3.json"))
+
+
+@pytest.fixture
+def written(calibration_file: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(calibration_file.read_text())
+    return content
+
+
+def write_report(calibration_file: Path, checksum: str) -> None:
+    calibration_file.with_suffix(".html").write_text(REPORT.format(checksum=checksum))
+
+
+async def save(shown: Seen, name: str, path: Path) -> None:
+    """As a person does who follows a link."""
+    async with shown.page.expect_download() as coming:
+        await shown.page.get_by_role("link", name=name, exact=True).click()
+    await (await coming.value).save_as(path)
+
+
+async def checks_noted(log: EventLog, number: int) -> list[Event]:
+    """The events of self-checks, once that of check ``number`` is among them."""
+    async with asyncio.timeout(20):
+        while True:
+            noted = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
+            if noted and noted[-1].detail.get("number") == number:
+                return noted
+            await log.noted_after(log.count)
+
+
+async def test_the_calibration_is_told_and_its_file_and_report_are_given(
+    calibration_of_unit_3: Calibration, calibration_file: Path, written: dict[str, Any], tmp_path: Path
+) -> None:
+    write_report(calibration_file, written["checksum"])
+    options: dict[str, Any] = {"calibration_file": calibration_file, "accept_downloads": True}
+    async with seen(calibration_of_unit_3, **options) as shown:
+        await shown.open("unit")
+        section = shown.page.get_by_role("region", name="Calibration", exact=True)
+        await section.get_by_text("Made from SIMULATED frames").wait_for()
+        rows = {
+            await row.get_by_role("rowheader").inner_text(): await row.get_by_role("cell").all_inner_texts()
+            for row in await section.locator("tbody tr").all()
+        }
+        for number, target in enumerate(written["targets"]):
+            residuals = [float(f"{target['residuals'][key]:.4g}") for key in ("mean_mm", "std_mm", "max_mm")]
+            assert rows["residual mean, std, max, mm"][number] == ", ".join(
+                f"{each:.4f}" for each in residuals
+            )
+            assert rows["frame LEDs known"][number] == str(len(target["leds_px"]))
+        await save(shown, "its file", tmp_path / "got.json")
+        assert filecmp.cmp(tmp_path / "got.json", calibration_file, shallow=False)
+
+        async with shown.page.expect_popup() as coming:
+            await section.get_by_role("link", name="the report on it").click()
+        popup = await coming.value
+        answered: list[str] = []
+        popup.on("response", lambda response: answered.append(response.url.partition("/api/v1")[2]))
+        await popup.reload()
+        await popup.get_by_text("residuals").wait_for()
+        assert await popup.title() == "quiet", "a script of the report ran"
+        assert answered == ["/calibration/report"]
+        await popup.get_by_role("button").click()
+        assert popup.url.endswith("/api/v1/calibration/report"), "its form was sent"
+        await popup.close()
+
+        write_report(calibration_file, f"sha256:{'0' * 64}")
+        await shown.page.reload()
+        await section.get_by_text("reports on another calibration").wait_for()
+        assert await section.get_by_role("link", name="the report on it").count() == 0
+
+
+async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
+    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
+) -> None:
+    options: dict[str, Any] = {"calibration_file": calibration_file, "accept_downloads": True}
+    async with seen(calibration_of_unit_3, SIZES["desk"], tmp_path, **options) as shown:
+        events = shown.running.daemon.past.events
+        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
+        reports = [await shown.running.check() for _ in range(3)]
+        noted = await checks_noted(events, reports[-1].number)
+        await shown.open("unit")
+        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
+        await picture(shown, "page-unit", section)
+        events.note(
+            EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
+        )
+        events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
+        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
+        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
+        assert "odd" in rows[0]
+        assert NO_PROSE in rows[1]
+        for row, event in zip(rows[2:], reversed(noted), strict=True):
+            assert event.text in row
+        for row, report in zip(rows[2:5], reversed(reports), strict=True):
+            assert report.sentence in row
+            assert str(report.document["verdict"]) in row
+        assert await section.locator(".uplot").count() == 2
+        assert await section.locator("img, script").count() == 0
+        assert await shown.page.title() != "it ran"
+        assert (await shown.now())["overflow"] <= 0
+
+        await save(shown, "diagnostics", tmp_path / "got.zip")
+        with zipfile.ZipFile(tmp_path / "got.zip") as archive:
+            assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
+                archive.namelist()
+            )
+            told = [json.loads(line) for line in archive.read("events.jsonl").decode().splitlines()]
+        assert [each["text"] for each in told if each["text"] == NO_PROSE] == [NO_PROSE]
+        assert shown.complaints == []
+
+
+async def test_on_a_phone_nothing_is_wider_than_the_screen(
+    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
+) -> None:
+    async with seen(
+        calibration_of_unit_3, SIZES["phone"], tmp_path, calibration_file=calibration_file
+    ) as shown:
+        for view in ("", "drive", "trends", "events", "unit"):
+            await shown.open(view)
+            await shown.page.locator("main section").first.wait_for()
+            assert (await shown.now())["overflow"] <= 0, view

@@ -1,0 +1,60 @@
+"""What the daemon adds to a unit's diagnostics, and what must never stand in it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from support.played_unit import PlayedUnit
+
+from altd import __version__
+from altd.app.diagnostics import diagnostic_parts
+from altd.app.settings import load_settings
+from altd.config import Config
+
+SECRET = "correct-horse-battery"
+_SOUNDS_SECRET = re.compile(r"password|passphrase|secret|token|private|pin\b|psk|api_?key", re.IGNORECASE)
+
+
+@pytest.fixture
+def config(played_unit: PlayedUnit, tmp_path: Path) -> Config:
+    """The settings of a unit where a secret stands wherever a person or a command may put one."""
+    for name in ("credentials", "unit.pem", "unit.key"):
+        (tmp_path / name).write_text(f"-----BEGIN PRIVATE KEY-----\n{SECRET}\n")
+    more = f'# the root password: {SECRET}\n[http]\ncredentials = "{tmp_path}/credentials"  # {SECRET}\n'
+    more += f'certificate = "{tmp_path}/unit.pem"\nkey = "{tmp_path}/unit.key"\n'
+    path = tmp_path / "altd.toml"
+    path.write_text(played_unit.config.read_text() + more)
+    return load_settings(path)
+
+
+def test_the_settings_are_those_that_were_read_without_any_secret(config: Config) -> None:
+    made = {part.name: part.make() for part in diagnostic_parts(config)}
+    settings = json.loads(made["settings.json"])
+    assert settings["unit"]["serial"] == "TEST-1"
+    assert settings["http"]["credentials"] == str(config.http and config.http.credentials)
+    assert settings["http"]["port"] == 8080, "defaults are told, too"
+    assert not any(SECRET.encode() in content for content in made.values())
+
+
+def test_no_key_of_the_settings_holds_a_secret() -> None:
+    """Who adds one has to leave it out of the diagnostics and of the history first."""
+    keys = set(re.findall(r'"([a-z0-9_]+)": \{', json.dumps(Config.model_json_schema()["$defs"])))
+    assert {"serial", "credentials", "certificate", "key"} <= keys, "the schema is read as it is written"
+    assert {key for key in keys if _SOUNDS_SECRET.search(key)} == set()
+
+
+def test_the_versions_are_those_of_this_process(config: Config) -> None:
+    (made,) = (part.make() for part in diagnostic_parts(config) if part.name == "versions.txt")
+    lines = made.decode().splitlines()
+    assert lines[0] == f"altd {__version__}"
+    assert lines[1].endswith(platform.python_version())
+    assert os.uname().release in lines[2]
+    assert f"numpy {version('numpy')}" in lines
+    assert f"uvicorn {version('uvicorn')}" in lines
+    assert os.uname().nodename not in lines

@@ -1,0 +1,200 @@
+"""The diagnostics: what there is in one archive that a foreign program opens, and what is missing by name."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import json
+import subprocess
+import time
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from support.evidence import calibration
+from support.foreign import need_program
+from support.history import START_S, WallClock, at, event, store, write_seconds
+from support.history import batch as batch_of
+
+from altd.app.calibration_summary import summary_of
+from altd.config import HttpSettings
+from altd.credentials.changing import change
+from altd.history.history import History
+from altd.publish.http import diagnostics
+from altd.publish.http.publisher import HttpPublisher
+from altd.status.board import Board
+from altd.status.diagnostic_part import DiagnosticPart
+from altd.status.health import Health
+from altd.status.self_check_desk import SelfCheckReport
+
+from .conftest import NAMES, Answer, Unit
+from .test_calibration import Files
+
+PATH = "/api/v1/diagnostics"
+ALWAYS = {"README.txt", "status.json", "targets.json", "calibration.json", "metrics.txt"}
+OF_HISTORY = {"events.jsonl", "trend.csv"}
+
+
+@pytest.fixture
+def clock() -> WallClock:
+    """Two minutes after ``START_S`` on the clock of ``support.history``."""
+    clock = WallClock(10**12 + 120 * 10**9)
+    clock.offset_s = -1000.0
+    return clock
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> History:
+    """Two minutes: x is 1 mm in the first and 2 mm in the second; three events, one of 40 days before."""
+    kept = store(tmp_path)
+    kept.write(batch_of(START_S - 40 * 86_400, (), [event(1, START_S - 40 * 86_400, text="long ago")]))
+    write_seconds(kept, START_S, [1.0] * 60 + [2.0] * 60, rate=2)
+    html = [event(2, START_S + 1, text="<b>first</b>"), event(3, START_S + 2, text="second\u2028line")]
+    kept.write(batch_of(START_S + 122, (), html))
+    kept.end(None)
+    return History(tmp_path / "history.db")
+
+
+@asynccontextmanager
+async def served(
+    board: Board, health: Health, history: History | None = None, **more: Any
+) -> AsyncIterator[Unit]:
+    settings = HttpSettings(host="127.0.0.1", port=0, names=NAMES, **more)
+    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
+    ready = asyncio.Event()
+    task = asyncio.create_task(publisher.run(ready.set))
+    await ready.wait()
+    yield Unit(publisher, task)
+    task.cancel()
+    await asyncio.wait({task})
+    if history is not None:
+        await history.end()
+
+
+def opened(answer: Answer, folder: Path) -> Mapping[str, bytes]:
+    """The archive's files, by Info-ZIP's own program."""
+    assert (answer.status, answer.headers["content-type"]) == (200, "application/zip")
+    (folder / "got.zip").write_bytes(answer.body)
+    into = folder / "got"
+    subprocess.run([need_program("unzip"), "-q", folder / "got.zip", "-d", into], check=True)
+    return {
+        path.relative_to(into).as_posix(): path.read_bytes() for path in into.rglob("*") if path.is_file()
+    }
+
+
+def readme(files: Mapping[str, bytes]) -> tuple[set[str], set[str]]:
+    """The files that are told, and those that are told to be missing."""
+    told, _, missing = files["README.txt"].decode().partition("\nNot in it:\n")
+    return {line.partition(":")[0] for line in told.splitlines()[2:] if line}, {
+        line.partition(":")[0] for line in missing.splitlines()
+    }
+
+
+async def test_all_that_is_known_is_in_it(
+    board: Board, health: Health, recorded: History, tmp_path: Path
+) -> None:
+    board.publish(at(START_S + 119.5, 2.0))
+    health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
+    health.calibration.open(summary_of(calibration(), ("front",), 20, "cal.json"), Files())
+    health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
+    async with served(board, health, recorded) as unit:
+        files = opened(answer := await unit.ask(PATH), tmp_path)
+    assert (
+        answer.headers["content-disposition"] == 'attachment; filename="altd-ALT-0007-20261120T080200Z.zip"'
+    )
+    assert set(files) == ALWAYS | OF_HISTORY | {"measurement.json", "self-check.json", "versions.txt"}
+    assert readme(files) == (set(files) - {"README.txt"}, set())
+    assert json.loads(files["status.json"])["serial"] == "ALT-0007"
+    assert json.loads(files["measurement.json"])["x_mm"] == 2.0
+    assert json.loads(files["self-check.json"])["verdict"] == "good"
+    assert json.loads(files["calibration.json"])["unit"] == "TEST-1"
+    assert files["versions.txt"] == b"altd 0.1.0\n"
+    assert "altd_x_mm" in {
+        each.name for each in text_string_to_metric_families(files["metrics.txt"].decode())
+    }
+
+
+async def test_events_and_trend_are_those_of_the_history(
+    board: Board, health: Health, recorded: History, tmp_path: Path
+) -> None:
+    async with served(board, health, recorded) as unit:
+        files = opened(await unit.ask(PATH), tmp_path)
+    lines = files["events.jsonl"].decode().split("\n")
+    assert lines.pop() == ""
+    told = [json.loads(line)["text"] for line in lines]
+    assert told[-2:] != told[-2:][::-1]
+    assert [text for text in told if text in ("<b>first</b>", "second\u2028line", "long ago")] == [
+        "second\u2028line",
+        "<b>first</b>",
+    ]
+    rows = list(csv.DictReader(files["trend.csv"].decode().splitlines()))
+    assert [(row["time"], float(row["x_mm"]), row["n"], row["n_valid"]) for row in rows] == [
+        ("2026-11-20T08:00:00.000Z", pytest.approx(1.0), "120", "120"),
+        ("2026-11-20T08:01:00.000Z", pytest.approx(2.0), "120", "120"),
+    ]
+    assert {"sigma_x_mm", "min_x_mm", "max_x_mm", "worst", "worst_cause", "lost_to"} <= set(rows[0])
+
+
+async def test_what_cannot_be_had_is_named_and_costs_no_other(
+    board: Board, health: Health, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken() -> bytes:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(diagnostics, "_PART_TIMEOUT_S", 0.2)
+    health.diagnostics = (
+        DiagnosticPart("broken.txt", "breaks", broken),
+        DiagnosticPart("slow.txt", "takes long", lambda: time.sleep(0.6) or b""),
+        DiagnosticPart("well.txt", "is well", lambda: b"well\n"),
+    )
+    async with served(board, health) as unit:
+        files = opened(await unit.ask(PATH), tmp_path)
+    assert set(files) == ALWAYS | {"well.txt"}
+    missing = {"measurement.json", "self-check.json", *OF_HISTORY, "broken.txt", "slow.txt"}
+    assert readme(files) == (set(files) - {"README.txt"}, missing)
+    said = files["README.txt"].decode()
+    assert "broken.txt: [Errno 5] Input/output error" in said
+    assert "slow.txt: it took longer than 0.2 s" in said
+    assert "trend.csv: there is no history" in said
+    assert "measurement.json: nothing was measured since the unit started" in said
+
+
+async def test_a_part_that_is_too_long_ends_at_a_line_and_says_so(
+    board: Board, health: Health, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(diagnostics, "MAX_PART_BYTES", 1000)
+    health.diagnostics = (DiagnosticPart("long.txt", "is long", lambda: b"123456789012\n" * 1000),)
+    async with served(board, health) as unit:
+        files = opened(await unit.ask(PATH), tmp_path)
+    assert files["long.txt"] == b"123456789012\n" * 76
+    assert "long.txt: is long (its first 1000 bytes)" in files["README.txt"].decode()
+
+
+async def test_names_that_are_no_names_break_nothing(board: Board, health: Health, tmp_path: Path) -> None:
+    health.facts["serial"] = 'a/../b"\r\nX-Evil: 1\u202e<script>\ud800'
+    async with served(board, health) as unit:
+        answer = await unit.ask(PATH)
+    assert "x-evil" not in answer.headers
+    name = answer.headers["content-disposition"]
+    assert name == 'attachment; filename="altd-a_.._b___X-Evil__1__script__-20261120T080200Z.zip"'
+    assert b"a/../b" in opened(answer, tmp_path)["README.txt"].splitlines()[0]
+
+
+async def test_a_clock_that_was_never_set_is_no_obstacle(
+    board: Board, health: Health, clock: WallClock, tmp_path: Path
+) -> None:
+    clock.offset_s -= START_S
+    async with served(board, health) as unit:
+        assert set(opened(await unit.ask(PATH), tmp_path)) == ALWAYS
+
+
+async def test_it_is_for_who_may_see_pictures(board: Board, health: Health, tmp_path: Path) -> None:
+    change(tmp_path / "known", "press", lambda known: known.with_token("press", bytes(32)))
+    async with served(board, health, credentials=tmp_path / "known") as unit:
+        assert (await unit.ask(PATH)).status == 401
+    async with served(board, health) as unit:
+        answer = await unit.ask(PATH, "HEAD")
+    assert (answer.status, answer.body, answer.headers["content-type"]) == (200, b"", "application/zip")
