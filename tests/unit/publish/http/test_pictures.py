@@ -227,6 +227,31 @@ async def test_what_is_no_request_for_a_picture_ends_the_connection(
         await unit.until(lambda: unit.publisher.open_viewers == 0)
 
 
+@pytest.mark.parametrize(
+    "more",
+    [b"\x89\x80\x00\x00\x00\x00", b"\x8a\x80\x00\x00\x00\x00", b"\x00\x80\x00\x00\x00\x00"],
+    ids=["pings", "pongs", "fragments"],
+)
+async def test_who_sends_more_than_a_browser_is_cut_off_before_it_is_parsed(
+    served: Served, maker: Maker, more: bytes
+) -> None:
+    maker.put(picture("front", 1))
+    async with served() as unit, looking(unit) as browser:
+        await first(browser)
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"\x01\x80\x00\x00\x00\x00" + more * 40_000)
+        with contextlib.suppress(ConnectionError):
+            async with asyncio.timeout(5.0):
+                heard = await reader.read()
+            assert heard.count(b"\x8a\x00") < 350, "2048 bytes have room for 341 empty pings"
+        writer.close()
+        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        assert len(await shown(browser)) == 1
+
+
 async def test_a_page_of_another_site_sees_no_pictures(served: Served, maker: Maker) -> None:
     async with served() as unit:
         for origin in ("http://evil.example", "null", f"https://127.0.0.1:{unit.port}", "http://127.0.0.1:1"):
@@ -258,6 +283,7 @@ async def one_that_looks(unit: Unit, maker: Maker) -> AsyncIterator[list[int]]:
             while not ended.is_set():
                 maker.put(picture("front", len(seen) + 1))
                 seen.extend(each["sequence"] - 100 for each, _ in await shown(browser))
+                await asyncio.sleep(0.02)  # as the unit's own pictures, which come ten times a second
 
     task = asyncio.create_task(look())
     yield seen

@@ -1,0 +1,46 @@
+"""uvicorn's WebSocket protocol with a bound on how much a client may send.
+
+What is parsed holds the event loop, and with it the measurement: 256 kB, which is what asyncio reads at once,
+have room for 43,000 empty pings.
+"""
+
+from __future__ import annotations
+
+import asyncio
+
+from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
+
+MAX_BYTES_AT_ONCE = 2048
+MAX_BYTES_PER_S = 1024
+"""For ten pictures a second a browser sends 100."""
+
+
+class BoundedWebSocket(WSProtocol):
+    """Whatever it fails on ends the connection and nothing else."""
+
+    _allowed_bytes: float = MAX_BYTES_AT_ONCE
+    _counted_s: float | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn
+        """Take over from HTTP, whose headers for each answer would say that the connection closes."""
+        super().connection_made(transport)
+        self.default_headers = []
+
+    def data_received(self, data: bytes) -> None:
+        """What is no WebSocket is cut off, and so is who sends more than a browser does."""
+        if self._counted_s is None:  # the handshake, which HTTP has bounded
+            self._counted_s = self.loop.time()
+        elif not self._takes(len(data)):
+            self.transport.abort()
+            return
+        try:
+            super().data_received(data)
+        except Exception:
+            self.transport.abort()
+
+    def _takes(self, count: int) -> bool:
+        now_s = self.loop.time()
+        gained = (now_s - (self._counted_s or now_s)) * MAX_BYTES_PER_S
+        self._counted_s = now_s
+        self._allowed_bytes = min(self._allowed_bytes + gained, MAX_BYTES_AT_ONCE) - count
+        return self._allowed_bytes >= 0
