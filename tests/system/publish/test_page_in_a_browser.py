@@ -43,6 +43,7 @@ SIZES = {"phone": (390, 844), "desk": (1280, 900), "wall": (3840, 2160)}
 POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
 SHOWN_WITHIN_S = 1.0
 BLANK_WITHIN_S = 2.0
+SLOWER = 12
 UNKNOWN = "\N{EN DASH}"
 
 
@@ -327,6 +328,29 @@ async def test_who_cannot_see_it_can_use_it(
         assert (await shown.now())["focused"] == "Trends"
         await shown.page.keyboard.press("Enter")
         await shown.until(lambda now: now["plots"] == 4)
+
+
+async def test_a_slow_computer_shows_new_numbers_all_the_time(calibration_of_unit_3: Calibration) -> None:
+    """A picture that was replaced before it was painted once stopped the page, with the numbers of then."""
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.until_pictures()
+        chromium = await shown.page.context.new_cdp_session(shown.page)
+        await chromium.send("Emulation.setCPUThrottlingRate", {"rate": SLOWER})
+        for view in ("drive", "trends", "", "drive", ""):
+            await shown.page.evaluate("view => { location.hash = view; }", view)
+            await asyncio.sleep(3.0)
+        before = int((await shown.now())["sequence"])
+        await shown.until(lambda now: now["sequence"] and int(now["sequence"]) > before)
+        assert shown.complaints == []
+
+
+async def test_a_page_that_fails_shows_nothing_and_begins_anew(calibration_of_unit_3: Calibration) -> None:
+    async with seen(calibration_of_unit_3) as shown:
+        await shown.page.evaluate("() => { setTimeout(() => { throw new Error('a defect'); }); }")
+        assert await shown.until(lambda now: not now["values"]) <= BLANK_WITHIN_S
+        await shown.until_measured()
+        await shown.until_pictures()
+        assert shown.complaints == ["a defect"]
 
 
 async def test_nothing_is_sent_to_a_page_that_nobody_sees(calibration_of_unit_3: Calibration) -> None:

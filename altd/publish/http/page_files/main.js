@@ -12,7 +12,7 @@ import { Events, PastTrends, Recordings, SPANS, useAnswer } from "./past.js";
 import { LiveTrends, Memory } from "./trend.js";
 import { QUANTITIES, verdictOf } from "./words.js";
 
-const CHECK_MS = 5000, LIVE = "10 minutes";
+const CHECK_MS = 5000, RELOAD_MS = 2000, LIVE = "10 minutes";
 const VIEWS = { "": "Overview", drive: "Drive", trends: "Trends", events: "Events", unit: "Unit" };
 const memory = new Memory();
 const hasEyes = ["x_mm", "y_mm", "yaw_mm_per_m", "pitch_mm_per_m"].every(key => QUANTITIES.some(quantity => quantity.key === key));
@@ -84,5 +84,13 @@ function Page() {
 }
 
 const root = document.getElementById("page");
+
+// What failed would stand still and show what was; nothing is shown instead, and the page begins anew.
+addEventListener("error", event => {
+  if (!event.error) return;
+  const said = Object.assign(document.createElement("p"), { className: "waiting", textContent: "the page failed and is loaded anew…" });
+  root.replaceChildren(said);
+  setTimeout(() => location.reload(), RELOAD_MS);
+});
 root.replaceChildren();
 render(html`<${Page} />`, root);

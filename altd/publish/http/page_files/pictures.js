@@ -105,6 +105,7 @@ function cross(context, [u, v], half) {
 }
 
 function paint(canvas, view, picture, aim) {
+  if (picture?.image.width === 0) return;  // closed, for a newer one is here and painted next
   const context = canvas.getContext("2d");
   canvas.width = picture?.width ?? Math.min(view.width, 800);
   canvas.height = picture?.height ?? Math.round(view.height * canvas.width / view.width);
