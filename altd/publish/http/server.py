@@ -277,11 +277,10 @@ class _BoundedProtocol(H11Protocol):
             behind = 0 if end is None else len(came) - end.end()
         excess = min(max(self._behind_bytes + behind - MAX_BYTES_BEHIND_HEADER, 0), behind)
         self._behind_bytes += behind - excess
-        if excess:
+        if passed := data[: len(data) - excess]:
+            super().data_received(passed)
+        if excess and self.transport.get_protocol() is self:  # a WebSocket goes on, with bounds of its own
             self.transport.pause_reading()
-            data = data[:-excess]
-        if data:
-            super().data_received(data)
 
     def pause_writing(self) -> None:
         """The client takes nothing now: where no TCP cuts it off, this does."""

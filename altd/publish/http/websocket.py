@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
+from wsproto.events import Ping
 
 MAX_BYTES_AT_ONCE = 2048
 MAX_BYTES_PER_S = 1024
@@ -37,6 +38,11 @@ class BoundedWebSocket(WSProtocol):
             super().data_received(data)
         except Exception:
             self.transport.abort()
+
+    def handle_ping(self, event: Ping) -> None:
+        """Answer while there is somebody: asyncio logs each piece that is written to nobody."""
+        if not self.transport.is_closing():
+            super().handle_ping(event)
 
     def _takes(self, count: int) -> bool:
         now_s = self.loop.time()

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import json
 import random
+import socket
+import struct
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -224,6 +226,36 @@ async def test_what_is_no_request_for_a_picture_ends_the_connection(
             await asyncio.wait_for(browser.recv(), 5.0)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code in (1003, 1009)
+        await unit.until(lambda: unit.publisher.open_viewers == 0)
+
+
+async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
+    served: Served, maker: Maker, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with served() as unit:
+        for _ in range(5):
+            reader, writer = await unit.connect()
+            writer.write(HANDSHAKE)
+            async with asyncio.timeout(5.0):
+                await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"\x89\x80\x00\x00\x00\x00" * 300)
+            leaving = writer.get_extra_info("socket")
+            leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # by a reset
+            writer.transport.abort()
+            await unit.until(lambda: unit.publisher.open_viewers == 0)
+    assert caplog.records == []
+
+
+async def test_who_speaks_before_the_unit_has_agreed_and_leaves_is_noticed(
+    served: Served, maker: Maker
+) -> None:
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE + b"\x89\x80\x00\x00\x00\x00" * 1000)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        writer.close()
         await unit.until(lambda: unit.publisher.open_viewers == 0)
 
 
