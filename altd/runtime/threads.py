@@ -39,7 +39,7 @@ class DeviceThread:
         A call that took too long goes on; nothing more is called until it has come back.
         """
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
-        result.add_done_callback(lambda _: self._idle.set())
+        result.add_done_callback(self._came_back)
         async with asyncio.timeout(within_s):
             await self._idle.wait()
             self._idle.clear()
@@ -52,6 +52,12 @@ class DeviceThread:
         self._calls.put(None)
         await asyncio.shield(asyncio.to_thread(self._thread.join, within_s))
         return not self._thread.is_alive()
+
+    def _came_back(self, result: asyncio.Future[Result]) -> None:
+        """Look at what came: who waits for it may be gone, and asyncio would log what nobody looked at."""
+        self._idle.set()
+        if not result.cancelled():
+            result.exception()
 
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
