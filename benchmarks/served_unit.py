@@ -17,7 +17,7 @@ from benchmarks.material import FPS, Material, make_config
 from hw_sim.ports import free_port
 
 _MAX_HISTORY_BYTES = 400 * 10**6
-_PATIENCE_S = 60.0
+_PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)

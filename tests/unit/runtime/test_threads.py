@@ -105,6 +105,7 @@ async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(
     gate.may_end.set()
     assert await device.call(lambda: "next", within_s=5.0) == "next"
     await device.end(lambda: None, 5.0)
+    del waiting
     gc.collect()
     assert caplog.records == []
 
