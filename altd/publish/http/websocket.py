@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import asyncio
 
+from uvicorn._types import ASGISendEvent
+from uvicorn.protocols.utils import ClientDisconnected
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 from wsproto.events import Ping
 
@@ -38,6 +40,12 @@ class BoundedWebSocket(WSProtocol):
             super().data_received(data)
         except Exception:
             self.transport.abort()
+
+    async def send(self, message: ASGISendEvent) -> None:
+        """Say nothing after a message that was too large has closed it: uvicorn takes that for a defect."""
+        if self.close_sent:
+            raise ClientDisconnected
+        await super().send(message)
 
     def handle_ping(self, event: Ping) -> None:
         """Answer while there is somebody: asyncio logs each piece that is written to nobody."""

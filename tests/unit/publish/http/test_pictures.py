@@ -246,6 +246,24 @@ async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
     assert caplog.records == []
 
 
+@pytest.mark.parametrize("before", [b"\x82\x80\x00\x00\x00\x00", b"\x81\x84\x00\x00\x00\x00next"])
+async def test_what_is_to_be_said_after_too_large_a_message_is_no_defect(
+    served: Served, maker: Maker, caplog: pytest.LogCaptureFixture, before: bytes
+) -> None:
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(before + b"\x81\xfe\x01\x2c\x00\x00\x00\x00" + b"n" * 300)
+            await asyncio.sleep(0.05)
+            maker.put(picture("front", 1))
+            assert (await reader.read()).endswith(b"maximum size (256 bytes)")
+        writer.close()
+        await unit.until(lambda: unit.publisher.open_viewers == 0)
+    assert caplog.records == []
+
+
 async def test_who_speaks_before_the_unit_has_agreed_and_leaves_is_noticed(
     served: Served, maker: Maker
 ) -> None:
