@@ -15,10 +15,12 @@ def connected(address: Address) -> socket.socket:
     if isinstance(address, tuple):
         return socket.create_connection(address, timeout=_TIMEOUT_S)
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    connection.settimeout(_TIMEOUT_S)
     try:
-        connection.connect(address)
+        connection.connect(
+            address
+        )  # without a timeout: with one it fails where others are waiting (connect(2))
     except OSError:
         connection.close()
         raise
+    connection.settimeout(_TIMEOUT_S)
     return connection

@@ -10,7 +10,7 @@ import zlib
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from benchmarks.hostile.addresses import Address
+from benchmarks.hostile.addresses import Address, connected
 from benchmarks.hostile.pictures import PATH, complaint_of_pictures
 from benchmarks.hostile.tally import Tally
 from tools.pages.example import MEASURED
@@ -24,11 +24,7 @@ async def poll(address: Address, tally: Tally) -> None:
     heard = b""
     try:
         async with asyncio.timeout(_POLL_TIMEOUT_S):
-            reader, writer = await (
-                asyncio.open_connection(*address)
-                if isinstance(address, tuple)
-                else asyncio.open_unix_connection(address)
-            )
+            reader, writer = await asyncio.open_connection(sock=await asyncio.to_thread(connected, address))
             writer.write(b"GET /api/v1/measurement HTTP/1.1\r\nHost: unit\r\n\r\n")
             heard = await reader.read()
             writer.close()
