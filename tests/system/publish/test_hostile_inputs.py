@@ -8,7 +8,7 @@ from benchmarks.hostile.runner import run
 
 pytestmark = pytest.mark.real_time
 
-INPUTS = {"http": 25_000, "websocket": 5_000, "local": 10_000, "console": 1_500}
+INPUTS = {"http": 25_000, "websocket": 5_000, "local": 20_000, "console": 1_500}
 TRIED = {
     "http": {"200", "400", "401", "403", "404", "405", "415", "431"},
     "websocket": {"400", "404", "426", "431", "close 1003", "close 1009", "cut", "open"},
@@ -23,7 +23,7 @@ async def test_nothing_gets_more_than_the_contract_says_nor_in_the_way_of_who_re
     assert tally.wrong == []
     assert tally.answers.total() >= INPUTS[face] - 100
     assert set(tally.answers) >= TRIED[face], "nothing was tried"
-    assert tally.polls > 20
+    assert tally.polls > 5
     assert tally.slowest_poll_s < 2.0
     assert tally.memory_mb[1] < tally.memory_mb[0] + 60
     if face == "websocket":
