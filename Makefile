@@ -6,13 +6,15 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
 python := .venv/bin/python
 LIVE_S ?= 60
+BROWSERS ?= emulated
 LOAD_S ?= 600
+PAGE_S ?= 3600
 CAMPAIGN_S ?= 180
 FUZZ_S ?= 600
 HOSTILE ?= 100000
@@ -87,22 +89,26 @@ bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes m
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
-bench-hostile: venv ## hostile requests at HTTP beside a poller; HOSTILE=1000000 for a million
-	@exec $(python) -m benchmarks.hostile_http --requests $(HOSTILE)
+bench-hostile: venv ## hostile inputs at HTTP, WebSocket, local socket and consoles beside who reads; HOSTILE=1000000 for a million each
+	@exec $(python) -m benchmarks.hostile --inputs $(HOSTILE)
 
 bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
 	@$(python) -m benchmarks.history
 	$(python) -m benchmarks.history_crash --times 200
 	ALTD_BENCH_POWER_CUTS=50 exec $(python) -m pytest -q -s tests/system/history/test_power_cut.py
 
-bench-load: venv ## ten minutes of 10 controllers and 5 browsers with pictures: what they cost, what is lost; LOAD_S=60
-	@exec $(python) -m benchmarks.load --seconds $(LOAD_S)
+bench-load: venv ## ten minutes of 10 controllers and 5 browsers with pictures: what they cost, what is lost; LOAD_S=60, BROWSERS=chromium
+	@exec $(python) -m benchmarks.load --seconds $(LOAD_S) --browsers $(BROWSERS)
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
 
 bench-memory: venv ## peak memory and time of commands against nodes and frames; takes a quarter of an hour
 	@exec $(python) -m benchmarks.memory
+
+bench-page: venv ## the page in Chromium: a year's trend, and its memory over an hour; PAGE_S=180 for three minutes
+	@.ci/programs must chromium
+	exec $(python) -m benchmarks.page --seconds $(PAGE_S)
 
 bench-selfcheck: venv ## what a self-check costs: exposures, light, gaps, and what a controller polls meanwhile
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.self_check_cost

@@ -26,7 +26,7 @@ from altd.history.store import Store
 from altd.instruments.beam.quantities import QUANTITIES
 
 END_S = 1_795_161_600
-"""2026-11-20T08:00:00Z: the history ends there."""
+"""2026-11-20T08:00:00Z: the history ends there, at a whole hour."""
 
 DAY_S = 86_400
 SPANS = {
@@ -43,20 +43,21 @@ _SCATTER_STEPS = {"mm": 30.0, "°": 60.0}
 _REPEATS = 5
 
 
-def make_year(path: Path) -> None:
-    """Leave a year of history in a file that is not there yet."""
+def make_history(path: Path, end_s: int = END_S, days: int = 365) -> None:
+    """Leave so many days of history in a file that is not there yet; ``end_s`` is a whole hour, Unix time."""
     columns = columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear"))
     store = Store(path, 10**9, About(columns, {"serial": "BENCH"}))
-    began_us = (END_S - 365 * DAY_S) * _US
+    began_us = (end_s - days * DAY_S) * _US
     store.write(Batch(0, began_us, [StateSample(began_us, (0, ""))]))
     store.end(None)
     random = np.random.default_rng(1)
     summarised = [(number, column) for number, column in enumerate(columns) if column.is_summarised]
     connection = open_to_write(path)
-    for table, days in ((SECONDS, 31), (MINUTES, 365), (HOURS, 365)):
-        _fill(connection, table, days * DAY_S // table.span_s, summarised, random)
-    _fill_measurements(connection, columns, random)
-    _fill_events(connection)
+    for table in (SECONDS, MINUTES, HOURS):
+        rows = min(days * DAY_S // table.span_s, table.max_rows or sys.maxsize)
+        _fill(connection, table, rows, summarised, random, end_s)
+    _fill_measurements(connection, columns, random, end_s)
+    _fill_events(connection, end_s)
     connection.close()
 
 
@@ -76,13 +77,14 @@ def _fill(
     rows: int,
     summarised: list[tuple[int, Column]],
     random: np.random.Generator,
+    end_s: int,
 ) -> None:
     names = [column_name(part, number) for number, _ in summarised for part in SUMMARY_PARTS]
     fields = ["key", "epoch", "n", "n_valid", "worst", "lost", *names]
     insert = (
         f"INSERT OR REPLACE INTO {table.name} ({', '.join(fields)}) VALUES ({', '.join('?' * len(fields))})"  # noqa: S608
     )
-    first_s = END_S - rows * table.span_s
+    first_s = end_s - rows * table.span_s
     for begin in range(0, rows, _AT_ONCE):
         count = min(_AT_ONCE, rows - begin)
         connection.execute("BEGIN")
@@ -117,14 +119,14 @@ def _rows(
 
 
 def _fill_measurements(
-    connection: sqlite3.Connection, columns: tuple[Column, ...], random: np.random.Generator
+    connection: sqlite3.Connection, columns: tuple[Column, ...], random: np.random.Generator, end_s: int
 ) -> None:
     names = [column_name(part, number) for number in range(len(columns)) for part in ("value", "sigma")]
     fields = ["epoch", "t_us", "sequence", "t_ns", "frames", "valid", *names]
     insert = f"INSERT INTO measurements ({', '.join(fields)}) VALUES ({', '.join('?' * len(fields))})"  # noqa: S608
     values = random.integers(-1_000_000, 1_000_000, (72_000, len(columns))).tolist()
     rows = (
-        [1, (END_S - 3600) * _US + 50_000 * number, number, 50_000_000 * number, 20, 1]
+        [1, (end_s - 3600) * _US + 50_000 * number, number, 50_000_000 * number, 20, 1]
         + [part for value in of_row for part in (value, 40)]
         for number, of_row in enumerate(values)
     )
@@ -133,7 +135,7 @@ def _fill_measurements(
     connection.execute("COMMIT")
 
 
-def _fill_events(connection: sqlite3.Connection) -> None:
+def _fill_events(connection: sqlite3.Connection, end_s: int) -> None:
     detail = (
         '{"code": "spot_missing", "remedy": "switch the laser on and check that its beam enters the window"}'
     )
@@ -143,7 +145,7 @@ def _fill_events(connection: sqlite3.Connection) -> None:
     )
     step_us = 365 * DAY_S * _US // 100_000
     connection.execute("BEGIN")
-    connection.executemany(insert, ((END_S * _US - number * step_us, detail) for number in range(100_000)))
+    connection.executemany(insert, ((end_s * _US - number * step_us, detail) for number in range(100_000)))
     connection.execute("COMMIT")
 
 
@@ -154,7 +156,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         path = options.keep or Path(folder) / "history.db"
-        make_year(path)
+        make_history(path)
         print(f"a year: {path.stat().st_size / 1e6:.0f} MB")
         with Reader(path) as reader:
             for name, span_s in SPANS.items():

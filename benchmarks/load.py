@@ -17,17 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.app.daemon import Daemon
-from altd.app.history import history_about
-from altd.config import KeptFrames
-from benchmarks.cameras import Source
 from benchmarks.daemon import SETTLE_S, lost
-from benchmarks.material import FPS, Material, make_config, make_material
-from hw_sim.ports import free_port
+from benchmarks.material import FPS, Material, make_material
+from benchmarks.process_memory import resident_mb
+from benchmarks.served_unit import served_unit
 
 CONTROLLERS, BROWSERS = 10, 5
 _PAIRS = 200
-_MAX_HISTORY_BYTES = 400 * 10**6
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,58 +55,55 @@ class LoadedFigures:
     memory_mb: float
     polls_ms: list[float]
     picture_ages_ms: list[float]
-    events: int
+    """Since the light, when it was there or, by Chromium, when it was drawn."""
+    chromium_cores: float | None
+    chromium_mb: float | None
 
 
-async def measure(material: Material, readers: Readers, seconds: float, folder: Path) -> LoadedFigures:
-    """Run a daemon and its readers."""
-    modbus_port, http_port = free_port(), free_port()
-    config = make_config(modbus_port, http_port).model_copy(
-        update={"kept_frames": KeptFrames(folder=folder / "kept")}
-    )
-    source = Source(material, FPS)
-    daemon = Daemon(config, material.calibration, source.cameras)
-    about = history_about(config, material.calibration, daemon.board.quantities)
-    daemon.past.keep_in(folder / "history.db", _MAX_HISTORY_BYTES, about)
-    task = asyncio.create_task(daemon.run(), name="daemon")
-    try:
+async def measure(
+    material: Material, readers: Readers, seconds: float, folder: Path, real: bool
+) -> LoadedFigures:
+    """Run a daemon and its readers; ``real``: the browsers are Chromium, else they only read as it does."""
+    async with served_unit(material, folder) as unit:
+        daemon, browsers = unit.daemon, readers.browsers if real else 0
+        showing = await _started("load_browsers", unit.http_port, browsers, seconds) if browsers else None
+        if showing is not None and showing.stdout is not None:
+            await showing.stdout.readline()
         await asyncio.sleep(2 * SETTLE_S)
         counters = daemon.health.component("measuring").counters
         before, lost_before = counters.get("measurements", 0), lost(daemon)
         begun_s, cpu_s = time.monotonic(), time.process_time()
-        arguments = [modbus_port, http_port, readers.controllers, readers.browsers, seconds]
-        clients = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "benchmarks.load_clients",
-            *map(str, arguments),
-            stdout=asyncio.subprocess.PIPE,
+        ports = unit.modbus_port, unit.http_port
+        clients = await _started(
+            "load_clients", *ports, readers.controllers, readers.browsers - browsers, seconds
         )
         printed, _ = await clients.communicate()
         wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
+        measured, lost_now = counters["measurements"] - before, lost(daemon) - lost_before
         seen = json.loads(printed)
+        shown = json.loads((await showing.communicate())[0]) if showing is not None else {}
+        light_ms = (time.time_ns() - time.monotonic_ns() + unit.source.start_ns()) * 1e-6
         return LoadedFigures(
             readers,
             wall_s,
-            counters["measurements"] - before,
-            lost(daemon) - lost_before,
+            measured,
+            lost_now,
             cpu_s / wall_s,
-            _memory_mb(),
+            resident_mb(),
             seen["polls_ms"],
-            seen["picture_ages_ms"],
-            seen["events"],
+            [
+                came_ms - light_ms - number * unit.source.period_ns * 1e-6
+                for number, came_ms in shown.get("pictures", seen["pictures"])
+            ],
+            shown.get("cores"),
+            shown.get("memory_mb"),
         )
-    finally:
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
 
 
-def _memory_mb() -> float:
-    """What this process holds (proc(5), VmRSS)."""
-    line = next(
-        each for each in Path("/proc/self/status").read_text().splitlines() if each.startswith("VmRSS")
+async def _started(module: str, *arguments: float) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-m", f"benchmarks.{module}", *map(str, arguments), stdout=asyncio.subprocess.PIPE
     )
-    return int(line.split()[1]) / 1000
 
 
 def _spread(values: list[float], *shares: int) -> str:
@@ -123,20 +116,34 @@ def main(arguments: list[str] | None = None) -> int:
     """Print a row for each kind of readers."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="with all readers; a twentieth without")
-    seconds = parser.parse_args(arguments).seconds
+    parser.add_argument(
+        "--browsers",
+        choices=("emulated", "chromium"),
+        default="emulated",
+        help="emulated: read as the page does, draw nothing",
+    )
+    options = parser.parse_args(arguments)
     material = make_material(_PAIRS, 1)
     print(
-        f"{FPS:g} pairs/s of 752 × 480; {CONTROLLERS} controllers, {BROWSERS} browsers with pictures\n"
+        f"{FPS:g} pairs/s of 752 × 480; {CONTROLLERS} controllers, {BROWSERS} browsers ({options.browsers}) "
+        "with pictures\n"
         "    readers      s  pairs  lost  core    MB   polls  p50 p99 max, ms       pictures  p50 p95 max, ms"
+        "  Chromium: cores, MB"
     )
     for readers in READERS:
-        for_s = seconds if readers.name == "both" else max(seconds / 20, 5.0)
+        seconds = options.seconds if readers.name == "both" else max(options.seconds / 20, 5.0)
         with tempfile.TemporaryDirectory(prefix="altd-load-") as folder:
-            figures = asyncio.run(measure(material, readers, for_s, Path(folder)))
+            real = options.browsers == "chromium"
+            figures = asyncio.run(measure(material, readers, seconds, Path(folder), real))
+        chromium = (
+            ""
+            if figures.chromium_cores is None
+            else f"{figures.chromium_cores:10.2f}{figures.chromium_mb:8.0f}"
+        )
         print(
             f"{readers.name:>11}{figures.seconds:7.0f}{figures.pairs:7}{figures.lost:6}{figures.cpu_share:6.2f}"
             f"{figures.memory_mb:6.0f}{len(figures.polls_ms):8}{_spread(figures.polls_ms, 50, 99, 100)}"
-            f"{len(figures.picture_ages_ms):9}{_spread(figures.picture_ages_ms, 50, 95, 100)}",
+            f"{len(figures.picture_ages_ms):9}{_spread(figures.picture_ages_ms, 50, 95, 100)}{chromium}",
             flush=True,
         )
     return 0

@@ -2,8 +2,8 @@
 
 A controller polls over Modbus TCP 20 times a second. A browser does over the network what the page does: the
 stream, the status twice a second, and pictures, the next when it has the last. What it shows costs its own
-computer, so none is drawn here. Prints as JSON how long each poll took, ms, how old each picture was when it
-was there, ms, and what else came.
+computer, so none is drawn here. Prints as JSON how long each poll took, ms, which pictures came when (the
+frame's number, Unix time in ms), and what else came.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Seen:
     """What all of them got."""
 
     polls_ms: list[float] = field(default_factory=list)
-    picture_ages_ms: list[float] = field(default_factory=list)
+    pictures: list[tuple[int, float]] = field(default_factory=list)
     events: int = 0
     answers: int = 0
 
@@ -69,7 +69,7 @@ async def look(port: int, seen: Seen) -> None:
 
 
 async def watch(port: int, seen: Seen) -> None:
-    """Take pictures for ever. ``age_s`` is that of the light when the unit sent it; the way is added."""
+    """Take pictures for ever."""
     async with connect(f"ws://{_HOST}:{port}/api/v1/pictures", compression=None, max_size=None) as socket:
         await socket.recv()
         while True:
@@ -77,7 +77,7 @@ async def watch(port: int, seen: Seen) -> None:
             message = await socket.recv()
             assert isinstance(message, bytes)  # noqa: S101  the protocol says so
             header = json.loads(message[4 : 4 + int.from_bytes(message[:4], "big")])
-            seen.picture_ages_ms += [1e3 * picture["age_s"] for picture in header["pictures"]]
+            seen.pictures += [(picture["sequence"], 1e3 * time.time()) for picture in header["pictures"]]
 
 
 async def _run(modbus_port: int, http_port: int, controllers: int, browsers: int, seconds: float) -> Seen:

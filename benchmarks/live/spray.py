@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.live.attacker import FOREIGN, PHASES
-from benchmarks.live.parts import Running, calibrate, running
+from benchmarks.live.parts import calibrate, running
 from benchmarks.live.truth import QUANTITIES
 from benchmarks.live.unit import FRONT, REAR, SEED, both_cameras, ip, measuring_daemon
 from benchmarks.live.watch import Received
+from benchmarks.process_memory import resident_mb
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import Unit
 
@@ -89,7 +90,7 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
             until_s = time.monotonic() + seconds + _VALID_TIMEOUT_S
             while {attack.process.poll(), daemon.process.poll()} == {None} and time.monotonic() < until_s:
                 with suppress(StopIteration):  # it is ending
-                    rss_mb.append(_rss_mb(daemon))
+                    rss_mb.append(resident_mb(daemon.process.pid))
                 time.sleep(min(_RSS_INTERVAL_S, seconds / 4))
         output = attack.output.strip()
         if daemon.process.poll() is not None:
@@ -137,11 +138,6 @@ def _wrong(seen: Received, unit: Unit) -> Iterator[str]:
         error = measurement[name] - getattr(truth, name)
         if abs(error) > max(WRONG_SIGMAS * measurement["sigma"][name], MIN_WRONG_ERRORS[name]):
             yield f"{measurement['time']} {name} wrong by {error:.4f}, sigma {measurement['sigma'][name]:.4f}"
-
-
-def _rss_mb(daemon: Running) -> float:
-    status = Path(f"/proc/{daemon.process.pid}/status").read_text()
-    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
 
 
 def _lines(sprayed: SprayResult) -> Iterator[str]:

@@ -19,6 +19,7 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.resuming import MAX_ROWS
 from altd.publish.http.self_check import MAX_WAITING
 from altd.publish.http.server import (
+    MAX_BYTES_BEHIND_HEADER,
     MAX_CONNECTIONS,
     MAX_HEADER_BYTES,
     MAX_HEADER_LINES,
@@ -28,6 +29,7 @@ from altd.publish.http.server import (
 from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS
 from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
+from altd.publish.http.websocket import MAX_BYTES_AT_ONCE, MAX_BYTES_PER_S
 from altd.status.checked_json import checked_line
 from tools.pages.example import MEASURED, STAMP, board
 
@@ -296,6 +298,8 @@ requests.
 | size of a request header | {MAX_HEADER_BYTES} bytes, {MAX_HEADER_LINES} lines |
 | path with its query | {MAX_TARGET_BYTES} bytes; a `%` in the path, or a whole URL in its place, is 404 |
 | body of a login | {MAX_BODY_BYTES} bytes within {BODY_TIMEOUT_S:g} s; other bodies are not looked at |
+| what comes behind a header | {MAX_BYTES_BEHIND_HEADER} bytes, the rest is dropped unread |
+| of a browser by WebSocket | {MAX_BYTES_AT_ONCE} bytes at once, {MAX_BYTES_PER_S} a second; then closed |
 | time without taking an answer | {SEND_TIMEOUT_S:g} s, then the connection is closed |
 
 An address of IPv6 counts with its whole network of 64 bits. A hostile host can take all {MAX_CONNECTIONS}

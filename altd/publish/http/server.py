@@ -22,7 +22,6 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.protocols.utils import is_ssl
-from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 
 from altd.config import HttpSettings
 from altd.publish.http import pictures
@@ -30,6 +29,7 @@ from altd.publish.http.addresses import Allowed, address_of, group_of, is_loopba
 from altd.publish.http.errors import error_body
 from altd.publish.http.limits import Buckets
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
+from altd.publish.http.websocket import BoundedWebSocket
 from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
@@ -51,6 +51,10 @@ MAX_HEADER_LINES = 64
 
 _BLANK_LINE = re.compile(rb"\n\r?\n")
 """What h11 takes for the end of a header."""
+
+MAX_BYTES_BEHIND_HEADER = 4608
+"""A body with the lengths of its chunks; the rest is dropped unread. A login has up to 4096, and what is
+parsed holds the event loop: 256 kB, which asyncio reads at once, have room for 43,000 chunks."""
 
 MAX_MESSAGE_BYTES = 256
 """Of a browser over a WebSocket: it only asks for the next picture."""
@@ -110,7 +114,7 @@ async def serve(
     config = uvicorn.Config(
         application,
         http=_BoundedProtocol,
-        ws=_BoundedWebSocket,
+        ws=BoundedWebSocket,
         ws_max_size=MAX_MESSAGE_BYTES,
         ws_ping_interval=PING_INTERVAL_S,
         ws_ping_timeout=PING_INTERVAL_S,
@@ -233,6 +237,8 @@ class _BoundedProtocol(H11Protocol):
     _stuck: asyncio.TimerHandle | None = None
     _head: bytes | None = b""
     """What came so far of the first header; None: it is whole."""
+    _behind_bytes = 0
+    """What was passed on of what came behind the header."""
     _early: bytes = b""
     """What TLS deciphered before the handshake's end came to ``connection_made``."""
 
@@ -260,6 +266,7 @@ class _BoundedProtocol(H11Protocol):
         if cast("object | None", self.transport) is None:
             self._early += data
             return
+        behind = len(data)
         if self._head is not None:
             came = self._head + data
             end = _BLANK_LINE.search(came)
@@ -268,7 +275,13 @@ class _BoundedProtocol(H11Protocol):
                 self._refuse(431, "its header is too large, or has too many lines")
                 return
             self._head = came if end is None else None
-        super().data_received(data)
+            behind = 0 if end is None else len(came) - end.end()
+        excess = min(max(self._behind_bytes + behind - MAX_BYTES_BEHIND_HEADER, 0), behind)
+        self._behind_bytes += behind - excess
+        if passed := data[: len(data) - excess]:
+            super().data_received(passed)
+        if excess and self.transport.get_protocol() is self:  # a WebSocket goes on, with bounds of its own
+            self.transport.pause_reading()
 
     def pause_writing(self) -> None:
         """The client takes nothing now: where no TCP cuts it off, this does."""
@@ -319,21 +332,4 @@ class _BoundedProtocol(H11Protocol):
     def _give_up(self) -> None:
         asked = cast("object | None", self.cycle)  # uvicorn's annotation knows no None
         if asked is None:
-            self.transport.abort()
-
-
-class _BoundedWebSocket(WSProtocol):
-    """uvicorn's WebSocket protocol; whatever it fails on ends the connection and nothing else."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take over from HTTP, whose headers for each answer would say that the connection closes."""
-        assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
-        super().connection_made(transport)
-        self.default_headers = []
-
-    def data_received(self, data: bytes) -> None:
-        """What is no WebSocket is cut off."""
-        try:
-            super().data_received(data)
-        except Exception:
             self.transport.abort()

@@ -110,6 +110,28 @@ async def test_a_call_that_takes_too_long_times_out_and_so_does_the_next_until_i
     assert await thread.end(lambda: None, 1.0)
 
 
+async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    device, gate = DeviceThread("device"), Gate()
+
+    def fail() -> None:
+        gate()
+        raise OSError("of interest to nobody")
+
+    waiting = asyncio.ensure_future(device.call(fail, within_s=5.0))
+    async with asyncio.timeout(5):
+        await asyncio.to_thread(gate.entered.wait, 5)
+    waiting.cancel()
+    await asyncio.wait({waiting})
+    gate.may_end.set()
+    assert await device.call(lambda: "next", within_s=5.0) == "next"
+    await device.end(lambda: None, 5.0)
+    del waiting
+    gc.collect()
+    assert caplog.records == []
+
+
 async def test_the_end_of_a_thread_that_is_held_is_not_waited_for() -> None:
     thread, gate, closed = DeviceThread("device"), Gate(), threading.Event()
     with pytest.raises(TimeoutError):

@@ -1,6 +1,6 @@
 // A page that fails shows nothing: what was drawn before would stand there as if it were of now.
 
-const AGAIN_MS = 5000;
+const AGAIN_MS = 2000;
 
 // Where something throws that nobody catches, `root` is emptied, and the page loaded anew.
 export function guard(root, world = globalThis) {

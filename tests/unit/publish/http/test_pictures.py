@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import json
 import random
+import socket
+import struct
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -245,6 +247,79 @@ async def test_what_is_no_request_for_a_picture_ends_the_connection(
         await unit.until(lambda: unit.publisher.open_viewers == 0)
 
 
+async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
+    served: Served, maker: Maker, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with served() as unit:
+        for _ in range(5):
+            reader, writer = await unit.connect()
+            writer.write(HANDSHAKE)
+            async with asyncio.timeout(5.0):
+                await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"\x89\x80\x00\x00\x00\x00" * 300)
+            leaving = writer.get_extra_info("socket")
+            leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # by a reset
+            writer.transport.abort()
+            await unit.until(lambda: unit.publisher.open_viewers == 0)
+    assert caplog.records == []
+
+
+@pytest.mark.parametrize("before", [b"\x82\x80\x00\x00\x00\x00", b"\x81\x84\x00\x00\x00\x00next"])
+async def test_what_is_to_be_said_after_too_large_a_message_is_no_defect(
+    served: Served, maker: Maker, caplog: pytest.LogCaptureFixture, before: bytes
+) -> None:
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(before + b"\x81\xfe\x01\x2c\x00\x00\x00\x00" + b"n" * 300)
+            await asyncio.sleep(0.05)
+            maker.put(picture("front", 1))
+            assert (await reader.read()).endswith(b"maximum size (256 bytes)")
+        writer.close()
+        await unit.until(lambda: unit.publisher.open_viewers == 0)
+    assert caplog.records == []
+
+
+async def test_who_speaks_before_the_unit_has_agreed_and_leaves_is_noticed(
+    served: Served, maker: Maker
+) -> None:
+    async with served() as unit:
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE + b"\x89\x80\x00\x00\x00\x00" * 1000)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        writer.close()
+        await unit.until(lambda: unit.publisher.open_viewers == 0)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [b"\x89\x80\x00\x00\x00\x00", b"\x8a\x80\x00\x00\x00\x00", b"\x00\x80\x00\x00\x00\x00"],
+    ids=["pings", "pongs", "fragments"],
+)
+async def test_who_sends_more_than_a_browser_is_cut_off_before_it_is_parsed(
+    served: Served, maker: Maker, more: bytes
+) -> None:
+    maker.put(picture("front", 1))
+    async with served() as unit, looking(unit) as browser:
+        await first(browser)
+        reader, writer = await unit.connect()
+        writer.write(HANDSHAKE)
+        async with asyncio.timeout(5.0):
+            await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"\x01\x80\x00\x00\x00\x00" + more * 40_000)
+        with contextlib.suppress(ConnectionError):
+            async with asyncio.timeout(5.0):
+                heard = await reader.read()
+            assert heard.count(b"\x8a\x00") < 350, "2048 bytes have room for 341 empty pings"
+        writer.close()
+        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        assert len(await shown(browser)) == 1
+
+
 async def test_a_page_of_another_site_sees_no_pictures(served: Served, maker: Maker) -> None:
     async with served() as unit:
         for origin in ("http://evil.example", "null", f"https://127.0.0.1:{unit.port}", "http://127.0.0.1:1"):
@@ -276,6 +351,7 @@ async def one_that_looks(unit: Unit, maker: Maker) -> AsyncIterator[list[int]]:
             while not ended.is_set():
                 maker.put(picture("front", len(seen) + 1))
                 seen.extend(each["sequence"] - 100 for each, _ in await shown(browser))
+                await asyncio.sleep(0.02)  # as the unit's own pictures, which come ten times a second
 
     task = asyncio.create_task(look())
     yield seen

@@ -10,6 +10,7 @@ import signal
 import socket
 import time
 
+import h11
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -149,6 +150,36 @@ async def test_upgrades_and_bodies_are_ignored(served: Served) -> None:
         assert (await unit.send(body))[:12] in (b"HTTP/1.1 200", b"")
         pipelined = b"GET /api/status HTTP/1.1\r\nHost: a\r\n\r\n" * 50
         assert (await unit.send(pipelined))[:12] in (b"HTTP/1.1 200", b"")
+        assert (await unit.ask("/api/status")).status == 200
+
+
+@pytest.mark.parametrize("path", ["/api/v1/stream", "/api/v1/measurement", "/api/v1/login"])
+async def test_a_body_that_nobody_asked_for_is_not_parsed(
+    served: Served, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    parsed = 0
+    receive_data = h11.Connection.receive_data
+
+    def count(connection: h11.Connection, data: bytes) -> None:
+        nonlocal parsed
+        parsed += len(data)
+        receive_data(connection, data)
+
+    monkeypatch.setattr(h11.Connection, "receive_data", count)
+    head = f"POST {path} HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n".encode()
+    async with served() as unit:
+        for at_once in (True, False):
+            parsed = 0
+            reader, writer = await unit.connect()
+            writer.write(head)
+            if not at_once:
+                await asyncio.sleep(0.05)
+            writer.write(b"1\r\nx\r\n" * 50_000)
+            with contextlib.suppress(ConnectionError, TimeoutError):
+                async with asyncio.timeout(0.5):
+                    await reader.read()
+            writer.transport.abort()
+            assert len(head) <= parsed <= len(head) + server.MAX_BYTES_BEHIND_HEADER
         assert (await unit.ask("/api/status")).status == 200
 
 

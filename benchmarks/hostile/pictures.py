@@ -1,0 +1,55 @@
+"""Pictures of which everybody can say whether they are the right ones."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Sequence
+
+from altd.status.picture_desk import Picture, TargetView
+
+PATH = "/api/v1/pictures"
+
+_RATE_HZ = 20
+_AXES = (375.0, 240.0), (-4.0, 0.0), (0.0, -4.0)
+_TARGETS = "front", "rear"
+
+
+class Maker:
+    """A picture of each target twenty times a second (``altd.status.picture_desk.PictureMaker``)."""
+
+    views = tuple(TargetView(name, name, 752, 480, (), (), *_AXES) for name in _TARGETS)
+
+    async def newer(self, seen: dict[str, int]) -> Sequence[Picture]:
+        """The pictures of this twentieth of a second."""
+        last = max(seen.values(), default=0)
+        await asyncio.sleep(max((last + 1) / _RATE_HZ - time.monotonic(), 0.0))
+        number = max(int(time.monotonic() * _RATE_HZ), last + 1)
+        t_ns = time.monotonic_ns()
+        return [
+            Picture(name, number, number, t_ns, 752, 480, None, "", False, _jpeg(name, number))
+            for name in _TARGETS
+        ]
+
+
+def complaint_of_views(text: bytes) -> str:
+    """What is wrong with the first message; empty: nothing."""
+    views = json.loads(text)["views"]
+    return "" if [each["target"] for each in views] == list(_TARGETS) else f"other views: {text[:80]!r}"
+
+
+def complaint_of_pictures(message: bytes) -> str:
+    """What is wrong with a message of pictures; empty: nothing."""
+    end = 4 + int.from_bytes(message[:4], "big")
+    rest = message[end:]
+    for each in json.loads(message[4:end])["pictures"]:
+        if rest[: each["bytes"]] != _jpeg(each["target"], each["sequence"]):
+            return f"another picture than it says: {message[:200]!r}"
+        rest = rest[each["bytes"] :]
+    return "" if rest == b"" else "more than the pictures"
+
+
+def _jpeg(target: str, number: int) -> bytes:
+    """As long as a small picture; no JPEG, which nobody here looks into."""
+    return f"{target} {number} ".encode() * 1000

@@ -1,0 +1,109 @@
+"""A unit's faces as the attackers find them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import tty
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from altd.config import ConsolePortSettings, HttpSettings
+from altd.credentials.changing import change
+from altd.credentials.hashes import PasswordHash
+from altd.publish.http.local import LocalPublisher
+from altd.publish.http.publisher import HttpPublisher
+from altd.publish.serial.publisher import ConsolePublisher
+from altd.runtime.clock import SystemClock
+from altd.status.health import MEASURING, Health, State
+from benchmarks.hostile.addresses import Address
+from benchmarks.hostile.pictures import Maker
+from tools.pages.example import board
+from tools.pages.serial_examples import health as example_health
+
+HOST = "127.0.0.1"
+Face = HttpPublisher | ConsolePublisher
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """Where a face is, and who serves it."""
+
+    address: Address
+    publisher: HttpPublisher
+
+
+@contextlib.asynccontextmanager
+async def http(folder: Path) -> AsyncIterator[Served]:
+    """With credentials, so that there is something to get at."""
+    credentials = folder / "credentials"
+    password = PasswordHash.of("nobody guesses this")
+    change(credentials, "ana", lambda known: known.with_password("ana", password))
+    async with _over_tcp(HttpSettings(host=HOST, port=0, names=("unit",), credentials=credentials)) as served:
+        yield served
+
+
+@contextlib.asynccontextmanager
+async def websocket(folder: Path) -> AsyncIterator[Served]:
+    """Open to everybody, with pictures."""
+    async with _over_tcp(HttpSettings(host=HOST, port=0, names=("unit",))) as served:
+        yield served
+
+
+@contextlib.asynccontextmanager
+async def local(folder: Path) -> AsyncIterator[Served]:
+    """The socket in the file system."""
+    health = _health()
+    path = folder / "altd.sock"
+    publisher = LocalPublisher(path, board(), health, health.component("local"))
+    async with _running(publisher):
+        yield Served(str(path), publisher)
+
+
+@contextlib.asynccontextmanager
+async def console() -> AsyncIterator[int]:
+    """A serial console; the descriptor of its line's far end, which does not block."""
+    health = example_health()
+    health.component(MEASURING).set_state(State.OK, "")
+    far, near = os.openpty()
+    try:
+        tty.setraw(near)
+        os.set_blocking(far, False)
+        settings = ConsolePortSettings(device=Path(os.ttyname(near)), speaks="console")
+        component = health.component("console")
+        async with _running(ConsolePublisher(settings, board(), health, component, SystemClock())):
+            yield far
+    finally:
+        os.close(near)
+        os.close(far)
+
+
+def _health() -> Health:
+    health = Health(SystemClock())
+    health.pictures.open(Maker())
+    return health
+
+
+@contextlib.asynccontextmanager
+async def _over_tcp(settings: HttpSettings) -> AsyncIterator[Served]:
+    health = _health()
+    publisher = HttpPublisher(settings, board(), health, health.component("http"))
+    async with _running(publisher):
+        yield Served((HOST, publisher.port), publisher)
+
+
+@contextlib.asynccontextmanager
+async def _running(publisher: Face) -> AsyncIterator[None]:
+    """Raises what the publisher died of."""
+    ready = asyncio.Event()
+    serving = asyncio.create_task(publisher.run(ready.set))
+    await ready.wait()
+    try:
+        yield
+        if serving.done():
+            serving.result()
+    finally:
+        serving.cancel()
+        await asyncio.wait({serving})

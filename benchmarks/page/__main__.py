@@ -1,0 +1,80 @@
+"""The page in Chromium, of the whole daemon: ``python -m benchmarks.page`` (``make bench-page``)."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+import tempfile
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.chromium import chromium
+from benchmarks.material import Material, make_material
+from benchmarks.page.memory import QUANTITIES, Sample, samples, slopes
+from benchmarks.page.trend import click_often
+from benchmarks.served_unit import served_unit
+
+_PAIRS = 200
+_CLICKS = 20
+_EVERY = 6
+"""Of so many samples one is printed."""
+
+
+async def show_a_year(material: Material) -> None:
+    """Print how long a year's trend takes."""
+    with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
+        async with chromium() as browser:
+            cold, *shown = await click_often(browser, material, Path(folder), _CLICKS)
+    total_ms, answer_ms = ([getattr(each, name) for each in shown] for name in ("total_ms", "answer_ms"))
+    print(
+        f'from the click on "1 year" to its drawn plots: {_spread(total_ms)} of {len(shown)}; '
+        f"the unit's answer, {cold.answer_bytes / 1000:.0f} kB: {_spread(answer_ms)}\n"
+        f"the first, its file not in memory: {cold.total_ms:.0f} ms, the answer {cold.answer_ms:.0f} ms",
+        flush=True,
+    )
+
+
+async def keep_open(material: Material, seconds: float, is_spoilt: bool) -> bool:
+    """Print how the page's memory went; returns whether something grew."""
+    print("".join(f"{name:>13}" for name in ("t_s", *QUANTITIES)), flush=True)
+    taken: list[Sample] = []
+    with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
+        async with served_unit(material, Path(folder)) as unit, chromium() as browser:
+            async for sample in samples(browser, unit.http_port, seconds, is_spoilt):
+                if len(taken) % _EVERY == 0:
+                    print("".join(f"{value:13.6g}" for value in astuple(sample)), flush=True)
+                taken.append(sample)
+    found = slopes(taken, seconds)
+    print(f"{'':13}{'median':>10}{'highest':>10}{'an hour':>10}{'sigma':>9}")
+    for name, slope in found.items():
+        print(
+            f"{name:>13}{slope.median:10.2f}{slope.highest:10.2f}{slope.per_h:+10.2f}{slope.sigma_per_h:9.2f}"
+            f"  {'grows' if slope.grows else 'flat'}"
+        )
+    return any(slope.grows for slope in found.values())
+
+
+def _spread(values: list[float]) -> str:
+    p50, p95, highest = np.percentile(values, (50, 95, 100))
+    return f"median {p50:.0f}, 95 % within {p95:.0f}, at most {highest:.0f} ms"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure; 1 when the page's memory grew."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.page", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="for which the page is kept open")
+    parser.add_argument(
+        "--spoilt", action="store_true", help="with a page that forgets nothing: it must be seen"
+    )
+    options = parser.parse_args(arguments)
+    material = make_material(_PAIRS, 1)
+    if not options.spoilt:
+        asyncio.run(show_a_year(material))
+    return int(asyncio.run(keep_open(material, options.seconds, options.spoilt)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

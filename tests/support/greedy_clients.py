@@ -1,0 +1,103 @@
+"""Clients on raw sockets that ask and never read, that never ask, and a controller that polls beside them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+from collections.abc import AsyncIterator
+
+HANDSHAKE = (
+    b"GET /api/v1/pictures HTTP/1.1\r\nHost: unit\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+NEXT = b"\x81\x84\x00\x00\x00\x00next"
+"""A text message from a browser (RFC 6455, 5.2), its mask 0."""
+EMPTY_PING = b"\x89\x80\x00\x00\x00\x00"
+
+_RECEIVE_BYTES = 2048
+_REGISTERS = 10
+_POLL_S = 0.02
+_PAUSE_S = 0.1
+
+
+def get(path: str) -> bytes:
+    return f"GET {path} HTTP/1.1\r\nHost: unit\r\n\r\n".encode()
+
+
+class Crowd:
+    """Connections whose receive buffers are as small as the kernel has them."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._connections: list[socket.socket] = []
+
+    def __enter__(self) -> Crowd:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for connection in self._connections:
+            connection.close()
+
+    async def connect(self, *sent: bytes) -> socket.socket:
+        """Connect and send, each piece a little after the one before."""
+        loop = asyncio.get_running_loop()
+        connection = socket.socket()
+        self._connections.append(connection)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+        connection.setblocking(False)
+        await loop.sock_connect(connection, ("127.0.0.1", self._port))
+        with contextlib.suppress(ConnectionError):
+            for piece in sent:
+                await loop.sock_sendall(connection, piece)
+                await asyncio.sleep(_PAUSE_S)
+        return connection
+
+    async def push(self, connection: socket.socket, data: bytes, ended: asyncio.Event) -> int:
+        """Send it again and again until the end, or until the unit has enough; returns the bytes it took."""
+        sent = 0
+        with contextlib.suppress(ConnectionError):
+            while not ended.is_set():
+                try:
+                    sent += connection.send(data)
+                except BlockingIOError:
+                    await asyncio.sleep(0.01)
+                await asyncio.sleep(0)
+        return sent
+
+
+class Poller:
+    """A controller; ``answers`` are status word and number of the last exposure (registers 0 and 8)."""
+
+    def __init__(self) -> None:
+        self.answers: list[tuple[int, int]] = []
+        self._ended = asyncio.Event()
+
+    async def run(self, port: int) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        try:
+            while not self._ended.is_set():
+                writer.write(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, _REGISTERS))
+                async with asyncio.timeout(5):
+                    answer = await reader.readexactly(9 + 2 * _REGISTERS)
+                registers = struct.unpack(f">{_REGISTERS}H", answer[9:])
+                self.answers.append((registers[0], registers[8] << 16 | registers[9]))
+                await asyncio.sleep(_POLL_S)
+        finally:
+            writer.close()
+
+    def end(self) -> None:
+        self._ended.set()
+
+
+@contextlib.asynccontextmanager
+async def polled(port: int) -> AsyncIterator[Poller]:
+    """Poll for as long as the block lasts."""
+    poller = Poller()
+    task = asyncio.create_task(poller.run(port))
+    try:
+        yield poller
+    finally:
+        poller.end()
+        await task

@@ -1,0 +1,197 @@
+"""Browsers that never read and crowds that connect at once: they cost the daemon no exposure and no poll."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import json
+import shutil
+import tarfile
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from support.greedy_clients import EMPTY_PING, HANDSHAKE, NEXT, Crowd, get, polled
+from support.led_unit import LedUnit, config, led_unit
+from support.ports import free_port
+from websockets.asyncio.client import connect
+
+from altd.app.history import FILE_NAME, history_about
+from altd.config import HttpSettings, KeptFrames, ModbusTcpSettings
+from altd.measuring.calibration import Calibration
+from altd.publish.http.pictures import MAX_VIEWERS
+from altd.publish.http.server import MAX_CONNECTIONS
+from benchmarks.history import make_history
+from benchmarks.process_memory import resident_mb
+from hw_sim.beam import BeamPose
+
+pytestmark = pytest.mark.alone
+
+LONG_S = 5.0
+CROWD = 200
+MAX_GROWTH_MB = 60.0
+POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
+ALL = "/api/v1/trend?from=-86400&points=1000"
+
+
+@dataclass
+class Unit:
+    running: LedUnit
+    http: int
+    modbus: int
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What was lost on the way from the exposures to the board."""
+        counters = self.running.daemon.health.component("measuring").counters
+        lost = {
+            name: count for name, count in counters.items() if name.startswith("dropped") or "late" in name
+        }
+        return {**lost, "without a value": counters["measurements"] - counters["valid"]}
+
+    async def ask(self, path: str) -> tuple[int, bytes]:
+        """Status and body; a status of 0: the connection was closed unanswered."""
+        async with asyncio.timeout(10):
+            reader, writer = await asyncio.open_connection("127.0.0.1", self.http)
+            try:
+                writer.write(get(path).replace(b"1.1", b"1.0"))
+                head, _, body = (await reader.read()).partition(b"\r\n\r\n")
+            except ConnectionError:
+                return 0, b""
+            finally:
+                writer.close()
+        return int(head[9:12] or b"0"), body
+
+    async def answers(self, path: str) -> bytes:
+        """Ask until it is answered: places become free when the unit notices that who had them has left."""
+        async with asyncio.timeout(10):
+            while True:
+                status, body = await self.ask(path)
+                if status == 200:
+                    return body
+                await asyncio.sleep(0.1)
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A history."""
+    path = tmp_path_factory.mktemp("day") / FILE_NAME
+    make_history(path, int(time.time()) // 3600 * 3600, days=1)
+    return path
+
+
+@pytest.fixture
+async def unit(calibration_of_unit_3: Calibration, day: Path, tmp_path: Path) -> AsyncIterator[Unit]:
+    """With a day of history and a recording, so that there is much to be asked for."""
+    http, modbus = free_port(), free_port()
+    settings = config(measuring={"window": 4}).model_copy(
+        update={
+            "http": HttpSettings(host="127.0.0.1", port=http),
+            "modbus_tcp": ModbusTcpSettings(host="127.0.0.1", port=modbus),
+            "kept_frames": KeptFrames(before_s=2, after_s=1, memory_mb=40, folder=tmp_path / "kept"),
+        }
+    )
+    shutil.copy(day, tmp_path)
+
+    def keep(running: LedUnit) -> None:
+        about = history_about(settings, calibration_of_unit_3, running.daemon.board.quantities)
+        running.daemon.past.keep_in(tmp_path / FILE_NAME, 400 * 10**6, about)
+
+    async with led_unit(calibration_of_unit_3, settings, keep) as running:
+        running.unit.place(POSE)
+        await running.measured(valid=True)
+        await asyncio.sleep(2.5)
+        await running.daemon.health.recordings.keeper.keep("for a test")
+        await running.measured(valid=True)
+        yield Unit(running, http, modbus)
+
+
+@contextlib.asynccontextmanager
+async def harmless(unit: Unit) -> AsyncIterator[None]:
+    """Within, no exposure is lost, every poll is answered by a valid measurement, and memory is bounded."""
+    before, before_mb = unit.counted, resident_mb()
+    async with polled(unit.modbus) as poller:
+        await asyncio.sleep(0.5)
+        yield
+    assert unit.counted == before
+    assert len(poller.answers) > LONG_S / 0.2
+    assert all(status & 1 for status, _ in poller.answers)
+    numbers = [number for _, number in poller.answers]
+    assert numbers == sorted(numbers), "an older measurement came after a newer one"
+    assert resident_mb() - before_mb < MAX_GROWTH_MB
+
+
+async def served_well(unit: Unit) -> None:
+    """A browser gets all that there is."""
+    assert json.loads(await unit.answers("/api/v1/measurement"))["valid"] is True
+    assert len(json.loads(await unit.answers(ALL))["t_s"]) > 600
+    name = json.loads(await unit.answers("/api/v1/recordings"))["recordings"][0]["name"]
+    with tarfile.open(fileobj=io.BytesIO(await unit.answers(f"/api/v1/recordings/{name}"))) as archive:
+        assert f"{name}/recording.json" in archive.getnames()
+    async with asyncio.timeout(20):
+        while True:
+            async with connect(f"ws://127.0.0.1:{unit.http}/api/v1/pictures", compression=None) as browser:
+                with contextlib.suppress(ConnectionError):
+                    await browser.recv()
+                    await browser.send("next")
+                    assert len(await browser.recv()) > 5000
+                    return
+
+
+@pytest.mark.parametrize("wish", ["pictures", "stream", "recording", "trend"])
+async def test_browsers_that_never_read_harm_nobody(unit: Unit, wish: str) -> None:
+    name = json.loads(await unit.answers("/api/v1/recordings"))["recordings"][0]["name"]
+    asks = {
+        "pictures": [HANDSHAKE, NEXT * 50],
+        "stream": [get("/api/v1/stream")],
+        "recording": [get(f"/api/v1/recordings/{name}")],
+        "trend": [get(ALL)],
+    }[wish]
+    with Crowd(unit.http) as crowd:
+        async with harmless(unit):
+            await asyncio.gather(*(crowd.connect(*asks) for _ in range(MAX_VIEWERS - 1)))
+            assert (await unit.ask("/api/v1/measurement"))[0] == 200
+            await asyncio.sleep(LONG_S)
+    await served_well(unit)
+
+
+@pytest.mark.parametrize(
+    ("opening", "more"),
+    [
+        (HANDSHAKE, EMPTY_PING * 10_000),
+        (HANDSHAKE, b"\x01\x80\x00\x00\x00\x00" + b"\x00\x80\x00\x00\x00\x00" * 10_000),
+        (
+            get("/api/v1/stream").replace(b"\r\n\r\n", b"\r\nTransfer-Encoding: chunked\r\n\r\n"),
+            b"1\r\nx\r\n" * 10_000,
+        ),
+    ],
+    ids=["pings", "fragments", "chunks"],
+)
+async def test_who_sends_without_end_and_never_reads_harms_nobody(
+    unit: Unit, opening: bytes, more: bytes
+) -> None:
+    ended = asyncio.Event()
+    with Crowd(unit.http) as crowd:
+        async with harmless(unit):
+            connections = await asyncio.gather(*(crowd.connect(opening) for _ in range(5)))
+            senders = [asyncio.create_task(crowd.push(each, more, ended)) for each in connections]
+            await asyncio.sleep(LONG_S)
+            ended.set()
+            await asyncio.gather(*senders)
+    await served_well(unit)
+
+
+@pytest.mark.parametrize(
+    "opening", [b"", b"GET / HTTP/1.1\r\nHost: un", HANDSHAKE], ids=["silent", "half", "websocket"]
+)
+async def test_200_that_connect_at_once_and_stay_harm_nobody(unit: Unit, opening: bytes) -> None:
+    with Crowd(unit.http) as crowd:
+        async with harmless(unit):
+            await asyncio.gather(*(crowd.connect(opening) for _ in range(CROWD)))
+            await asyncio.sleep(LONG_S)
+        counters = next(each for each in unit.running.daemon.health if each.name.startswith("http ")).counters
+        assert counters["connections_refused"] >= CROWD - MAX_CONNECTIONS
+    await served_well(unit)

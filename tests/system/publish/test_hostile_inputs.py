@@ -1,0 +1,30 @@
+"""Thousands of hostile inputs at each face beside who reads it; `make bench-hostile`: 100,000 at each."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.hostile.runner import run
+
+pytestmark = pytest.mark.real_time
+
+INPUTS = {"http": 25_000, "websocket": 5_000, "local": 20_000, "console": 1_500}
+TRIED = {
+    "http": {"200", "400", "401", "403", "404", "405", "415", "431"},
+    "websocket": {"400", "404", "426", "431", "close 1003", "close 1009", "cut", "open"},
+    "local": {"200", "400", "403", "404", "405", "431"},
+    "console": {"shown"},
+}
+
+
+@pytest.mark.parametrize("face", INPUTS)
+async def test_nothing_gets_more_than_the_contract_says_nor_in_the_way_of_who_reads(face: str) -> None:
+    tally = await run(face, INPUTS[face])
+    assert tally.wrong == []
+    assert tally.answers.total() >= INPUTS[face] - 100
+    assert set(tally.answers) >= TRIED[face], "nothing was tried"
+    assert tally.polls > 5
+    assert tally.slowest_poll_s < 2.0
+    assert tally.memory_mb[1] < tally.memory_mb[0] + 60
+    if face == "websocket":
+        assert tally.pictures > 50
