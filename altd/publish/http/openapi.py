@@ -9,7 +9,8 @@ from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode, models_json_schema
 
 from altd.publish.http.guard import REQUEST_HEADER
-from altd.publish.http.models import Error, measurement_model
+from altd.publish.http.measurement_model import measurement_model
+from altd.publish.http.models import Error
 from altd.publish.http.operations import COMMON_ERRORS, JSON, Operation, ServedPath
 from altd.records import Quantities
 
