@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from support.clock import FakeClock
 from support.measurements import measured
+from support.picture_maker import Maker
 
 from altd.config import HttpSettings
 from altd.credentials import hashes
@@ -195,6 +196,13 @@ async def log_in(unit: Unit, name: str = "ana", password: str = PASSWORD, **head
 
 def cookie_of(answer: Answer) -> str:
     return answer.headers["set-cookie"].partition(";")[0]
+
+
+@pytest.fixture
+def maker(health: Health) -> Maker:
+    maker = Maker()
+    health.pictures.open(maker)
+    return maker
 
 
 @pytest.fixture(name="measured")
