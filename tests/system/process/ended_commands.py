@@ -71,7 +71,7 @@ COMMANDS = {
         "record --config {config} -o kept --seconds 60",
         "altd.recording.writer:RecordingWriter.write 7",
         frozenset({"kept"}),
-        says=r"altd record: interrupted: \d+ exposures in kept\n",
+        says=r"altd record: interrupted: \d+ exposures? in kept\n",
     ),
     "record before its first exposure": Command(
         "record --config {config} -o kept --seconds 60",

@@ -28,7 +28,7 @@ DONE = {
     "replay's csv": (0, "", {"t.csv"}),
     "replay's parquet": (0, "", {"t.parquet"}),
     "replay's plot": (0, "", {"t.csv", "p.svg"}),
-    "record --config {config} -o kept --seconds 0.4": (0, r"\d+ exposures in kept\n", {"kept"}),
+    "record --config {config} -o kept --seconds 0.4": (0, r"\d+ exposures? in kept\n", {"kept"}),
     "lamps": (1, r"altd lamps: .*\n", set()),
     "locate": (0, "", set()),
     "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
