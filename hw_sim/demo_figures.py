@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.records import Measurement
+from altd.records import Measurement, counted
 from hw_sim.beam import BeamPose
 from hw_sim.unit import CAMERAS, Unit
 
@@ -159,8 +159,8 @@ class Figures:
         )
         share = f"{self.valid / self.frame_sets:.1%}" if self.frame_sets else "none"
         yield (
-            f"{self.seconds:.1f} s, {self.frame_sets} exposures measured, {self.pairs_lost} pairs lost, "
-            f"{self.frames_dropped} frames dropped"
+            f"{self.seconds:.1f} s, {counted(self.frame_sets, 'exposure')} measured, "
+            f"{counted(self.pairs_lost, 'pair')} lost, {counted(self.frames_dropped, 'frame')} dropped"
         )
         yield f"valid: {self.valid} ({share}; the first half second only warms up)"
         yield (

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from altd.app.daemon import Daemon
-from altd.records import Measurement
+from altd.records import Measurement, counted
 from hw_sim.demo_figures import QUANTITIES, Figures, memory_mib, truth_of
 from hw_sim.demo_folder import DemoFolder
 from hw_sim.demo_lines import Line
@@ -153,8 +153,9 @@ class View:
     def _status_lines(self) -> Iterator[str]:
         figures = self._figures
         yield (
-            f"{figures.frame_sets} exposures, {figures.pairs_lost} pairs lost, {figures.frames_dropped} "
-            f"frames dropped, {memory_mib():.0f} MiB, {figures.cpu_share:.0%} of one core"
+            f"{counted(figures.frame_sets, 'exposure')}, {counted(figures.pairs_lost, 'pair')} lost, "
+            f"{counted(figures.frames_dropped, 'frame')} dropped, {memory_mib():.0f} MiB, "
+            f"{figures.cpu_share:.0%} of one core"
         )
         parts = []
         for name, place in self._faces.components().items():
@@ -176,7 +177,7 @@ def _verdict(measurement: Measurement | None) -> StyledLine:
     status = ", ".join(str(fault) for fault in measurement.status)
     if not measurement.valid:
         return f"  NOT VALID: {status}", Style.BAD
-    return f"  VALID, mean of {measurement.frames} exposures; {status}", Style.GOOD
+    return f"  VALID, mean of {counted(measurement.frames, 'exposure')}; {status}", Style.GOOD
 
 
 _KEYS = (

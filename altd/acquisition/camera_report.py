@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from altd.acquisition.auto_exposure.control import Applied, ExposureFigures, Refused
+from altd.records import counted
 from altd.status.health import Component, State, duration
 
 log = logging.getLogger("altd")
@@ -132,7 +133,8 @@ class CameraReport:
             self._losses.popleft()
         complaints = []
         if self._losses:
-            complaints.append(f"{sum(lost for _, lost in self._losses)} frames lost in the last second")
+            lost = sum(number for _, number in self._losses)
+            complaints.append(f"{counted(lost, 'frame')} lost in the last second")
         if self._mistimed_ns is not None and self._mistimed_ns >= oldest_ns:
             complaints.append(f"not measured: {deliveries.remark}")
         if self._refusal:

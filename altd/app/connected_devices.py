@@ -76,6 +76,7 @@ def _gige_cameras() -> Iterator[str]:
 def _gpio_chips() -> Iterator[str]:
     from altd.devices.gpio.find_chips import chip_paths, read_chip
     from altd.ports import LampsError
+    from altd.records import counted
 
     for path in chip_paths():
         try:
@@ -84,7 +85,7 @@ def _gpio_chips() -> Iterator[str]:
             yield f"  {error}"
             continue
         yield f'  chip = "{chip.label}"'
-        yield from _detail_lines(f"{chip.path}, {len(chip.lines)} lines")
+        yield from _detail_lines(f"{chip.path}, {counted(len(chip.lines), 'line')}")
         names = [
             f'"{line.name or line.offset}"' + (f" (used by {line.used_by})" if line.used_by else "")
             for line in chip.lines

@@ -38,7 +38,7 @@ def _versions() -> bytes:
         f"altd {__version__}",
         f"{platform.python_implementation()} {platform.python_version()}",
         f"{system.sysname} {system.release} {system.version} {system.machine}",
-        f"{os.cpu_count()} processors",
+        f"processors: {os.cpu_count()}",
         *libraries,
     ]
     return ("\n".join(lines) + "\n").encode()

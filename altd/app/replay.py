@@ -17,7 +17,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.recording.reader import Recording, open_recording
-from altd.records import Measurement, Origin, Quantities, origin_faults
+from altd.records import Measurement, Origin, Quantities, counted, origin_faults
 from altd.status.measurement_json import as_object, as_scan_object
 
 _SILENT_AFTER_FRAME_SETS = 8
@@ -60,8 +60,8 @@ class Replay:
             return "all exposures of a node"
         window, every = self.measuring.window, self.measuring.every
         if every == 1:
-            return f"sliding means of {window} exposures"
-        return f"means of {window} exposures, every {every}"
+            return f"sliding means of {counted(window, 'exposure')}"
+        return f"means of {counted(window, 'exposure')}, every {every}"
 
     def measurements(self, progress: Progress = lambda done, total: None) -> Iterator[Measurement]:
         """One measurement after the other; a frame that cannot be decoded raises BadInputError."""

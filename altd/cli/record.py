@@ -32,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.record import record_of
     from altd.app.settings import load_settings
     from altd.ports import CameraError, LampsError
+    from altd.records import counted
 
     config = load_settings(options.config)
     show, kept = progress_on("exposures"), 0
@@ -47,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
             exposures = asyncio.run(until_signal(work))
         except EndedBySignal:
             complain(
-                f"altd record: interrupted: {kept} exposures in {options.output}"
+                f"altd record: interrupted: {counted(kept, 'exposure')} in {options.output}"
                 if kept
                 else "altd record: interrupted before the first exposure"
             )
@@ -55,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         except (LampsError, CameraError) as error:
             complain(f"altd record: {error}")
             return 1
-    complain(f"{exposures} exposures in {options.output}")
+    complain(f"{counted(exposures, 'exposure')} in {options.output}")
     return 0
 
 

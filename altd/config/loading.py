@@ -19,6 +19,7 @@ from altd.config.wording import Fault, booleans_as_numbers, faults_of
 from altd.errors import BadInputError
 from altd.files.documents import TomlError, parse_toml
 from altd.files.reading import read_file
+from altd.records import counted
 
 _MAX_BYTES = 1 << 16
 _MAX_FAULTS = 100
@@ -67,7 +68,7 @@ def _refusal(path: Path, faults: Iterable[Fault], content: bytes) -> BadInputErr
     placed.sort(key=lambda fault: (0, 0) if fault[0] is None else (fault[0].line, fault[0].column))
     lines = [f"{f'{place}: ' if place else ''}{keys}: {said}" for place, keys, said in placed[:_MAX_FAULTS]]
     if len(placed) > _MAX_FAULTS:
-        lines.append(f"and {len(placed) - _MAX_FAULTS} faults more")
+        lines.append(f"and {counted(len(placed) - _MAX_FAULTS, 'fault')} more")
     return BadInputError(path, *lines)
 
 

@@ -18,7 +18,7 @@ from collections import deque
 
 import numpy as np
 
-from altd.records import FloatArray, FrameSet, Spot
+from altd.records import FloatArray, FrameSet, Spot, counted
 from altd.statistics.robust import MAD_TO_SIGMA, median
 
 _WINDOW_FRAME_SETS = 200
@@ -78,7 +78,7 @@ class SynchronyCheck:
 
     def _complaint(self) -> str:
         return "; ".join(
-            f"the {target} spot moves {abs(lag)} exposures {'after' if lag > 0 else 'before'} the "
+            f"the {target} spot moves {counted(abs(lag), 'exposure')} {'after' if lag > 0 else 'before'} the "
             f"{self._targets[0]} spot, although they are stamped alike"
             for target, lag in self._late.items()
         )

@@ -143,7 +143,9 @@ class StderrLog(logging.Handler):
             if self._lines.empty():
                 dropped, self._dropped = self._dropped, 0
                 if dropped:
-                    self._write(f"standard error took nothing for a while: {dropped} lines were dropped")
+                    self._write(
+                        f"standard error took nothing for a while; lines that were dropped: {dropped}"
+                    )
 
     def _write(self, line: str) -> None:
         """Write a line, however long it takes; a standard error that is gone takes nothing."""

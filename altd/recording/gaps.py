@@ -14,6 +14,7 @@ from itertools import groupby
 from altd.recording.frames_table import Row
 from altd.recording.header import FRAMES_FILE
 from altd.recording.reader import Recording
+from altd.records import counted
 
 _MAX_NAMED = 3
 """So many places are named, the others counted."""
@@ -84,7 +85,9 @@ def gap_lines(recording: Recording) -> list[str]:
         else:
             more += 1
     if more:
-        lines.append(f"{table}: {more} more such places; {exposures} exposures lack a frame in all")
+        lines.append(
+            f"{table}: {counted(more, 'more such place')}; {exposures} exposures lack a frame in all"
+        )
     return lines
 
 

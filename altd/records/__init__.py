@@ -4,6 +4,7 @@ Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/co
 """
 
 from altd.records.arrays import ComplexArray, FloatArray, PixelArray
+from altd.records.counted import counted
 from altd.records.faults import Fault, origin_faults
 from altd.records.frames import CameraIdentity, Frame, Origin
 from altd.records.measurement import Measurement, Quantities, Quantity, Value, utc_text
@@ -27,6 +28,7 @@ __all__ = [
     "SpotShape",
     "TargetPoint",
     "Value",
+    "counted",
     "origin_faults",
     "utc_text",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.measuring.calibration import TargetCalibration
-from altd.records import FloatArray, Frame
+from altd.records import FloatArray, Frame, counted
 from altd.selfcheck.led_state import Seen, states_of
 from altd.selfcheck.lights import Lights, lights_of, pairs
 from altd.selfcheck.matching import TOLERANCE_PX, Indices, match
@@ -61,7 +61,7 @@ def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits
     number = len(references)
     if number < limits.min_leds:
         states = (LedState.DARK,) * number
-        text = f"the calibration knows {number} LEDs, {limits.min_leds} are needed"
+        text = f"the calibration knows {counted(number, 'LED')}, {limits.min_leds} are needed"
         return TargetDrift(name, number, 0, states, detail=text)
     if _radius_px(references) < _MIN_RADIUS_PX:
         text = "the calibration's LEDs lie all in one place"

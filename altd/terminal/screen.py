@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from altd.records import counted
 from altd.status.health import duration
 from altd.terminal.canvas import Canvas, Style
 from altd.terminal.documents import Shown, StatusDocument
@@ -101,7 +102,9 @@ def _verdict(moment: Moment) -> tuple[str, Style]:
     if not reading.valid:
         return f"{verdict}: {codes}", Style.BAD
     age = "of unknown age" if moment.age_s is None else f"{moment.age_s:.1f} s old"
-    text = f"{verdict}, {age}, mean of {reading.frames} exposures" + (f"; {codes}" if codes else "")
+    text = f"{verdict}, {age}, mean of {counted(reading.frames, 'exposure')}" + (
+        f"; {codes}" if codes else ""
+    )
     return text, Style.GOOD if verdict == "VALID" else Style.WARNING
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from altd.records import counted
 from altd.status.health import duration
 from altd.terminal.documents import Reading, SelfCheckDocument, StatusDocument
 from altd.terminal.lines import (
@@ -50,7 +51,7 @@ def _measured(reading: Reading | None) -> Iterator[str]:
         yield from hanging("measuring", "NO: nothing was measured so far", WIDTH, _INDENT)
         return
     age = "of unknown age" if reading.age_s is None else f"{reading.age_s:.2f} s old"
-    said = f"{age}, mean of {reading.frames} exposures, number {reading.sequence}"
+    said = f"{age}, mean of {counted(reading.frames, 'exposure')}, number {reading.sequence}"
     text = ", ".join(filter(None, [verdict_text(reading), said, reading.time]))
     yield from hanging("measuring", text, WIDTH, _INDENT)
     yield from (f"  {number_text(number, reading.valid)}" for number in reading.numbers)

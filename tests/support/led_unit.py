@@ -15,12 +15,16 @@ from altd.measuring.calibration import Calibration
 from altd.ports import LampsError
 from altd.records import Frame, Measurement
 from altd.status.self_check_desk import SelfCheckReport
+from hw_sim.beam import BeamPose
 from hw_sim.camera import Schedule, SimulatedCamera
+from hw_sim.displacement import Displacement
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
 from support.clock import stop
 from support.unit_toml import TARGETS
 
 POLL_S = 0.01
+POSE = BeamPose(x_mm=12.0, y_mm=-7.0, slope_x=0.026, slope_y=-0.035)
+MOVED = Displacement((0.6, -0.2), turn_deg=0.1)
 
 
 class TimedLeds:
@@ -145,6 +149,10 @@ class LedUnit:
         while True:
             self.polls.append(Poll(time.monotonic(), board.read(), board.published, board.age_s()))
             await asyncio.sleep(POLL_S)
+
+
+def codes(measurement: Measurement) -> set[str]:
+    return {str(fault) for fault in measurement.status}
 
 
 @contextlib.asynccontextmanager

@@ -20,7 +20,7 @@ from altd.config import KeptFrames, Measuring
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, Clock
 from altd.reasons import Signal
-from altd.records import Frame
+from altd.records import Frame, counted
 from altd.runtime.threads import DeviceThread, call_in_thread
 from altd.status.cause import ShownCause, StateReport
 from altd.status.health import Component, State
@@ -236,7 +236,7 @@ class FrameKeeper:
         taken = sum(kept.bytes for kept in self._recordings)
         count = len(self._recordings)
         self._component.set_state(
-            State.OK, f"{count} recording{'s' * (count != 1)}, {taken >> 20} of {self._settings.disk_mb} MB"
+            State.OK, f"{counted(count, 'recording')}, {taken >> 20} of {self._settings.disk_mb} MB"
         )
 
 

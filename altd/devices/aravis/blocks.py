@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from altd.devices.aravis import gvsp
+from altd.records import counted
 
 RETENTION_NS = 100_000_000
 """A frame that lacks packets is given up so long after the last of them; it holds up those behind it."""
@@ -155,7 +156,7 @@ class Assembler:
                 return
             del self._open[block.id]
             if not whole:
-                yield Block(f"{block.missing} packets missing", block.id)
+                yield Block(f"{counted(block.missing, 'packet')} missing", block.id)
                 continue
             self._last_whole = block
             if self.quarantined(now_ns):

@@ -7,7 +7,7 @@ from textwrap import fill
 
 from altd.publish.serial.advice import advice, component_steps
 from altd.publish.serial.state_words import state_facts, state_steps
-from altd.records import Fault, Measurement, Quantities, Quantity, utc_text
+from altd.records import Fault, Measurement, Quantities, Quantity, counted, utc_text
 from altd.status.health import MEASURING, Component, Health, State, duration
 
 WIDTH = 79
@@ -21,7 +21,7 @@ def measurement_text(measurement: Measurement | None, age_s: float | None = None
     if measurement is None:
         return NO_MEASUREMENT
     time = "time not known" if measurement.time is None else utc_text(measurement.time)
-    lines = [f"measurement {measurement.sequence}, {time}, mean of {measurement.frames} exposures"]
+    lines = [f"measurement {measurement.sequence}, {time}, mean of {counted(measurement.frames, 'exposure')}"]
     if not measurement.valid:
         lines.append("  NOT VALID")
     lines += _value_lines(measurement, age_s)

@@ -105,7 +105,7 @@ def test_a_rear_camera_that_is_a_frame_late_is_out_of_step(calibration_of_unit_3
     results = measured(chain(calibration_of_unit_3), late())
     assert {code for n, m in results if n >= 200 for code in codes(m)} == {"out_of_step"}
     assert not any(m.valid for n, m in results if n >= 200)
-    assert results[-1][1].status[0].detail.startswith("the rear spot moves 1 exposures after the front spot")
+    assert results[-1][1].status[0].detail.startswith("the rear spot moves 1 exposure after the front spot")
 
 
 def test_the_same_machine_with_cameras_in_step_is_measured(calibration_of_unit_3: Calibration) -> None:

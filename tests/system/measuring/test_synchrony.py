@@ -70,9 +70,8 @@ def fresh() -> SynchronyCheck:
 def test_pictures_that_are_whole_frames_late_are_seen_within_ten_seconds(late: int, seed: int) -> None:
     verdicts = said(fresh(), frame_sets(shaking(seed), late))
     when = "after" if late > 0 else "before"
-    wanted = (
-        f"the rear spot moves {abs(late)} exposures {when} the front spot, although they are stamped alike"
-    )
+    moved = "1 exposure" if abs(late) == 1 else f"{abs(late)} exposures"
+    wanted = f"the rear spot moves {moved} {when} the front spot, although they are stamped alike"
     assert set(verdicts[200:]) == {wanted}
 
 

@@ -6,152 +6,19 @@ simulator's cameras in ``hw_sim/gige/test_command.py``, a daemon on live cameras
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import shutil
 import signal
-import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 from support.history import START_S, batch, event, store, write_seconds
-from support.places import ROOT
 from support.played_unit import BEAMS, PlayedUnit
-from support.ports import free_port
 from support.recordings import write_beams, write_scan
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-FRAME = "altd.recording.reader:Recording.frame 5"
-EXPOSE = "hw_sim.unit:Unit.expose 5"
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command line, and the call of a function at which it gets a signal.
-
-    ``leaves`` may stand in the working folder after that; ``ends_with`` is the status then, None: 128 and the
-    signal's number; ``says`` is all of standard error. ``signals`` are fewer where another command is ended
-    by all of them in the same work.
-    """
-
-    line: str
-    at: str
-    leaves: frozenset[str] = frozenset()
-    ends_with: int | None = None
-    says: str = ""
-    module: str = "altd.cli"
-    signals: tuple[signal.Signals, ...] = SIGNALS
-
-
-HW_SIM = "hw_sim"
-COMMANDS = {
-    "run": Command(
-        "run --config {config}",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        ends_with=0,
-        says="(altd: .*\n)+",
-    ),
-    "calibrate": Command("calibrate {scan} -o cal.json", FRAME),
-    "calibrate's file": Command("calibrate {scan} -o cal.json", "altd.files.writing:_opened_beside 1"),
-    "calibrate's report": Command(
-        "calibrate {scan} -o cal.json --report rep",
-        "altd.files.writing:_opened_beside 3",
-        frozenset({"cal.json"}),
-        signals=(signal.SIGTERM,),
-    ),
-    "calibrate's report, at its first drawing": Command(
-        "calibrate {scan} -o cal.json --report rep", "altd.calibration.report.html:svg 1"
-    ),
-    "replay": Command("replay {beams} --calibration {cal}", FRAME),
-    "replay's lines": Command("replay {beams} --calibration {cal} -o t.jsonl", FRAME),
-    "replay's csv": Command("replay {nodes} --calibration {cal} --format csv -o t.csv", FRAME),
-    "replay's csv on standard output": Command("replay {beams} --calibration {cal} --format csv", FRAME),
-    "replay's parquet": Command("replay {beams} --calibration {cal} --format parquet -o t.parquet", FRAME),
-    "replay's parquet, at its footer": Command(
-        "replay {beams} --calibration {cal} --format parquet -o t.parquet",
-        "altd.tables.parquet:ParquetTable.__exit__ 1",
-    ),
-    "replay's plot": Command(
-        "replay {beams} --calibration {cal} --format csv -o t.csv --plot p.svg", "altd.answers.plot:svg 1"
-    ),
-    "record": Command(
-        "record --config {config} -o kept --seconds 60",
-        "altd.recording.writer:RecordingWriter.write 7",
-        frozenset({"kept"}),
-        says=r"altd record: interrupted: \d+ exposures in kept\n",
-    ),
-    "record before its first exposure": Command(
-        "record --config {config} -o kept --seconds 60",
-        "altd.app.record:cameras_of 1",
-        says="(altd record: interrupted before the first exposure\n)?",
-    ),
-    "scan": Command(
-        "scan --stage -o kept",
-        "altd.recording.writer:RecordingWriter.write 5",
-        frozenset({"kept.unfinished"}),
-        says="hw_sim: no self-check: .*\nhw_sim: interrupted; the same command goes on from there\n",
-        module=HW_SIM,
-    ),
-    "lamps": Command("lamps off --config {lamps}", "altd.app.lamps_by_hand:LampsByHand.leave_lit 1"),
-    "locate": Command(
-        "locate {beams}/front0000.png {beams}/rear0000.png", "altd.files.picture:read_picture 2"
-    ),
-    "locate's table": Command(
-        "locate --format csv {beams}/front0000.png {beams}/rear0000.png", "altd.files.picture:read_picture 2"
-    ),
-    "map's table": Command(
-        "map --calibration {cal} --target rear --format csv",
-        "altd.measuring.calibration:TargetCalibration.point 2",
-    ),
-    "map": Command(
-        "map --calibration {cal} --target rear", "altd.measuring.calibration:TargetCalibration.point 2"
-    ),
-    "token": Command("token credentials press", "altd.files.writing:_opened_beside 1"),
-    "selfcheck": Command("selfcheck {check} --calibration {cal}", FRAME),
-    "selfcheck's daemon": Command("selfcheck --config {served}", "http.client:HTTPConnection.request 1"),
-    "status": Command("status --socket none.sock", "http.client:HTTPConnection.request 1"),
-    "export": Command("export --history {history} -o t.csv", "altd.history.reader:Reader.summaries 1"),
-    "export's parquet": Command(
-        "export --history {history} --format parquet -o t.parquet", "altd.tables.parquet:ParquetTable.add 3"
-    ),
-    "export on standard output": Command(
-        "export --history {history} --every measurement", "altd.history.reader:Reader.measurements 1"
-    ),
-    "events": Command("events --history {history}", "altd.history.reader:Reader.events_after 1"),
-    "events that are followed": Command("events --follow --history {history}", "time:sleep 1"),
-    "check-config": Command("check-config {config}", "altd.config:load_config 1"),
-    "devices": Command("devices", "altd.app.connected_devices:lines 1"),
-    "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
-    "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
-    "hw_sim flat": Command("flat -o kept", EXPOSE, module=HW_SIM),
-    "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
-    "hw_sim measure": Command("measure -o kept --truth truth.json", EXPOSE, module=HW_SIM),
-    "studies": Command("averaging", EXPOSE, module="studies"),
-    "hw_sim demo": Command(
-        "demo --seed 3 --calibration {cal_3}",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        ends_with=0,
-        module=HW_SIM,
-    ),
-    "hw_sim demo, kept": Command(
-        "demo --seed 3 --calibration {cal_3} --keep kept",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        frozenset({"kept"}),
-        ends_with=0,
-        module=HW_SIM,
-        signals=(signal.SIGTERM,),
-    ),
-    "hw_sim demo, calibrated by itself": Command(
-        "demo",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        ends_with=0,
-        module=HW_SIM,
-        signals=(signal.SIGTERM,),
-    ),
-}
+from .ended_commands import COMMANDS, HW_SIM, Command, filled, run
 
 DONE = {
     "calibrate": (0, "", {"cal.json"}),
@@ -161,7 +28,7 @@ DONE = {
     "replay's csv": (0, "", {"t.csv"}),
     "replay's parquet": (0, "", {"t.parquet"}),
     "replay's plot": (0, "", {"t.csv", "p.svg"}),
-    "record --config {config} -o kept --seconds 0.4": (0, r"\d+ exposures in kept\n", {"kept"}),
+    "record --config {config} -o kept --seconds 0.4": (0, r"\d+ exposures? in kept\n", {"kept"}),
     "lamps": (1, r"altd lamps: .*\n", set()),
     "locate": (0, "", set()),
     "locate {beams}/front0000.png none.png": (2, "altd locate: none.png: No such file or directory\n", set()),
@@ -203,15 +70,6 @@ FULL_DISK = {
 """Room on the disk, kB, and what does not find any there."""
 
 
-@dataclass(frozen=True)
-class Ended:
-    status: int
-    out: str
-    err: str
-    left: frozenset[str]
-    temporary: frozenset[str]
-
-
 @pytest.fixture(scope="module")
 def small_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of as few nodes as a calibration takes: it is made a dozen times here."""
@@ -250,50 +108,6 @@ def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history:
     for name in ("work", "temporary"):
         (tmp_path / name).mkdir()
     return tmp_path / "work"
-
-
-def filled(line: str, unit: PlayedUnit, folder: Path) -> list[str]:
-    lamps = folder.parent / "lamps.toml"
-    lamps.write_text(unit.config.read_text() + '[lamps]\ndriver = "gpiod"\nchip = "none"\nlines = ["L"]\n')
-    served = folder.parent / "served.toml"  # nobody is there
-    served.write_text(unit.config.read_text() + f'[http]\nhost = "127.0.0.1"\nport = {free_port()}\n')
-    scans = {"scan": folder.parent / "scan", "nodes": unit.folder / "scan", "check": folder.parent / "check"}
-    files = {"beams": unit.beams, "cal": unit.calibration, "config": unit.config}
-    files |= {
-        "history": folder.parent / "history.db",
-        "cal_3": folder.parent / "cal-3.json",
-        "lamps": lamps,
-        "served": served,
-    }
-    return shlex.split(line.format(**scans, **files))
-
-
-def _take_signals() -> None:
-    """None is ignored, as they may be where the tests run in the background or under nohup."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_DFL)
-
-
-def run(folder: Path, command: list[str]) -> Ended:
-    temporary = folder.parent / "temporary"
-    done = subprocess.run(
-        command,
-        preexec_fn=_take_signals,
-        cwd=folder,
-        input="375 240\n380 240\n385 240\n",
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-        env={
-            **os.environ,
-            "TMPDIR": str(temporary),
-            "PYTHONWARNINGS": "error",
-            "PYTHONPATH": os.pathsep.join([str(ROOT / "tests"), str(ROOT)]),
-        },
-    )
-    left, in_temporary = (frozenset(entry.name for entry in where.iterdir()) for where in (folder, temporary))
-    return Ended(done.returncode, done.stdout, done.stderr, left, in_temporary)
 
 
 @pytest.mark.parametrize(

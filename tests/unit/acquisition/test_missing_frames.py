@@ -110,6 +110,14 @@ async def test_a_source_whose_frames_nobody_takes_is_well(
     await stop(task)
 
 
+async def test_a_single_lost_frame_is_one(component: Component) -> None:
+    camera = ScriptedCamera("frame", 1, "frame")
+    task = asyncio.create_task(acquire(camera, newest(), component))
+    await until(lambda: component.counters.get("lost") == 1 and component.state is State.DEGRADED)
+    assert component.message == "1 frame lost in the last second"
+    await stop(task)
+
+
 async def test_lost_frames_are_counted_and_spoken_of_for_a_second(component: Component) -> None:
     camera = ScriptedCamera("frame", 2, "frame", 1, "frame")
     task = asyncio.create_task(acquire(camera, newest(), component))

@@ -2,7 +2,7 @@
 
 import { html } from "./vendor/htm-preact.js";
 import { useAnswer } from "./past.js";
-import { QUANTITIES, UNKNOWN, fixed, utc } from "./words.js";
+import { QUANTITIES, UNKNOWN, counted, fixed, utc } from "./words.js";
 
 const ASK_MS = 60000;
 
@@ -16,7 +16,7 @@ function Facts({ calibration }) {
     return `${quantity?.label ?? key} ${fixed(value, (quantity?.decimals ?? MM) + 1)} ${quantity?.unit ?? ""}`;
   });
   const facts = [["made", utc(calibration.created)], ["from", calibration.recording.note], ["unit", calibration.unit],
-    [`expected sigma of ${calibration.exposures} exposures, rms over the area`, sigma.join("; ") || "not known"],
+    [`expected sigma of ${counted(calibration.exposures, "exposure")}, rms over the area`, sigma.join("; ") || "not known"],
     ["file", calibration.file.name], ["SHA-256 of the file", calibration.file.sha256]];
   return html`<dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value || UNKNOWN}</dd></div>`)}</dl>`;
 }

@@ -1,7 +1,7 @@
 // The quantities with their uncertainty: now where it is known how the beam moves, else that at rest.
 
 import { html, useState } from "./vendor/htm-preact.js";
-import { QUANTITIES, UNKNOWN, fixed, sigmaOf } from "./words.js";
+import { QUANTITIES, UNKNOWN, counted, fixed, sigmaOf } from "./words.js";
 
 function Row({ quantity, measurement }) {
   return html`<tr>
@@ -35,6 +35,6 @@ export function Numbers({ measurement }) {
     ${also.length > 0 && html`<button type="button" aria-pressed=${inSlopes} onClick=${() => setInSlopes(!inSlopes)}>
       directions in ${inSlopes ? "degrees" : also[0].unit}</button>`}
     <p class="when">${measurement ? html`<time datetime=${measurement.time}>${measurement.time ?? "time not known"}</time>,
-      number ${measurement.sequence}, mean of ${measurement.frames} exposures` : "\u00a0"}</p>
+      number ${measurement.sequence}, mean of ${counted(measurement.frames, "exposure")}` : "\u00a0"}</p>
   </section>`;
 }

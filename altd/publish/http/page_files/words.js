@@ -35,6 +35,9 @@ export function duration(seconds) {
   return `${Math.floor(days)} d ${Math.floor(hours % 24)} h`;
 }
 
+// "1 frame", "2 frames".
+export const counted = (number, thing) => `${number} ${thing}${number === 1 ? "" : "s"}`;
+
 export function megabytes(bytes) {
   return `${(bytes / 1e6).toFixed(1)} MB`;
 }

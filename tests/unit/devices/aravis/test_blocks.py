@@ -147,7 +147,7 @@ class TestAFrame:
             asked += len(rig.resends())
             assert not list(rig.assembler.blocks(rig.now_ns))
         (block,) = rig.after(100)
-        assert block.fault == "1 packets missing"
+        assert block.fault == "1 packet missing"
         assert asked == 3
 
 

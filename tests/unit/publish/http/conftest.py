@@ -9,19 +9,25 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import pytest
 from support.clock import FakeClock
 from support.measurements import measured
+from support.picture_maker import Maker
 
 from altd.config import HttpSettings
+from altd.credentials import hashes
+from altd.credentials.file import Credentials, save_credentials
+from altd.credentials.hashes import PasswordHash, token_digest
 from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health
+from altd.status.self_check_desk import SelfCheckReport
 
 
 @dataclass
@@ -116,6 +122,9 @@ class Events:
 
 
 NAMES = ("unit", "alt-0007.plant", "a")
+PASSWORD = "open sesame"
+TOKEN = "q3T0m-yK1_oT7vE8Jm5zq0c4yG2uWn9aXb6RkLhSdPf"
+OURS = {"X-Altd-Request": "1", "Host": "alt-0007.plant:80"}
 
 Served = Callable[..., AbstractAsyncContextManager[Unit]]
 """Served with these settings of ``[http]``."""
@@ -145,6 +154,55 @@ def served(board: Board, health: Health, component: Component, events: EventLog)
         await asyncio.wait({task})
 
     return serving
+
+
+@pytest.fixture
+def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, value in (("SCRYPT_N", 2), ("SCRYPT_R", 1), ("SCRYPT_P", 1)):
+        monkeypatch.setattr(hashes, name, value)
+    path = tmp_path / "credentials"
+    known = Credentials({"ana": PasswordHash.of(PASSWORD)}, {"press": token_digest(TOKEN)})
+    save_credentials(path, known)
+    path.chmod(0o600)
+    return path
+
+
+@pytest.fixture
+def checked(health: Health) -> list[int]:
+    """Which checks were made; each is made as soon as it was asked for."""
+    desk, numbers = health.self_check, list[int]()
+
+    def make() -> None:
+        numbers.append(desk.begin())
+        desk.put_up(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
+
+    desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
+    return numbers
+
+
+async def check(unit: Unit, **headers: str) -> Answer:
+    named = {name.replace("_", "-"): value for name, value in headers.items()}
+    return await unit.ask("/api/v1/self-check", "POST", {**OURS, **named})
+
+
+async def log_in(unit: Unit, name: str = "ana", password: str = PASSWORD, **headers: str) -> Answer:
+    body = json.dumps({"name": name, "password": password}).encode()
+    kind = {
+        "Content-Type": "application/json",
+        **{key.replace("_", "-"): text for key, text in headers.items()},
+    }
+    return await unit.ask("/api/v1/login", "POST", {**OURS, **kind}, body)
+
+
+def cookie_of(answer: Answer) -> str:
+    return answer.headers["set-cookie"].partition(";")[0]
+
+
+@pytest.fixture
+def maker(health: Health) -> Maker:
+    maker = Maker()
+    health.pictures.open(maker)
+    return maker
 
 
 @pytest.fixture(name="measured")

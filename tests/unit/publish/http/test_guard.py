@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 import logging
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,68 +11,17 @@ from support.clock import FakeClock
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from altd.credentials import hashes
 from altd.credentials.changing import change
-from altd.credentials.file import Credentials, save_credentials
-from altd.credentials.hashes import PasswordHash, token_digest
 from altd.publish.http.limits import ATTEMPTS
 from altd.publish.http.sessions import IDLE_S
-from altd.status.event_log import MAX_OF_ONE_IN_WINDOW, WINDOW_S, Event, EventKind, EventLog
 from altd.status.health import Component, Health, State
 from altd.status.picture_desk import Picture, TargetView
-from altd.status.self_check_desk import SelfCheckReport
 
-from .conftest import Answer, Served, Unit
-
-PASSWORD = "open sesame"
-TOKEN = "q3T0m-yK1_oT7vE8Jm5zq0c4yG2uWn9aXb6RkLhSdPf"
-OURS = {"X-Altd-Request": "1", "Host": "alt-0007.plant:80"}
-
-
-@pytest.fixture
-def credentials(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, value in (("SCRYPT_N", 2), ("SCRYPT_R", 1), ("SCRYPT_P", 1)):
-        monkeypatch.setattr(hashes, name, value)
-    path = tmp_path / "credentials"
-    known = Credentials({"ana": PasswordHash.of(PASSWORD)}, {"press": token_digest(TOKEN)})
-    save_credentials(path, known)
-    path.chmod(0o600)
-    return path
-
-
-@pytest.fixture
-def checked(health: Health) -> list[int]:
-    """Which checks were made; each is made as soon as it was asked for."""
-    desk, numbers = health.self_check, list[int]()
-
-    def make() -> None:
-        numbers.append(desk.begin())
-        desk.put_up(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
-
-    desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
-    return numbers
-
-
-async def check(unit: Unit, **headers: str) -> Answer:
-    named = {name.replace("_", "-"): value for name, value in headers.items()}
-    return await unit.ask("/api/v1/self-check", "POST", {**OURS, **named})
-
-
-async def log_in(unit: Unit, name: str = "ana", password: str = PASSWORD, **headers: str) -> Answer:
-    body = json.dumps({"name": name, "password": password}).encode()
-    kind = {
-        "Content-Type": "application/json",
-        **{key.replace("_", "-"): text for key, text in headers.items()},
-    }
-    return await unit.ask("/api/v1/login", "POST", {**OURS, **kind}, body)
+from .conftest import OURS, PASSWORD, TOKEN, Served, check, cookie_of, log_in
 
 
 def _chmod(path: Path, mode: int) -> None:
     path.chmod(mode)
-
-
-def cookie_of(answer: Answer) -> str:
-    return answer.headers["set-cookie"].partition(";")[0]
 
 
 async def test_a_token_may_act_and_a_wrong_one_may_not(
@@ -342,76 +289,3 @@ async def test_no_secret_gets_into_the_log(
     said = caplog.text + status.body.decode() + metrics.body.decode()
     for secret in (PASSWORD, "guess number 1", TOKEN, cookie.partition("=")[2]):
         assert secret not in said
-
-
-def told(events: list[Event]) -> list[tuple[str | None, str]]:
-    assert {event.kind for event in events} <= {EventKind.REQUEST}
-    return [(event.of, event.text) for event in events]
-
-
-async def test_who_logs_in_and_out_is_an_event_with_name_and_address(
-    served: Served, credentials: Path, events: EventLog
-) -> None:
-    async with served(credentials=credentials) as unit:
-        cookie = cookie_of(await log_in(unit))
-        for _ in range(2):  # the second one has no session any more
-            await unit.ask("/api/v1/logout", "POST", {**OURS, "Cookie": cookie})
-        await unit.ask("/api/v1/logout", "POST", OURS)
-    noted = events.after(0)
-    assert told(noted) == [("ana", "logged in, from 127.0.0.1"), ("ana", "logged out, from 127.0.0.1")]
-    assert [event.detail["address"] for event in noted] == ["127.0.0.1"] * 2
-
-
-@pytest.mark.parametrize(
-    ("name", "password", "noted"),
-    [
-        ("ana", "open sesamy", ("ana", "a wrong password, from 127.0.0.1")),
-        (PASSWORD, "", (None, "a wrong name or password, from 127.0.0.1")),
-        ("Ana", PASSWORD, (None, "a wrong name or password, from 127.0.0.1")),
-    ],
-    ids=["a wrong password", "the password as the name", "a wrong name"],
-)
-async def test_a_wrong_attempt_is_an_event_without_what_was_typed(
-    served: Served,
-    credentials: Path,
-    events: EventLog,
-    name: str,
-    password: str,
-    noted: tuple[str | None, str],
-) -> None:
-    async with served(credentials=credentials) as unit:
-        assert (await log_in(unit, name, password)).status == 401
-    assert told(events.after(0)) == [noted]
-    assert PASSWORD not in repr(events.after(0))
-    assert "open sesamy" not in repr(events.after(0))
-
-
-async def test_a_wrong_token_is_an_event_and_a_session_that_is_over_is_none(
-    served: Served, credentials: Path, events: EventLog, checked: list[int]
-) -> None:
-    async with served(credentials=credentials) as unit:
-        assert (await check(unit, Authorization=f"Bearer {TOKEN}x")).status == 401
-        assert (await check(unit, Cookie=f"altd_{unit.port}=of-before-the-restart")).status == 401
-    assert told(events.after(0)) == [(None, "a wrong token, from 127.0.0.1")]
-    assert TOKEN not in repr(events.after(0))
-    assert checked == []
-
-
-async def test_who_tries_again_and_again_is_counted_and_hides_nobody(
-    served: Served, credentials: Path, clock: FakeClock, events: EventLog
-) -> None:
-    tries = 3 * MAX_OF_ONE_IN_WINDOW
-    async with served(credentials=credentials) as unit:
-        for _ in range(tries):
-            await log_in(unit, "nobody", "guess")
-        clock.now_ns += 10_000_000_000
-        await log_in(unit)
-        noted = events.after(0)
-        clock.now_ns += round(WINDOW_S * 1e9)
-        events.release(clock.now_ns)
-        later = events.after(noted[-1].number)
-    wrong, many = "a wrong name or password, from 127.0.0.1", "too many wrong attempts, from 127.0.0.1"
-    limited = [(None, many)] * MAX_OF_ONE_IN_WINDOW
-    assert told(noted) == [*[(None, wrong)] * ATTEMPTS.burst, *limited, ("ana", "logged in, from 127.0.0.1")]
-    assert told(later) == [(None, many)]
-    assert later[0].held_back == tries - ATTEMPTS.burst - MAX_OF_ONE_IN_WINDOW - 1
