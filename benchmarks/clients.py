@@ -24,7 +24,7 @@ def main() -> int:
     modbus_port, http_port, line = (int(argument) for argument in sys.argv[1:4])
     modbus = _connected(modbus_port)
     stream = _connected(http_port)
-    stream.sendall(b"GET /api/stream HTTP/1.1\r\nHost: bench\r\n\r\n")
+    stream.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
     answers = {"modbus answers": 0, "stream events": 0, "telegrams": 0}
     selector = selectors.DefaultSelector()
     for source in (stream.fileno(), line, sys.stdin.fileno()):

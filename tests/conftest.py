@@ -6,6 +6,7 @@ import asyncio
 import functools
 import inspect
 import os
+import signal
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -28,6 +29,10 @@ from altd.calibration.file import load_calibration
 from altd.measuring.calibration import Calibration
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell ignores it for what runs in its background; so would each program that a test starts and ends.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

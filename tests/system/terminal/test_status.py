@@ -37,7 +37,7 @@ def test_it_says_what_the_daemon_measures_and_what_to_do(unit: LocalDaemon) -> N
     assert lines[1].startswith("state        CHECK FUNCTION for ")
     assert "  - a recording is played, this is NOT LIVE" in said.out
     assert "do not steer by it" in said.out
-    assert "measuring    VALID, 0." in said.out
+    assert "measuring    NOT LIVE, 0." in said.out
     assert "\x1b" not in said.out
     assert max(map(len, lines)) < 80
     measured = unit.daemon.measurement()

@@ -52,7 +52,7 @@ class TestScreen:
     @pytest.mark.parametrize(("columns", "rows"), [(80, 24), (200, 50)])
     def test_it_shows_the_unit(self, unit: LocalDaemon, columns: int, rows: int) -> None:
         with watching(unit.socket, columns, rows) as screen:
-            screen.await_text("VALID, 0.", 20.0)
+            screen.await_text("NOT LIVE, 0.", 20.0)
             screen.await_text("a recording is played, this is NOT LIVE", 5.0)
             screen.await_text("front: x ", 5.0)
             lines = screen.text().split("\n")
