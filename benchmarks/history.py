@@ -43,10 +43,10 @@ _SCATTER_STEPS = {"mm": 30.0, "°": 60.0}
 _REPEATS = 5
 
 
-def make_history(path: Path, end_s: int = END_S, days: int = 365) -> None:
+def make_history(path: Path, end_s: int = END_S, days: int = 365, unit: str = "BENCH") -> None:
     """Leave so many days of history in a file that is not there yet; ``end_s`` is a whole hour, Unix time."""
     columns = columns_of(QUANTITIES.with_sensor("roll_deg"), ("front", "rear"))
-    store = Store(path, 10**9, About(columns, {"serial": "BENCH"}))
+    store = Store(path, 10**9, About(columns, {"serial": unit}))
     began_us = (end_s - days * DAY_S) * _US
     store.write(Batch(0, began_us, [StateSample(began_us, (0, ""))]))
     store.end(None)

@@ -12,7 +12,7 @@ from playwright.async_api import Browser, Page
 
 from altd.app.history import FILE_NAME
 from benchmarks.history import make_history
-from benchmarks.material import Material
+from benchmarks.material import Material, make_config
 from benchmarks.served_unit import served_unit
 
 _SPAN, _LIVE = "1 year", "10 minutes"
@@ -49,7 +49,7 @@ class ShownTrend:
 async def click_often(browser: Browser, material: Material, folder: Path, times: int) -> list[ShownTrend]:
     """A year on a unit that has just started; before the first click the computer forgets its file."""
     file = folder / FILE_NAME
-    make_history(file, int(time.time()) // 3600 * 3600)
+    make_history(file, int(time.time()) // 3600 * 3600, unit=make_config().unit.serial)
     async with served_unit(material, folder) as unit:
         page = await browser.new_page(viewport={"width": 1280, "height": 900})
         await page.goto(f"http://127.0.0.1:{unit.http_port}/#trends")

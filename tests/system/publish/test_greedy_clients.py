@@ -79,7 +79,7 @@ class Unit:
 def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A history."""
     path = tmp_path_factory.mktemp("day") / FILE_NAME
-    make_history(path, int(time.time()) // 3600 * 3600, days=1)
+    make_history(path, int(time.time()) // 3600 * 3600, days=1, unit="SIM-3")
     return path
 
 
@@ -89,7 +89,7 @@ async def unit(calibration_of_unit_3: Calibration, day: Path, tmp_path: Path) ->
     http, modbus = free_port(), free_port()
     settings = config(measuring={"window": 4}).model_copy(
         update={
-            "http": HttpSettings(host="127.0.0.1", port=http),
+            "http": HttpSettings(host="127.0.0.1", port=http, names=("unit",)),
             "modbus_tcp": ModbusTcpSettings(host="127.0.0.1", port=modbus),
             "kept_frames": KeptFrames(before_s=2, after_s=1, memory_mb=40, folder=tmp_path / "kept"),
         }
