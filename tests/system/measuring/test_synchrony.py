@@ -136,7 +136,7 @@ def test_lost_exposures_are_no_motion() -> None:
 @pytest.mark.parametrize("every", [195, 150, 120])
 def test_one_lost_exposure_in_a_hundred_does_not_blind_it(every: int) -> None:
     seen = (one for one in frame_sets(shaking(4), late=1, count=800) if one.sequence % every)
-    assert "moves 1 exposures after" in said(fresh(), seen)[-1]
+    assert "moves 1 exposure after" in said(fresh(), seen)[-1]
 
 
 def test_an_outlier_of_one_spot_is_no_motion() -> None:
