@@ -90,6 +90,7 @@ async def acquire(
             sink.close()
         # The thread may sit in a driver's call; it is a daemon, so a dead camera cannot keep the process.
         await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
+        report.count(acquirer.deliveries)
     done.result()
 
 

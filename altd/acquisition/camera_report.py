@@ -69,7 +69,7 @@ class CameraReport:
 
     def failed(self, deliveries: Deliveries, sentence: str) -> None:
         """The camera was closed, or never open."""
-        self._count(deliveries)
+        self.count(deliveries)
         self._is_open = False
         self._losses.clear()
         self._component.set_state(State.FAILED, f"{sentence}; trying again")
@@ -77,13 +77,13 @@ class CameraReport:
 
     def ended(self, deliveries: Deliveries, sentence: str) -> None:
         """The source is at its end."""
-        self._count(deliveries)
+        self.count(deliveries)
         self._is_open = False
         self._component.set_state(State.ENDED, sentence)
 
     def update(self, deliveries: Deliveries) -> None:
         """What came meanwhile, and what did not: a driver that does not return is seen here."""
-        self._count(deliveries)
+        self.count(deliveries)
         if not self._is_open:
             return
         now_ns = self._component.clock.monotonic_ns()
@@ -111,7 +111,8 @@ class CameraReport:
         if figures.changes:
             self._component.counters["exposure_changes"] = figures.changes
 
-    def _count(self, deliveries: Deliveries) -> None:
+    def count(self, deliveries: Deliveries) -> None:
+        """Count what came since it was counted last; the state stays."""
         known, self._known = self._known, deliveries
         now_ns = self._component.clock.monotonic_ns()
         for counter in ("frames", "lost", "mistimed"):

@@ -106,7 +106,7 @@ def test_a_folder_that_is_kept_goes_on_with_the_next_demo(tmp_path: Path, unit_3
             module="hw_sim",
         )  # fmt: skip
         assert (shown.status, shown.err) == (0, "")
-    assert {path.name for path in folder.iterdir()} == {"history.db", "recordings"}
+    assert {path.name for path in folder.iterdir()} == {"history.db", "history.db.lock", "recordings"}
     told = altd("events", "--history", folder / "history.db", "--format", "jsonl").out
     kinds = [json.loads(line)["kind"] for line in told.splitlines()]
     assert (kinds.count("started"), kinds.count("stopped"), kinds.count("not_ended")) == (2, 2, 0)

@@ -58,6 +58,27 @@ async def test_a_source_at_its_end_ends_quietly(component: Component) -> None:
     assert [f.sequence for f in await frames.take(wake_for_each=False)] == [2]
 
 
+async def test_every_frame_is_counted_also_when_it_ends_between_two_reports(component: Component) -> None:
+    came = threading.Event()
+
+    class Counting:
+        frames = 0
+
+        def put(self, frame: Frame, wait: bool) -> None:
+            self.frames += 1
+            came.set()
+
+        def close(self) -> None:
+            pass
+
+    sink = Counting()
+    task = asyncio.create_task(acquire(ScriptedCamera("frame"), sink, component))
+    assert await asyncio.to_thread(came.wait, 5)
+    assert "frames" not in component.counters, "reported already: nothing is shown by this test"
+    await stop(task)
+    assert component.counters["frames"] == sink.frames
+
+
 async def test_a_defect_in_a_driver_ends_the_daemon_not_just_the_thread(component: Component) -> None:
     with pytest.raises(ZeroDivisionError):
         await acquire(ScriptedCamera("frame", ZeroDivisionError()), newest(), component)
