@@ -27,7 +27,7 @@ from altd.reasons import Reason
 from altd.records import Fault, Frame, Measurement
 from hw_sim.unit import CAMERAS
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 SEED = 1
 EXPOSURES = 300
@@ -112,8 +112,7 @@ def test_no_pair_of_frames_is_lost(measured: Any) -> None:
     assert sum(lost_frames(measured)) <= (0 if BENCH_S else 0.05 * exposed), "a busy machine may lose some"
     measurements = counted(measured, "measuring", "measurements")
     assert measurements == pytest.approx(exposed, abs=2 if BENCH_S else 0.05 * exposed)
-    refused = measurements - counted(measured, "measuring", "valid")
-    assert refused <= (0 if BENCH_S else 0.05 * exposed), "nor need be valid what a busy machine made late"
+    assert counted(measured, "measuring", "valid") == measurements
 
 
 def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measured: Any) -> None:
@@ -203,7 +202,8 @@ def test_dropped_buffers_are_counted_and_told_with_the_count(failed: Any) -> Non
     assert 3 <= last["lost"] - lost_before <= 25, "a fifth of 50"
     ended_s = dropping["ended_s"]
     assert any(camera["state"] == "ok" for at_s, camera in dropping["camera"] if at_s > ended_s)
-    assert any(valid for at_s, valid, _ in dropping["measured"] if at_s > ended_s)
+    after = [(at_s, valid, codes) for at_s, valid, codes in dropping["measured"] if at_s > ended_s]
+    assert any(valid for _, valid, _ in after), after
 
 
 def test_a_stream_that_breaks_off_is_told_within_a_second_and_runs_again(failed: Any) -> None:
