@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from support.foreign import need
 
 from altd.records import PixelArray
 from benchmarks.campaign.catalogue import WAYS
@@ -159,8 +160,7 @@ def test_a_bent_view_moves_the_spot_by_what_it_says() -> None:
 
 
 def test_a_photographed_beam_has_its_centroid_where_the_beam_is() -> None:
-    if not spots.BEAMS.exists():
-        pytest.skip("the photographs of ../shared/data are not here")
+    need(spots.BEAMS.exists(), "the photographs of ../shared/data are not here")
     spoilt = lit(made(spots.photographed_beam, 1), "rear")
     assert centroid(spoilt.rest - 50) == pytest.approx((180, 110), abs=0.7)
 
