@@ -72,6 +72,8 @@ def demo_folder(keep: Path | None) -> Iterator[DemoFolder]:
             path = Path(parts.enter_context(tempfile.TemporaryDirectory(prefix="altd-")))
         else:
             path = keep.absolute()
+            if path.exists() and not path.is_dir():
+                raise BadInputError(str(path), "is not a folder")
         link = path / _PROGRAM
         try:
             path.mkdir(parents=True, exist_ok=True)

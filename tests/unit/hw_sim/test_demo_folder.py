@@ -56,3 +56,11 @@ def test_the_socket_is_as_long_as_unix_allows(tmp_path: Path) -> None:
     for length, has_socket in ((room, True), (room + 1, False)):
         with demo_folder(tmp_path / ("x" * length)) as folder:
             assert (folder.local is not None) is has_socket
+
+
+def test_what_is_no_folder_is_named_and_left_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(BadInputError, match=f"^{file}: is not a folder$"), demo_folder(file):
+        pass
+    assert file.read_text() == "mine"
