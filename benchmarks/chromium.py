@@ -1,18 +1,20 @@
-"""A headless Chromium of this machine, driven by Playwright, and what its processes take."""
+"""The Chromium of this machine, driven by Playwright, and what its processes take."""
 
 from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-from playwright.async_api import Browser, CDPSession, Page, async_playwright
+from playwright.async_api import Browser, Page, async_playwright
 
 from benchmarks.process_memory import proportional_mb
 
-_PICTURES = 'figure.target[data-sequence]:not([data-sequence=""])'
+PICTURES = 'figure.target[data-sequence]:not([data-sequence=""])'
+"""Each of the targets that the unit's page shows a picture of."""
+
 _PATIENCE_MS = 60_000
 
 
@@ -33,26 +35,39 @@ class BrowserProcess:
             return 0.0
 
 
-@contextlib.asynccontextmanager
-async def chromium() -> AsyncIterator[Browser]:
-    """Started for as long as the block lasts; raises SystemExit where there is none."""
+class Asked(Protocol):
+    """Whoever can be asked by Chromium's own protocol."""
+
+    def send(self, method: str, /) -> Awaitable[dict[str, Any]]:
+        """What a method without parameters answers."""
+        ...
+
+
+def program() -> str:
+    """Where it lies; raises SystemExit where there is none."""
     path = shutil.which("chromium")
     if path is None:
         raise SystemExit("benchmarks: there is no program chromium")
+    return path
+
+
+@contextlib.asynccontextmanager
+async def chromium() -> AsyncIterator[Browser]:
+    """Headless, for as long as the block lasts; raises SystemExit where there is none."""
     async with async_playwright() as playwright:
-        started = await playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        started = await playwright.chromium.launch(executable_path=program(), args=["--no-sandbox"])
         try:
             yield started
         finally:
             await started.close()
 
 
-async def processes(session: CDPSession) -> list[BrowserProcess]:
-    """All of them, by a session of the browser (``Browser.new_browser_cdp_session``)."""
-    said: dict[str, Any] = await session.send("SystemInfo.getProcessInfo")
+async def processes(browser: Asked) -> list[BrowserProcess]:
+    """All of them, by a session of the whole browser (such as ``Browser.new_browser_cdp_session``)."""
+    said = await browser.send("SystemInfo.getProcessInfo")
     return [BrowserProcess(each["type"], each["id"], each["cpuTime"]) for each in said["processInfo"]]
 
 
 async def until_pictures(page: Page) -> None:
     """Wait until the unit's page shows a picture of each of two targets."""
-    await page.locator(_PICTURES).nth(1).wait_for(timeout=_PATIENCE_MS)
+    await page.locator(PICTURES).nth(1).wait_for(timeout=_PATIENCE_MS)

@@ -42,8 +42,8 @@ async def keep_open(material: Material, seconds: float, is_spoilt: bool) -> bool
     print("".join(f"{name:>13}" for name in ("t_s", *QUANTITIES)), flush=True)
     taken: list[Sample] = []
     with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
-        async with served_unit(material, Path(folder)) as unit, chromium() as browser:
-            async for sample in samples(browser, unit.http_port, seconds, is_spoilt):
+        async with served_unit(material, Path(folder)) as unit:
+            async for sample in samples(unit.http_port, seconds, is_spoilt):
                 if len(taken) % _EVERY == 0:
                     print("".join(f"{value:13.6g}" for value in astuple(sample)), flush=True)
                 taken.append(sample)

@@ -48,6 +48,12 @@ def until(found: Callable[[], Any], timeout_s: float = 90.0) -> Any:
     return value
 
 
+def told_of(events: str, recording: str) -> str | None:
+    """What the command tells of the events, once the history holds this one: it is written now and then."""
+    told = pasted(events)
+    return told if re.search(rf"^\S+ recording .*{re.escape(recording)}$", told, re.MULTILINE) else None
+
+
 def test_a_fault_of_the_demo_is_seen_in_events_watched_and_replayed(unit_3: Path) -> None:
     need_program("tmux")
     calibration = unit_3 / "cal.json"
@@ -67,12 +73,11 @@ def test_a_fault_of_the_demo_is_seen_in_events_watched_and_replayed(unit_3: Path
         screen.press("b")
         kept = until(lambda: recording_of(address[1], "spot_missing "))
 
-        told = pasted(events[1])
+        told = until(lambda: told_of(events[1], f"s of frames are kept: {kept['why']}"))
         for kind, words in (
             ("started", "altd .* started"),
             ("cause_came", "the frames are simulated|simulated"),
             ("cause_came", "no laser spot"),
-            ("recording", f"s of frames are kept: {kept['why']}"),
         ):
             assert re.search(rf"^\S+ {kind} .*({words})", told, re.MULTILINE), told
 

@@ -45,6 +45,8 @@ def test_after_each_plug_there_are_whole_telegrams_only(unplugged: Any) -> None:
         first, *lines, torn = heard.split("\r\n")
         assert first == ""  # what the controller has in its buffer since the plug was pulled ends here
         assert len(lines) >= 2
+        if is_whole(torn):  # torn within the two bytes of its end: it must be as true as the others
+            lines.append(torn)
         for number, line in enumerate(lines):
             assert is_whole(line), line
             assert line.startswith("$PALTQ" if number % 2 else "$PALTM")
@@ -53,7 +55,6 @@ def test_after_each_plug_there_are_whole_telegrams_only(unplugged: Any) -> None:
         assert sequences[0] > last_sequence  # nothing old was kept for later
         assert sequences == sorted(sequences)
         last_sequence = sequences[-1]
-        assert not is_whole(torn)
 
 
 def test_the_plug_was_pulled_while_telegrams_were_being_written(unplugged: Any) -> None:
