@@ -36,7 +36,7 @@ def main() -> int:
         stills = list(_record_demo(demo))
         (_FOLDER / "demo.svg").write_text(animated_svg(stills, _COLUMNS, _ROWS, _TITLE))
         (address,) = re.findall(r"http://127\.0\.0\.1:\d+/", demo.text().split("browser")[1].split("\n")[0])
-        screenshot(address, _FOLDER / "page.png", Path(folder, "browser"), 1280, 970, after_s=6.0)
+        screenshot(address, _FOLDER / "page.png", 1280, 970, after_s=6.0)
         demo.press("q")
         _draw_report(Path(folder), _FOLDER / "report.png")
     return 0
