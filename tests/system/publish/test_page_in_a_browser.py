@@ -140,6 +140,8 @@ async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
     late_s: dict[str, float] = {}
     async with seen(calibration_of_unit_3) as shown:
         running = shown.running
+        await said(running, "starting", False)
+        await said(running, "self_checking", False)
         for name, (code, spoil) in FAULTS.items():
             spoil(running)
             if code == "lamps_failed":
