@@ -13,7 +13,7 @@ from datetime import UTC, datetime, timedelta
 from altd.config import Maintenance
 from altd.measuring.spot_locator import Located
 from altd.measuring.spot_trend import DustShare, Trend, residual_share
-from altd.records import NoSpot
+from altd.records import NoSpot, counted
 from altd.status.cause import Cause
 from altd.status.conditions import Condition
 from altd.status.health import Component
@@ -51,7 +51,8 @@ class CalibrationAge:
             )
         elif age > self._due:
             yield Cause(
-                Condition.CALIBRATION_DUE, detail=f"made {self._created:%Y-%m-%d}, {age.days} days ago"
+                Condition.CALIBRATION_DUE,
+                detail=f"made {self._created:%Y-%m-%d}, {counted(age.days, 'day')} ago",
             )
 
 
