@@ -54,16 +54,31 @@ def answer(question: Question) -> None:
                 "--kind", f"{kind[:40]!r}; possible: {possible}{did_you_mean(kind, EventKind)}"
             )
     add = _writer(question.form)
-    last = 0
-    with opened(question.history) as reader:
-        while True:
-            for event in reader.events_after(last, *question.span_us, question.kinds):
-                add(event)
-                last = event.id
-            if not question.follow:
-                return
-            sys.stdout.flush()
-            time.sleep(_LOOK_INTERVAL_S)
+    while True:
+        file = _identity(question.history)
+        last = 0
+        with opened(question.history) as reader:
+            while True:
+                for event in reader.events_after(last, *question.span_us, question.kinds):
+                    add(event)
+                    last = event.id
+                if not question.follow:
+                    return
+                sys.stdout.flush()
+                time.sleep(_LOOK_INTERVAL_S)
+                now = _identity(question.history)
+                if now is not None and now != file:  # moved aside: the daemon has begun another
+                    break
+        time.sleep(_LOOK_INTERVAL_S)  # it may be an empty file still
+
+
+def _identity(file: Path) -> tuple[int, int] | None:
+    """Of the file that lies there; another one has another. None: there is none."""
+    try:
+        found = file.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def event_line(event: StoredEvent) -> str:
