@@ -34,7 +34,7 @@ class SelfCheckSettings(Table):
     when_bad: Literal["invalid", "warning"] = "invalid"
     """What a bad verdict makes of the measurements."""
     when_unknown: Literal["invalid", "warning"] = "warning"
-    """What a check that ends without a verdict makes of them."""
+    """What a check that ends without a verdict, or without one on a part of the unit, makes of them."""
     compensate: bool = False
     """Take out of the measurement what drift a check has proven; the measurement carries a warning. Ends
     when no check has had a verdict for three times ``interval_s``."""

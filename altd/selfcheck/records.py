@@ -162,9 +162,12 @@ class SelfCheck:
     ``effects`` holds, by the keys of the beam (``yaw_deg``, ``pitch_deg``, ``x_mm``, ``y_mm``), what the
     drift makes of a measurement at the beam's place, measured minus true, with its sigma; it is empty where
     no two targets could be judged. ``reasons`` says in words what kept it from being good, worst first.
+    ``is_whole`` is False where of a target, or of the direction, nothing is known: the verdict is then that
+    of the rest.
     """
 
     verdict: Verdict
     targets: Mapping[str, TargetDrift]
     effects: Mapping[str, Value]
     reasons: tuple[str, ...] = ()
+    is_whole: bool = True

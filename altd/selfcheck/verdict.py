@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from altd.measuring.calibration import Calibration
@@ -42,9 +42,10 @@ def judge(
 
     ``at`` is where the spots stand now, (u, v) px by target, uncorrected; of a target that is not in it, or
     without it, the middle of the calibrated area counts. ``previous`` is, for the hysteresis, the last
-    verdict that was not unknown. ``reference_plane_mm`` is where x and y are told. A target of the
-    calibration that is not in ``views`` makes the verdict unknown, as does one without LED references; a view
-    of a target that the calibration does not know raises KeyError, frames of another size ValueError.
+    verdict that was not unknown: after a bad one a check that sees but a part is unknown, unless that
+    part is bad. ``reference_plane_mm`` is where x and y are told. A target of the calibration that is not in
+    ``views`` makes the verdict unknown, as does one without LED references; a view of a target that the
+    calibration does not know raises KeyError, frames of another size ValueError.
     """
     known = {target.name: target for target in calibration.targets}
     seen = {name: drift_of(name, view, known[name], limits) for name, view in views.items()}
@@ -57,7 +58,11 @@ def judge(
         for name, drift in drifts.items()
         if drift.similarity is not None
     }
-    opinions = [_of_target(drift, worst.get(name), limits, previous) for name, drift in drifts.items()]
+    opinions = [
+        opinion
+        for name, drift in drifts.items()
+        for opinion in _of_target(drift, worst.get(name), limits, previous)
+    ]
     if len(worst) >= 2:
         z_mm = [known[name].z_mm for name in worst]
         significant = any(_is_significant(drifts[name]) for name in worst)
@@ -65,11 +70,16 @@ def judge(
             _of_direction(list(worst.values()), max(z_mm) - min(z_mm), significant, limits, previous)
         )
     opinions.sort(key=lambda opinion: -_ORDER.index(opinion.verdict))
+    verdict = opinions[0].verdict
+    is_whole = all(opinion.verdict is not Verdict.UNKNOWN for opinion in opinions)
+    if verdict is Verdict.SUSPECT and not is_whole and previous is Verdict.BAD:
+        verdict = Verdict.UNKNOWN  # what was bad may be what is not seen
     return SelfCheck(
-        verdict=opinions[0].verdict,
+        verdict=verdict,
         targets=drifts,
         effects=_effects(drifts, calibration, at or {}, reference_plane_mm),
         reasons=tuple(opinion.reason for opinion in opinions if opinion.verdict is not Verdict.GOOD),
+        is_whole=is_whole,
     )
 
 
@@ -93,19 +103,22 @@ def _effects(
 
 def _of_target(
     drift: TargetDrift, worst: WorstEffect | None, limits: Limits, previous: Verdict | None
-) -> _Opinion:
-    """What one target's drift is worth."""
+) -> Iterator[_Opinion]:
+    """What one target's drift is worth; where its LEDs contradict each other, that and what is not known."""
     name = drift.target
     if worst is None:
-        return _Opinion(Verdict.UNKNOWN, f"{name}: {drift.detail}")
+        yield _Opinion(Verdict.UNKNOWN, f"{name}: {drift.detail}")
+        return
     bounds = (limits.suspect_mm, limits.bad_mm)
     opinion = _against(
         f"{name}: the picture moved by up to", "mm", worst, bounds, (_is_significant(drift), limits, previous)
     )
     displaced = LedState.DISPLACED in drift.leds
-    if (not drift.is_similarity or displaced) and opinion.verdict is not Verdict.BAD:
-        return _Opinion(Verdict.SUSPECT, f"{name}: {drift.detail}")
-    return opinion
+    contradicts = (not drift.is_similarity or displaced) and opinion.verdict is not Verdict.BAD
+    if contradicts:
+        yield _Opinion(Verdict.SUSPECT, f"{name}: {drift.detail}")
+    if not contradicts or opinion.verdict is Verdict.UNKNOWN:
+        yield opinion
 
 
 def _of_direction(

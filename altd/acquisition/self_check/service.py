@@ -176,7 +176,7 @@ class SelfChecks:
             self._logged = report.sentence
             level = logging.INFO if check.verdict is Verdict.GOOD else logging.WARNING
             log.log(level, "self-check: %s", report.sentence)
-        self._schedule.ended(check.verdict in (Verdict.GOOD, Verdict.SUSPECT))
+        self._schedule.ended(check.verdict in (Verdict.GOOD, Verdict.SUSPECT) and check.is_whole)
         self._desk.put_up(report)
 
     def _lacks_exposures(self, measurement: Measurement) -> bool:

@@ -68,12 +68,11 @@ class Standing:
     def take(self, check: SelfCheck, slow_drift: str = "") -> None:
         """A check has ended; ``slow_drift`` says in words what all of them together show."""
         self._pending = ()
-        if check.verdict is Verdict.UNKNOWN:
-            is_invalid = self._settings.when_unknown == "invalid"
-            reason = Reason.GEOMETRY_UNVERIFIED if is_invalid else Reason.GEOMETRY_UNKNOWN
-            self._of_unknown = (Fault(reason, detail="; ".join(check.reasons)),)
+        is_unknown = check.verdict is Verdict.UNKNOWN
+        self._of_unknown = () if check.is_whole and not is_unknown else (self._fault_of_unknown(check),)
+        if is_unknown:
             return
-        self._known, self._of_unknown = check, ()
+        self._known = check
         self._known_ns, self._slow_drift = self._clock.monotonic_ns(), slow_drift
         self._compensation, self._refusal = self._compensation_of(check)
         self._of_known = self._faults(check)
@@ -126,6 +125,11 @@ class Standing:
         if errors and measurement.valid:
             return measurement.without_numbers((*faults, *measurement.status))
         return replace(measurement, status=(*measurement.status, *faults))
+
+    def _fault_of_unknown(self, check: SelfCheck) -> Fault:
+        is_invalid = self._settings.when_unknown == "invalid"
+        reason = Reason.GEOMETRY_UNVERIFIED if is_invalid else Reason.GEOMETRY_UNKNOWN
+        return Fault(reason, detail="; ".join(check.reasons))
 
     def _compensation_of(self, check: SelfCheck) -> tuple[Compensation | None, str]:
         if not self._settings.compensate or not _is_proven(check):

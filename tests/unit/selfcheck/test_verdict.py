@@ -119,6 +119,33 @@ def test_too_few_leds_are_unknown_whatever_the_others_show() -> None:
     assert check(Scene(levels=two), Scene(Motion(2.0))).verdict is Verdict.BAD
 
 
+def test_a_bad_verdict_is_not_ended_by_a_check_that_sees_but_a_part() -> None:
+    """The front was bad and is dark now; that the rear is no more than suspect says nothing of it."""
+    dark, moved = Scene(levels=(0,) * 6), Scene(Motion(0.25))
+    found = check(dark, moved)
+    assert (found.verdict, found.is_whole) == (Verdict.SUSPECT, False)
+    assert check(dark, moved, previous=Verdict.SUSPECT).verdict is Verdict.SUSPECT
+    assert check(dark, moved, previous=Verdict.BAD).verdict is Verdict.UNKNOWN
+    assert check(dark, Scene(Motion(2.0)), previous=Verdict.BAD).verdict is Verdict.BAD
+    whole = check(Scene(), moved, previous=Verdict.BAD)
+    assert (whole.verdict, whole.is_whole) == (Verdict.SUSPECT, True)
+
+
+def test_an_led_that_is_elsewhere_does_not_hide_that_the_others_tell_too_little() -> None:
+    """The picture trembles by 0.1 mm, and LED 4 is not where the others' motion puts it."""
+    rng = np.random.default_rng(5)
+    shaken = [Scene(Motion(*rng.normal(0, 0.4, 2))).view(rng, 1) for _ in range(4)]
+    trembling = LedView(tuple(v.lit[0] for v in shaken), tuple(v.dark[0] for v in shaken))
+    known = unit()
+    moved = LEDS.copy()
+    moved[3] += (6.0, 0.0)
+    elsewhere = replace(known, targets=(replace(known.targets[0], leds_px=moved), known.targets[1]))
+    found = check(trembling, calibration=elsewhere)
+    assert found.targets["front"].leds[3] is LedState.DISPLACED
+    assert (found.verdict, found.is_whole) == (Verdict.SUSPECT, False)
+    assert check(trembling, calibration=elsewhere, previous=Verdict.BAD).verdict is Verdict.UNKNOWN
+
+
 def test_leds_so_dim_in_noise_that_the_limit_is_not_known_are_unknown_not_good() -> None:
     tight = Limits(suspect_mm=0.0005)
     assert check(Scene(), limits=tight).verdict is Verdict.UNKNOWN

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ def calibration() -> Calibration:
 
 UNKNOWN = SelfCheck(Verdict.UNKNOWN, {}, {}, ("all LEDs dark",))
 GOOD, SUSPECT, BAD = (check(Verdict(word), word) for word in ("good", "suspect", "bad"))
+SUSPECT_IN_PART, BAD_IN_PART = (replace(one, is_whole=False) for one in (SUSPECT, BAD))
 
 
 def standing(calibration: Calibration, clock: FakeClock | None = None, **settings: object) -> Standing:
@@ -76,6 +78,11 @@ def test_before_the_first_check_nothing_is_valid(calibration: Calibration) -> No
         ({}, [BAD, UNKNOWN, UNKNOWN], False, ["geometry_drift", "geometry_unknown"]),
         ({}, [SUSPECT, UNKNOWN], True, ["geometry_suspect", "geometry_unknown"]),
         ({}, [GOOD, UNKNOWN], True, ["geometry_unknown"]),
+        # nor does who sees but a part say that the rest is in its place
+        ({}, [SUSPECT_IN_PART], True, ["geometry_suspect", "geometry_unknown"]),
+        ({"when_unknown": "invalid"}, [SUSPECT_IN_PART], False, ["geometry_suspect", "geometry_unverified"]),
+        ({}, [BAD_IN_PART], False, ["geometry_drift", "geometry_unknown"]),
+        ({}, [SUSPECT_IN_PART, SUSPECT], True, ["geometry_suspect"]),
     ],
 )
 def test_what_follows_from_verdicts(
