@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from altd.acquisition.self_check.exposing import CheckFrames
 from altd.config import SelfCheckSettings
@@ -11,7 +11,7 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.selfcheck.lighting import findings
 from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
-from altd.selfcheck.verdict import judge
+from altd.selfcheck.verdict import NOT_LOOKED_AT, judge
 
 SpotPx = tuple[float, float]
 
@@ -58,7 +58,10 @@ class CheckJudge:
         self._reference_plane_mm = reference_plane_mm
 
     def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
-        """The verdict; ``at`` is where the spots stand by target, ``previous`` the one before."""
+        """The verdict; ``at`` is where the spots stand by target, ``previous`` the one before.
+
+        A target whose frames are spoilt is not looked at; what the others show counts.
+        """
         notes: list[str] = []
         spoilt: list[str] = []
         seen: dict[str, LedView] = {}
@@ -66,11 +69,11 @@ class CheckJudge:
             before, lit, after = (of[view.camera] for of in (frames.before, frames.lit, frames.after))
             target = self._calibration.target(view.target)
             assert target is not None  # noqa: S101  the daemon was refused without it
-            for finding in findings(before, lit, after, target.leds_px):
+            found = findings(before, lit, after, target.leds_px)
+            for finding in found:
                 (spoilt if finding.spoils else notes).append(f"{view.target}: {finding.sentence}")
-            seen[view.target] = LedView(lit, (*before, *after))
-        if spoilt:
-            return Judged(unknown(*spoilt), tuple(notes))
+            if not any(finding.spoils for finding in found):
+                seen[view.target] = LedView(lit, (*before, *after))
         check = judge(
             seen,
             self._calibration,
@@ -79,4 +82,9 @@ class CheckJudge:
             previous=previous,
             reference_plane_mm=self._reference_plane_mm,
         )
-        return Judged(check, tuple(notes))
+        if not spoilt:
+            return Judged(check, tuple(notes))
+        if check.verdict is Verdict.UNKNOWN:
+            return Judged(unknown(*spoilt), tuple(notes))
+        reasons = tuple(reason for reason in check.reasons if not reason.endswith(NOT_LOOKED_AT))
+        return Judged(replace(check, reasons=(*reasons, *spoilt)), tuple(notes))

@@ -1,0 +1,58 @@
+"""From the frames of both cameras to a verdict, on frames whose LEDs are numbers in the test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from support.led_frames import LEDS, Motion, Scene, unit
+
+from altd.acquisition.self_check.exposing import CheckFrames
+from altd.acquisition.self_check.judging import CheckJudge, Judged
+from altd.measuring.chain import View
+from altd.records import Frame
+from altd.selfcheck.records import Limits, Verdict
+
+PER_LIGHT = 2
+NEAR_LED = ((float(LEDS[0, 0]) + 14.0, float(LEDS[0, 1])),)
+
+
+def exposed(scene: Scene, of_last: Scene | None = None) -> tuple[tuple[Frame, ...], ...]:
+    """Frames of one camera off, on and off again; the last under the LEDs may show something else."""
+    rng = np.random.default_rng(2)
+    view, other = scene.view(rng, 2 * PER_LIGHT), (of_last or scene).view(rng, PER_LIGHT)
+    lit = (*view.lit[: PER_LIGHT - 1], other.lit[-1])
+    frames = (*view.dark[:PER_LIGHT], *lit, *view.dark[PER_LIGHT:])
+    timed = [replace(frame, sequence=n, t_ns=n * 50_000_000) for n, frame in enumerate(frames)]
+    return tuple(timed[:PER_LIGHT]), tuple(timed[PER_LIGHT : 2 * PER_LIGHT]), tuple(timed[2 * PER_LIGHT :])
+
+
+def judged(
+    front: tuple[tuple[Frame, ...], ...], rear: tuple[tuple[Frame, ...], ...], previous: Verdict | None = None
+) -> Judged:
+    views = [View(name, name) for name in ("front", "rear")]
+    by_light = (dict(zip(("front", "rear"), of, strict=True)) for of in zip(front, rear, strict=True))
+    judge = CheckJudge(views, unit(), Limits(), 0.0)
+    return judge.judge(CheckFrames(*by_light), {}, previous)
+
+
+BLINKING = exposed(Scene(), Scene(reflections=NEAR_LED))
+
+
+def test_undisturbed_frames_are_judged_as_they_are() -> None:
+    assert judged(exposed(Scene()), exposed(Scene())).check.verdict is Verdict.GOOD
+
+
+def test_a_light_that_blinks_near_an_led_leaves_no_verdict_where_nothing_else_is_wrong() -> None:
+    found = judged(BLINKING, exposed(Scene()))
+    assert found.check.verdict is Verdict.UNKNOWN
+    assert [reason.partition(":")[0] for reason in found.check.reasons] == ["front"]
+    assert "near an LED, came or went by itself" in found.sentence
+
+
+def test_a_light_that_blinks_before_one_target_does_not_hide_the_drift_of_the_other() -> None:
+    found = judged(BLINKING, exposed(Scene(Motion(2.0))))
+    assert (found.check.verdict, found.check.is_whole) == (Verdict.BAD, False)
+    assert [reason.partition(":")[0] for reason in found.check.reasons] == ["rear", "front"]
+    assert "near an LED, came or went by itself" in found.sentence
+    assert judged(BLINKING, exposed(Scene(Motion(0.25))), Verdict.BAD).check.verdict is Verdict.UNKNOWN
