@@ -13,13 +13,14 @@ from support.clock import FakeClock, settle, stop
 from support.measurements import measured
 
 from altd.acquisition.self_check.exposing import CheckFailedError
+from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.light import LedLog, Light
 from altd.acquisition.self_check.memory import CheckMemory
-from altd.acquisition.self_check.schedule import REST_S, Cause, Schedule
+from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
 from altd.acquisition.self_check.standing import Standing
 from altd.config import SelfCheckSettings
-from altd.selfcheck.records import Limits
+from altd.selfcheck.records import Limits, SelfCheck, Verdict
 from altd.status.health import Component
 from altd.status.self_check_desk import SelfCheckDesk
 
@@ -27,38 +28,40 @@ CAMERAS = ("front", "rear")
 
 
 class Exposer:
-    """Fails each time, before the LEDs are lit or after, and counts how often it was asked."""
+    """Fails each time, before the LEDs are lit or after, or has frames; counts how often it was asked."""
 
-    def __init__(self, clock: FakeClock, has_begun: bool) -> None:
-        self._clock, self._has_begun = clock, has_begun
+    def __init__(self, clock: FakeClock, has_begun: bool, has_frames: bool) -> None:
+        self._clock, self._has_begun, self._has_frames = clock, has_begun, has_frames
         self.asked_s: list[float] = []
 
     async def expose(self) -> Any:
         self.asked_s.append(self._clock.now_ns * 1e-9)
+        if self._has_frames:
+            return None
         await self._clock.sleep(3.0)
         raise CheckFailedError("no camera had steady exposures", has_begun=self._has_begun)
 
 
 class Running:
-    """The service with what it needs of others made by hand."""
+    """The service with what it needs of others made by hand; ``found``: what each check finds."""
 
-    def __init__(self, has_begun: bool, **settings: object) -> None:
+    def __init__(self, has_begun: bool, found: SelfCheck | None = None, **settings: object) -> None:
         self.clock, self.desk = FakeClock(), SelfCheckDesk()
         checked = SelfCheckSettings.model_validate(settings)
         standing = Standing(checked, Limits(), evidence.calibration(), self.clock)
         parts = CheckParts(
             LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000)),
             Schedule(self.clock, checked.interval_s, checked.enabled),
-            SimpleNamespace(),  # type: ignore[arg-type]  no check comes so far that it is judged
+            SimpleNamespace(judge=lambda *_: Judged(found)),  # type: ignore[arg-type]
             standing,
-            SimpleNamespace(apply=lambda standing: None),  # type: ignore[arg-type]
+            SimpleNamespace(apply=lambda _: None, prepare=lambda _: None),  # type: ignore[arg-type]
             CheckMemory(evidence.calibration(), self.clock),
         )
         component = Component("self-check", self.clock)
         self.checks = SelfChecks(
             parts, dict(zip(CAMERAS, CAMERAS, strict=True)), self.desk, component, self.clock
         )
-        self.exposer = Exposer(self.clock, has_begun)
+        self.exposer = Exposer(self.clock, has_begun, found is not None)
 
     async def __aenter__(self) -> Running:
         marked = {light: dict.fromkeys(CAMERAS, 0) for light in (Light.ON, Light.SWITCHED)}
@@ -123,3 +126,13 @@ async def test_a_requested_check_that_could_not_begin_answers_who_waits() -> Non
         await running.clock.advance(3.1)
         assert (await waiting).number == 2
         assert running.desk.waiting == 0
+
+
+@pytest.mark.parametrize(("is_whole", "checks"), [(True, 1), (False, 2)])
+async def test_a_check_that_saw_but_a_part_is_repeated_soon(is_whole: bool, checks: int) -> None:
+    found = SelfCheck(Verdict.SUSPECT, {}, {}, ("rear: moved", "front: dark"), is_whole)
+    async with Running(has_begun=True, found=found) as running, asyncio.timeout(10):
+        await running.desk.report(1)
+        await settle()
+        await running.clock.advance(FIRST_REPEAT_S + 0.1)
+        assert len(running.exposer.asked_s) == checks
