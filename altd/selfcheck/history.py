@@ -18,7 +18,7 @@ from typing import Self
 
 import numpy as np
 
-from altd.selfcheck.records import SelfCheck, Similarity
+from altd.selfcheck.records import SelfCheck, Similarity, Verdict
 
 MIN_ALLOWANCE_PX = 0.03
 """K: a picture that moves by less and stays there, as with warmth, is no drift."""
@@ -105,14 +105,22 @@ class TargetHistory:
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """What is remembered of the checks so far, by target; a new one starts with a new calibration."""
+    """What is remembered of the checks so far, by target; a new one starts with a new calibration.
+
+    ``was_bad``: so the last check with a verdict was.
+    """
 
     targets: Mapping[str, TargetHistory] = field(default_factory=dict)
+    was_bad: bool = False
 
     @classmethod
     def empty(cls) -> Self:
         """Before the first check."""
         return cls()
+
+    def with_verdict(self, verdict: Verdict) -> Self:
+        """With the verdict of the last check, which is not unknown, and nothing of what it found."""
+        return replace(self, was_bad=verdict is Verdict.BAD)
 
     def with_check(self, check: SelfCheck, time_s: float) -> Self:
         """With one check more, made at ``time_s`` (any clock that runs through a restart, such as UTC).
@@ -131,7 +139,7 @@ class History:
                 targets[name] = TargetHistory(today, radius_px=drift.similarity.radius_px)
             else:
                 targets[name] = known.with_numbers(numbers, variances, number)
-        return replace(self, targets=targets)
+        return replace(self, targets=targets).with_verdict(check.verdict)
 
     def is_ahead_of(self, time_s: float) -> bool:
         """Whether it holds a day that, by a time of the same clock, begins more than a day from now."""

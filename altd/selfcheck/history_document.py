@@ -55,11 +55,13 @@ class _TargetTable(_Table):
 
 class _HistoryTable(_Table):
     targets: dict[str, _TargetTable]
+    was_bad: bool = False
 
 
 def document_of(history: History) -> dict[str, Any]:
     """The history as plain JSON types: at most some 10 kB for each target."""
-    return {"targets": {name: asdict(target) for name, target in history.targets.items()}}
+    targets = {name: asdict(target) for name, target in history.targets.items()}
+    return {"targets": targets, "was_bad": history.was_bad}
 
 
 def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
@@ -74,4 +76,4 @@ def history_of(document: Mapping[str, Any], targets: Iterable[str]) -> History:
         raise ValueError(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from error
     if foreign := set(table.targets) - set(targets):
         raise ValueError(f"targets.{min(foreign)}: the calibration has no such target")
-    return History({name: target.history() for name, target in table.targets.items()})
+    return History({name: target.history() for name, target in table.targets.items()}, table.was_bad)

@@ -99,25 +99,36 @@ class CheckMemory:
         self._kept: _Kept | None = None
         self._is_loaded = True
         self._saved_ns: int | None = None
+        self._saved_was_bad = False
 
     def keep_in(self, path: Path, component: Component) -> None:
         """Keep the history in a file from the first check on; ``component`` says how that does."""
         self._kept, self._is_loaded = _Kept(HistoryFile(path, self._calibration), component), False
 
     async def add(self, check: SelfCheck, time: datetime | None) -> None:
-        """Take a check that ended at ``time``; one without a verdict, or at a time that cannot be, is none.
+        """Take a check that ended at ``time``; one without a verdict is none.
 
-        Before the calibration was made nothing was checked against it: then the clock was not set yet.
+        Of one at a time that cannot be the verdict counts, and nothing of what it found. Before the
+        calibration was made nothing was checked against it: then the clock was not set yet.
         """
-        if check.verdict is Verdict.UNKNOWN or time is None or time < self._earliest:
+        if check.verdict is Verdict.UNKNOWN:
             return
         if not self._is_loaded and not await self._load():
+            return
+        self._history = self._history.with_verdict(check.verdict)
+        if time is None or time < self._earliest:
             return
         time_s = time.timestamp()
         if self._history.is_ahead_of(time_s):
             log.warning("self-check history: holds days that have not come yet; it begins anew")
             self._history = History.empty()
         self._history = self._history.with_check(check, time_s)
+
+    async def was_bad(self) -> bool:
+        """Whether the last check with a verdict was bad, before this start or since, as far as is known."""
+        if not self._is_loaded:
+            await self._load()
+        return self._history.was_bad
 
     @property
     def slow_drift(self) -> str:
@@ -129,14 +140,20 @@ class CheckMemory:
         )
 
     async def save(self) -> None:
-        """Write the history when that is due; a disk that refuses is told, and tried at the next check."""
-        kept, now_ns = self._kept, self._clock.monotonic_ns()
-        if kept is None or not self._history.targets:
+        """Write the history when that is due; a disk that refuses is told, and tried at the next check.
+
+        A verdict that became bad, or is so no more, is written at once.
+        """
+        kept, now_ns, was_bad = self._kept, self._clock.monotonic_ns(), self._history.was_bad
+        if kept is None or not self._is_loaded:
             return
-        if self._saved_ns is not None and now_ns - self._saved_ns < SAVE_INTERVAL_S * 1e9:
-            return
+        if was_bad is self._saved_was_bad:
+            if not self._history.targets:
+                return
+            if self._saved_ns is not None and now_ns - self._saved_ns < SAVE_INTERVAL_S * 1e9:
+                return
         if await kept.save(self._history):
-            self._saved_ns = now_ns
+            self._saved_ns, self._saved_was_bad = now_ns, was_bad
 
     async def end(self) -> None:
         """Let what is being written get to the disk."""
@@ -149,7 +166,7 @@ class CheckMemory:
         history = await self._kept.load()
         if history is None:
             return False
-        self._history, self._is_loaded = history, True
+        self._history, self._is_loaded, self._saved_was_bad = history, True, history.was_bad
         return True
 
 
@@ -183,7 +200,7 @@ class _Kept:
         except TimeoutError:
             self._tell(f"not kept: {_NO_ANSWER}")
             return False
-        days = max(1 + len(target.days) for target in history.targets.values())
+        days = max(1 + len(target.days) for target in history.targets.values()) if history.targets else 0
         self._component.set_state(State.OK, f"{days} {'day' if days == 1 else 'days'} in {self._file.path}")
         return True
 

@@ -110,8 +110,9 @@ class SelfChecks:
     async def run(self, exposer: CheckExposer, lamps: FrameLamps, frames: MarkedFrames) -> None:
         """Check until cancelled."""
         self._component.set_state(State.STARTING, "no check yet")
-        await self._lamps_open(lamps)
         try:
+            await self._recall()
+            await self._lamps_open(lamps)
             await self._check_for_ever(exposer, frames)
         finally:
             await self._memory.end()
@@ -134,6 +135,14 @@ class SelfChecks:
             await self._memory.add(judged.check, occasion.time)
             self._settle(occasion, judged)
             await self._memory.save()
+            await self._recall()
+
+    async def _recall(self) -> None:
+        """What was bad before this start stays bad until a check has a verdict."""
+        if self._standing.verdict is None and await self._memory.was_bad():
+            self._standing.recall_bad()
+            if not self._standing.awaits_first:
+                self._component.set_state(self._standing.state, self._standing.faults[0].detail)
 
     async def _lamps_open(self, lamps: FrameLamps) -> None:
         """Give lamps the time that they take to open at the start."""

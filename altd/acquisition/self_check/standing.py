@@ -19,6 +19,7 @@ from altd.status.health import State
 MAX_UNCONFIRMED_INTERVALS = 3
 """For so many intervals of the schedule a correction is trusted after the check that it comes from. By then
 some nine checks ended without a verdict: nobody knows what the drift is now."""
+_BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
 
 
 class Standing:
@@ -77,6 +78,12 @@ class Standing:
         self._compensation, self._refusal = self._compensation_of(check)
         self._of_known = self._faults(check)
 
+    def recall_bad(self) -> None:
+        """The last check before this start was bad; where one has had a verdict since, that counts."""
+        if self._known is None:
+            self._known = SelfCheck(Verdict.BAD, {}, {}, (_BEFORE_START,))
+            self._of_known = self._faults(self._known)
+
     def lapse(self) -> bool:
         """Give up a correction that no check has confirmed for too long; whether that was now.
 
@@ -107,7 +114,7 @@ class Standing:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """What every measurement has to say now, worst first."""
-        return (*self._pending, *self._of_known, *self._of_unknown)
+        return self._pending or (*self._of_known, *self._of_unknown)
 
     @property
     def state(self) -> State:

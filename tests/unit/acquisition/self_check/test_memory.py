@@ -222,7 +222,7 @@ async def test_a_clock_that_was_not_set_yet_neither_counts_nor_costs_the_history
     told = await unit.told_after_days(0.02)
     assert told is not None
     kept = unit.path.read_bytes()
-    assert await unit.run((0.0, datetime(1970, 1, 1, 0, 1, tzinfo=UTC))) == ""
+    assert "drifts" in await unit.run((0.0, datetime(1970, 1, 1, 0, 1, tzinfo=UTC)))
     assert unit.path.read_bytes() == kept
     in_1970_and_now = (0.0, datetime(1970, 1, 1, tzinfo=UTC)), (0.2, FIRST + timedelta(days=told))
     assert "drifts" in await unit.run(*in_1970_and_now)
@@ -318,6 +318,42 @@ def test_on_a_full_disk_the_old_history_stays_and_it_is_told(tmp_path: Path) -> 
     said = f"not kept: {tmp_path / NAME}: No space left on device"
     assert done.stdout == f"degraded {said} True ['recording', '{NAME}']\n", done.stderr
     assert done.stderr == f"self-check history: {said}\n"
+
+
+async def knows_bad(unit: Unit, calibration: Calibration = CALIBRATION) -> bool:
+    """What a daemon that starts now knows of the last verdict."""
+    memory = CheckMemory(calibration, unit.clock)
+    memory.keep_in(unit.path, unit.component)
+    was_bad = await memory.was_bad()
+    await memory.end()
+    return was_bad
+
+
+@pytest.mark.parametrize("time", [FIRST, None, datetime(1970, 1, 1, tzinfo=UTC)], ids=str)
+async def test_a_bad_verdict_is_known_at_the_next_start_whatever_the_clock_said(
+    unit: Unit, time: datetime | None, warnings: list[str]
+) -> None:
+    """It is written at once, though the history was written a moment ago, and so is its end."""
+    assert not await knows_bad(unit)
+    memory = CheckMemory(CALIBRATION, unit.clock)
+    memory.keep_in(unit.path, unit.component)
+    await memory.add(check(0.0), FIRST)
+    await memory.save()
+    for verdict, is_bad in (
+        (Verdict.BAD, True),
+        (Verdict.UNKNOWN, True),
+        (Verdict.SUSPECT, False),
+        (Verdict.BAD, True),
+        (Verdict.GOOD, False),
+        (Verdict.BAD, True),
+    ):
+        await memory.add(check(0.0, verdict), time)
+        await memory.save()
+        assert await knows_bad(unit) is is_bad
+    await memory.end()
+    other = replace(CALIBRATION, created=CALIBRATION.created + timedelta(seconds=1))
+    assert not await knows_bad(unit, other)
+    assert warnings == []
 
 
 async def test_a_check_without_a_verdict_is_none(unit: Unit) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -106,6 +107,25 @@ async def test_one_that_began_and_came_to_nothing_is_without_a_verdict() -> None
     async with Running(has_begun=True) as running:
         await running.clock.advance(3.1)
         assert running.passed == (True, ["geometry_unknown"])
+
+
+@pytest.mark.parametrize("last", [Verdict.BAD, Verdict.SUSPECT])
+async def test_what_was_bad_before_the_start_is_not_valid_after_a_first_check_that_saw_nothing(
+    last: Verdict, tmp_path: Path
+) -> None:
+    before = Running(has_begun=True, found=SelfCheck(last, {}, {}, ("moved",)))
+    before.checks.keep_history_in(tmp_path / "checks.json", Component("history", before.clock))
+    async with before, asyncio.timeout(10):
+        await before.desk.report(1)
+    after = Running(has_begun=True)
+    after.checks.keep_history_in(tmp_path / "checks.json", Component("history", after.clock))
+    async with after, asyncio.timeout(10):
+        assert after.passed == (False, ["self_checking"])
+        while after.desk.latest is None:
+            await after.clock.advance(0.1)
+        is_valid, says = after.passed
+        assert is_valid is (last is not Verdict.BAD)
+        assert says == ["geometry_drift"] * (not is_valid) + ["geometry_unknown"]
 
 
 async def test_a_flood_of_requests_lights_the_leds_no_more_often_than_the_rest_allows() -> None:

@@ -98,6 +98,23 @@ def test_what_follows_from_verdicts(
     assert codes(of_unit) == (valid, says)
 
 
+def test_what_was_bad_before_the_start_stays_so_until_a_check_has_a_verdict(
+    calibration: Calibration,
+) -> None:
+    of_unit = standing(calibration)
+    of_unit.recall_bad()
+    assert codes(of_unit) == (False, ["self_checking"])
+    assert of_unit.verdict is Verdict.BAD
+    of_unit.take(UNKNOWN)
+    assert codes(of_unit) == (False, ["geometry_drift", "geometry_unknown"])
+    of_unit.take(SUSPECT)
+    of_unit.recall_bad()
+    assert codes(of_unit) == (True, ["geometry_suspect"])
+    asked_only = standing(calibration, enabled=False)
+    asked_only.recall_bad()
+    assert codes(asked_only) == (False, ["geometry_drift"])
+
+
 def test_the_reason_is_told_and_those_of_the_measurement_stay(calibration: Calibration) -> None:
     of_unit = standing(calibration)
     of_unit.take(check(Verdict.BAD, "rear: moved by 0.3 mm", "yaw is off"))
