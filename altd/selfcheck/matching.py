@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from altd.records import ComplexArray, FloatArray
 
-MAX_TURN_DEG = 5.0
-MAX_SCALE = 0.05
-MAX_SHIFT_PX = 40.0
-"""Farther no camera moves and still shows its LEDs; a symmetric layout fits itself again at 180°."""
+_MIN_AGREEING_FAR = 4
+"""Three lights of twelve lie by chance like three LEDs once any shift and turn may be."""
+_MAX_FAR_LIGHTS = 12
 TOLERANCE_PX = 2.0
 """How far an LED may lie from the similarity of two others and agree with it; the fit's own residuals judge
 afterwards."""
@@ -23,6 +22,21 @@ _MAX_BASES = 60
 _MIN_AGREEING = 3
 _RIVAL_BRIGHTNESS = 0.5
 Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Reach:
+    """How far a similarity may be from none, either way."""
+
+    shift_px: float
+    turn_deg: float
+    scale: float
+
+
+_NEAR = _Reach(40.0, 5.0, 0.05)
+"""What a camera does that works itself loose; a symmetric layout fits itself again at 180°."""
+_FAR = _Reach(math.inf, 180.0, 0.2)
+"""A camera that was knocked out of its place, or another one. The LEDs of a target behind it look smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,12 +66,28 @@ def match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -
 
     Each pair of LEDs with each pair of lights proposes a similarity; those that no camera does are dropped.
     Of the rest the one wins with which most agree, of equals the one that is nearest to no motion. Where no
-    three agree, the lights that are where LEDs should be are those.
+    three agree, the layout is looked for anywhere in the picture; where it is not found either, the lights
+    that are where LEDs should be are those.
     """
-    in_place = Match(_in_place(references_px, lights_px))
-    candidates = _candidates(references_px, lights_px)
-    if candidates is None or candidates.counts.max() < min(_MIN_AGREEING, len(references_px)):
-        return in_place
+    least = min(_MIN_AGREEING, len(references_px))
+    candidates = _candidates(references_px, lights_px, _NEAR)
+    if candidates is None or candidates.counts.max() < least:
+        return _far_match(references_px, lights_px, peaks) or Match(_in_place(references_px, lights_px))
+    return _best_of(candidates, peaks)
+
+
+def _far_match(references_px: FloatArray, lights_px: FloatArray, peaks: FloatArray) -> Match | None:
+    """The layout of the LEDs among the brightest lights, wherever it is; None: it is not there."""
+    brightest = np.argsort(-peaks, kind="stable")[:_MAX_FAR_LIGHTS]
+    candidates = _candidates(references_px, lights_px[brightest], _FAR)
+    if candidates is None or candidates.counts.max() < _MIN_AGREEING_FAR:
+        return None
+    found = _best_of(candidates, peaks[brightest])
+    return Match(np.where(found.lights >= 0, brightest[found.lights], -1), found.rival)
+
+
+def _best_of(candidates: _Candidates, peaks: FloatArray) -> Match:
+    """What the best of the candidates says."""
     best = int(np.lexsort((candidates.cost, -candidates.counts))[0])
     chosen = candidates.lights[best]
     return Match(chosen, _has_rival(candidates, best, peaks))
@@ -89,8 +119,8 @@ def _has_rival(candidates: _Candidates, best: int, peaks: FloatArray) -> bool:
     return False
 
 
-def _candidates(references_px: FloatArray, lights_px: FloatArray) -> _Candidates | None:
-    """All plausible similarities of two LEDs to two lights; None without any."""
+def _candidates(references_px: FloatArray, lights_px: FloatArray, reach: _Reach) -> _Candidates | None:
+    """All similarities within reach of two LEDs to two lights; None without any."""
     if len(references_px) < 2 or len(lights_px) < 2:
         return None
     references, lights = _complex(references_px), _complex(lights_px)
@@ -102,9 +132,9 @@ def _candidates(references_px: FloatArray, lights_px: FloatArray) -> _Candidates
     b = lights[k][None] - a * references[first][:, None]
     moved = np.abs(a * middle + b - middle)
     possible = (
-        (np.abs(np.abs(a) - 1.0) <= MAX_SCALE)
-        & (np.abs(np.angle(a)) <= math.radians(MAX_TURN_DEG))
-        & (moved <= MAX_SHIFT_PX)
+        (np.abs(np.abs(a) - 1.0) <= reach.scale)
+        & (np.abs(np.angle(a)) <= math.radians(reach.turn_deg))
+        & (moved <= reach.shift_px)
     )
     if not possible.any():
         return None

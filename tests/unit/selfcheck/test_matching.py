@@ -38,10 +38,33 @@ def test_reflections_are_no_leds() -> None:
         assert not found.rival
 
 
-def test_a_layout_that_looks_the_same_upside_down_is_not_taken_for_itself() -> None:
-    turned = 2 * LEDS.mean(axis=0) - LEDS
-    found = match(turned.mean(axis=0) + (LEDS - LEDS.mean(axis=0)), turned, bright(turned))
-    assert found.count < 3
+@pytest.mark.parametrize(
+    "motion",
+    [Motion(60, -50), Motion(turn_deg=12), Motion(turn_deg=180), Motion(-45, 10, -90, 150_000)],
+)
+@pytest.mark.parametrize("missing", [(), (3,), (0, 5)])
+def test_a_layout_that_is_far_from_its_place_is_found_there(motion: Motion, missing: tuple[int, ...]) -> None:
+    """A camera that was knocked, or another one: upside down, each LED is where half a turn brings it."""
+    seen = [led for led in range(6) if led not in missing]
+    dim = np.array([(60.0, 240.0), (500.0, 100.0)])
+    lights = np.concatenate([dim, motion.of(LEDS)[seen]])
+    found = match(LEDS, lights, np.array([20.0, 20.0] + [100.0] * len(seen)))
+    assert found.lights.tolist() == [2 + seen.index(led) if led in seen else -1 for led in range(6)]
+    assert not found.rival
+
+
+def test_lights_that_lie_as_they_like_are_no_layout_anywhere() -> None:
+    """By chance some of these lie like three LEDs, moved, turned and scaled, and none like four."""
+    rng = np.random.default_rng(7)
+    for count in (3, 6, 12, 40):
+        for _ in range(50):
+            lights = rng.uniform((0, 0), (752, 480), (count, 2))
+            assert match(LEDS, lights, rng.uniform(20, 100, count)).count <= 3
+
+
+def test_leds_of_a_target_behind_are_not_taken_for_those_of_this_one() -> None:
+    lights = Motion(30, -20, 1.0, -350_000).of(LEDS)
+    assert match(LEDS, lights, bright(lights)).count == 0
 
 
 def test_a_symmetric_layout_of_which_half_is_dark_is_matched_without_a_turn() -> None:

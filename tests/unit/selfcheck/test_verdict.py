@@ -83,10 +83,27 @@ def test_a_turn_counts_where_the_beam_is_not_though_it_does_nothing_where_it_is(
 
 @pytest.mark.parametrize(
     ("shift_px", "verdict"),
-    [(0.04, Verdict.GOOD), (0.25, Verdict.SUSPECT), (1.0, Verdict.BAD), (30.0, Verdict.BAD)],
+    [
+        (0.04, Verdict.GOOD),
+        (0.25, Verdict.SUSPECT),
+        (1.0, Verdict.BAD),
+        (30.0, Verdict.BAD),
+        (42.0, Verdict.BAD),
+        (90.0, Verdict.BAD),
+    ],
 )
 def test_limits_are_of_the_measurement(shift_px: float, verdict: Verdict) -> None:
     assert check(Scene(Motion(shift_px))).verdict is verdict
+
+
+@pytest.mark.parametrize(
+    "motion", [Motion(turn_deg=7.0), Motion(turn_deg=179.0), Motion(scale_ppm=-80_000)], ids=str
+)
+def test_a_camera_that_stands_quite_otherwise_is_bad_and_not_unknown(motion: Motion) -> None:
+    found = check(Scene(motion))
+    assert found.verdict is Verdict.BAD
+    assert found.targets["front"].similarity is not None
+    assert found.targets["front"].similarity.turn_deg == pytest.approx(motion.turn_deg, abs=0.01)
 
 
 def test_wider_limits_in_mm_and_degrees_let_the_same_drift_pass() -> None:
