@@ -71,7 +71,7 @@ class Standing:
         self._pending = ()
         is_unknown = check.verdict is Verdict.UNKNOWN
         self._of_unknown = () if check.is_whole and not is_unknown else (self._fault_of_unknown(check),)
-        if is_unknown:
+        if self._changes_nothing(check):
             return
         self._known = check
         self._known_ns, self._slow_drift = self._clock.monotonic_ns(), slow_drift
@@ -101,7 +101,7 @@ class Standing:
 
     def transforms_after(self, check: SelfCheck) -> Mapping[str, Similarity]:
         """The ``transforms`` that a check would bring, were it taken."""
-        if check.verdict is Verdict.UNKNOWN:
+        if self._changes_nothing(check):
             return self.transforms
         compensation, _ = self._compensation_of(check)
         return {} if compensation is None else compensation.transforms
@@ -132,6 +132,11 @@ class Standing:
         if errors and measurement.valid:
             return measurement.without_numbers((*faults, *measurement.status))
         return replace(measurement, status=(*measurement.status, *faults))
+
+    def _changes_nothing(self, check: SelfCheck) -> bool:
+        """Whether what was known before stands; a correction, too, where a check saw but a part of it."""
+        in_part = check.verdict is Verdict.SUSPECT and not check.is_whole
+        return check.verdict is Verdict.UNKNOWN or (in_part and self._compensation is not None)
 
     def _fault_of_unknown(self, check: SelfCheck) -> Fault:
         is_invalid = self._settings.when_unknown == "invalid"

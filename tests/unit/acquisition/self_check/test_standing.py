@@ -178,6 +178,22 @@ class TestCompensation:
         assert of_unit.correct is None
         assert codes(of_unit) == (True, [])
 
+    def test_holds_through_a_check_that_saw_but_a_part_unless_that_is_bad(
+        self, calibration: Calibration
+    ) -> None:
+        of_unit = standing(calibration, compensate=True)
+        of_unit.take(check(Verdict.SUSPECT, "suspect", shift_px=0.2, significance=50.0))
+        before = of_unit.transforms
+        rear_only = {"front": TargetDrift("front", 6, 0, ()), "rear": SUSPECT.targets["rear"]}
+        in_part = replace(SUSPECT_IN_PART, targets=rear_only)
+        assert of_unit.transforms_after(in_part) == before != {}
+        of_unit.take(in_part)
+        assert of_unit.transforms == before
+        assert codes(of_unit) == (True, ["compensated", "geometry_unknown"])
+        of_unit.take(replace(BAD_IN_PART, targets=rear_only))
+        assert of_unit.correct is None
+        assert codes(of_unit) == (False, ["geometry_drift", "geometry_unknown"])
+
     @pytest.mark.parametrize(
         ("settings", "proven", "valid", "says"),
         [
