@@ -57,7 +57,7 @@ def known_unit_of(config: Config, cameras: Mapping[str, Camera]) -> KnownUnit | 
             [View(target.name, target.camera) for target in config.targets],
             calibration,
             limits_of(config.self_check),
-            config.installation.reference_plane_mm,
+            config.installation,
         ),
         {target.camera: target.name for target in config.targets},
     )

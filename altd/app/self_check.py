@@ -46,7 +46,7 @@ def check_parts_of(
     return CheckParts(
         LedLog(clock, {view.camera: period_ns for view in views}),
         Schedule(clock, settings.interval_s, settings.enabled),
-        CheckJudge(views, calibration, limits, config.installation.reference_plane_mm),
+        CheckJudge(views, calibration, limits, config.installation),
         Standing(settings, limits, calibration, clock),
         Correction(chain, calibration, {view.camera: view.target for view in views}),
         CheckMemory(calibration, clock),

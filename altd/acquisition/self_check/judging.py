@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from altd.acquisition.self_check.exposing import CheckFrames
-from altd.config import SelfCheckSettings
+from altd.config import Installation, SelfCheckSettings
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
+from altd.records import Value
 from altd.selfcheck.lighting import findings
 from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
 from altd.selfcheck.verdict import NOT_LOOKED_AT, judge
@@ -47,15 +48,18 @@ def limits_of(settings: SelfCheckSettings) -> Limits:
 
 
 class CheckJudge:
-    """Judges the frames of ``views``' cameras; holds nothing between two checks."""
+    """Judges the frames of ``views``' cameras; holds nothing between two checks.
+
+    What a drift makes of a measurement is told with the signs of its installation.
+    """
 
     def __init__(
-        self, views: Sequence[View], calibration: Calibration, limits: Limits, reference_plane_mm: float
+        self, views: Sequence[View], calibration: Calibration, limits: Limits, installation: Installation
     ) -> None:
         self._views = views
         self._calibration = calibration
         self._limits = limits
-        self._reference_plane_mm = reference_plane_mm
+        self._installation = installation
 
     def judge(self, frames: CheckFrames, at: Mapping[str, SpotPx], previous: Verdict | None) -> Judged:
         """The verdict; ``at`` is where the spots stand by target, ``previous`` the one before.
@@ -80,11 +84,23 @@ class CheckJudge:
             at,
             self._limits,
             previous=previous,
-            reference_plane_mm=self._reference_plane_mm,
+            reference_plane_mm=self._installation.reference_plane_mm,
         )
+        check = replace(check, effects=_installed(check.effects, self._installation))
         if not spoilt:
             return Judged(check, tuple(notes))
         if check.verdict is Verdict.UNKNOWN:
             return Judged(unknown(*spoilt), tuple(notes))
         reasons = tuple(reason for reason in check.reasons if not reason.endswith(NOT_LOOKED_AT))
         return Judged(replace(check, reasons=(*reasons, *spoilt)), tuple(notes))
+
+
+def _installed(effects: Mapping[str, Value], installation: Installation) -> Mapping[str, Value]:
+    """Effects in the unit frame as a controller sees them, whose axes may be turned round."""
+    signs = {
+        "x_mm": installation.sign_x,
+        "y_mm": installation.sign_y,
+        "yaw_deg": installation.sign_yaw,
+        "pitch_deg": installation.sign_pitch,
+    }
+    return {key: replace(effect, value=signs[key] * effect.value) for key, effect in effects.items()}

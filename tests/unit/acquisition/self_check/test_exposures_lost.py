@@ -18,7 +18,7 @@ from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
 from altd.acquisition.self_check.standing import Standing
-from altd.config import Measuring, SelfCheckSettings
+from altd.config import Installation, Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame
@@ -48,7 +48,7 @@ class Bench:
         parts = CheckParts(
             self._leds,
             Schedule(self._clock, 600.0, automatic=False),
-            CheckJudge(views, calibration, limits, 0.0),
+            CheckJudge(views, calibration, limits, Installation()),
             Standing(settings, limits, calibration, self._clock),
             Correction(self._chain, calibration, CAMERAS),
             CheckMemory(calibration, self._clock),

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from support.led_frames import LEDS, Motion, Scene, unit
 
 from altd.acquisition.self_check.exposing import CheckFrames
 from altd.acquisition.self_check.judging import CheckJudge, Judged
+from altd.config import Installation
 from altd.measuring.chain import View
 from altd.records import Frame
 from altd.selfcheck.records import Limits, Verdict
@@ -28,11 +30,14 @@ def exposed(scene: Scene, of_last: Scene | None = None) -> tuple[tuple[Frame, ..
 
 
 def judged(
-    front: tuple[tuple[Frame, ...], ...], rear: tuple[tuple[Frame, ...], ...], previous: Verdict | None = None
+    front: tuple[tuple[Frame, ...], ...],
+    rear: tuple[tuple[Frame, ...], ...],
+    previous: Verdict | None = None,
+    **installed: object,
 ) -> Judged:
     views = [View(name, name) for name in ("front", "rear")]
     by_light = (dict(zip(("front", "rear"), of, strict=True)) for of in zip(front, rear, strict=True))
-    judge = CheckJudge(views, unit(), Limits(), 0.0)
+    judge = CheckJudge(views, unit(), Limits(), Installation.model_validate(installed))
     return judge.judge(CheckFrames(*by_light), {}, previous)
 
 
@@ -56,3 +61,17 @@ def test_a_light_that_blinks_before_one_target_does_not_hide_the_drift_of_the_ot
     assert [reason.partition(":")[0] for reason in found.check.reasons] == ["rear", "front"]
     assert "near an LED, came or went by itself" in found.sentence
     assert judged(BLINKING, exposed(Scene(Motion(0.25))), Verdict.BAD).check.verdict is Verdict.UNKNOWN
+
+
+def test_what_a_drift_makes_of_a_measurement_has_the_signs_of_its_installation() -> None:
+    """4 px/mm; the front camera sees x mirrored, v runs down: 1 px right and down are -0.25 and -0.25 mm."""
+    of_unit = {"x_mm": -0.25, "y_mm": -0.25, "yaw_deg": 0.0512, "pitch_deg": 0.0512}
+    signs = {"sign_x": -1, "sign_y": 1, "sign_yaw": 1, "sign_pitch": -1}
+    frames = exposed(Scene(Motion(1.0, 1.0))), exposed(Scene())
+    for installed in ({}, signs):
+        effects = judged(*frames, **installed, offset_x_mm=5.0).check.effects
+        for key, value in of_unit.items():
+            sign = installed.get(f"sign_{key.partition('_')[0]}", 1)
+            assert effects[key].value == pytest.approx(sign * value, abs=0.01 * abs(value) + 0.001)
+            assert effects[key].sigma is not None
+            assert effects[key].sigma > 0
