@@ -119,7 +119,7 @@ class History:
         return cls()
 
     def with_verdict(self, verdict: Verdict) -> Self:
-        """With the verdict of the last check, which is not unknown, and nothing of what it found."""
+        """With the verdict of the last check that had one."""
         return replace(self, was_bad=verdict is Verdict.BAD)
 
     def with_check(self, check: SelfCheck, time_s: float) -> Self:
@@ -139,7 +139,7 @@ class History:
                 targets[name] = TargetHistory(today, radius_px=drift.similarity.radius_px)
             else:
                 targets[name] = known.with_numbers(numbers, variances, number)
-        return replace(self, targets=targets).with_verdict(check.verdict)
+        return replace(self, targets=targets)
 
     def is_ahead_of(self, time_s: float) -> bool:
         """Whether it holds a day that, by a time of the same clock, begins more than a day from now."""

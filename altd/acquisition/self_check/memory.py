@@ -121,7 +121,7 @@ class CheckMemory:
         time_s = time.timestamp()
         if self._history.is_ahead_of(time_s):
             log.warning("self-check history: holds days that have not come yet; it begins anew")
-            self._history = History.empty()
+            self._history = History.empty().with_verdict(check.verdict)
         self._history = self._history.with_check(check, time_s)
 
     async def was_bad(self) -> bool:
