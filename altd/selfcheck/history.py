@@ -87,6 +87,12 @@ class TargetHistory:
             return replace(self, today=today)
         return replace(self._closed(), today=Day(number, 1, numbers, variances))
 
+    def dated_back(self, number: int) -> TargetHistory:
+        """The same days in their order, of which the newest is that one and no other is later."""
+        too_late = max(self.days[-1].number - (number - 1), 0) if self.days else 0
+        days = tuple(replace(day, number=day.number - too_late) for day in self.days)
+        return replace(self, days=days, today=replace(self.today, number=number))
+
     def _closed(self) -> TargetHistory:
         """With today summed up."""
         mean, sigma = np.array(self.today.mean), np.array(self.today.sigma)
@@ -145,6 +151,18 @@ class History:
         """Whether it holds a day that, by a time of the same clock, begins more than a day from now."""
         today = math.floor(time_s / DAY_S)
         return any(history.today.number > today + 1 for history in self.targets.values())
+
+    def dated_back(self, time_s: float) -> Self:
+        """The same where it ends later than ``time_s``: as if the last checks were of that day.
+
+        A clock that was wrong and is set tells nothing of what was found meanwhile.
+        """
+        number = math.floor(time_s / DAY_S)
+        targets = {
+            name: history.dated_back(number) if history.today.number > number else history
+            for name, history in self.targets.items()
+        }
+        return replace(self, targets=targets)
 
     @property
     def slow_drifts(self) -> tuple[SlowDrift, ...]:

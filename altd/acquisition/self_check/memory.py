@@ -120,8 +120,8 @@ class CheckMemory:
             return
         time_s = time.timestamp()
         if self._history.is_ahead_of(time_s):
-            log.warning("self-check history: holds days that have not come yet; it begins anew")
-            self._history = History.empty().with_verdict(check.verdict)
+            log.warning("self-check history: holds days that have not come yet; they count as the last ones")
+            self._history = self._history.dated_back(time_s)
         self._history = self._history.with_check(check, time_s)
 
     async def was_bad(self) -> bool:

@@ -195,7 +195,7 @@ async def test_what_is_no_file_is_told_and_not_replaced(unit: Unit, warnings: li
     assert unit.path.is_fifo()
 
 
-async def test_days_that_have_not_come_yet_begin_anew(unit: Unit, warnings: list[str]) -> None:
+async def test_days_that_have_not_come_yet_count_as_the_last_ones(unit: Unit, warnings: list[str]) -> None:
     """A file of the future, and a clock that is set back by years while the daemon runs."""
     await unit.run((0.0, FIRST + timedelta(days=3000)))
     assert await unit.run((0.0, FIRST)) == ""
@@ -204,10 +204,29 @@ async def test_days_that_have_not_come_yet_begin_anew(unit: Unit, warnings: list
     ahead, back = FIRST + timedelta(days=3001), FIRST + timedelta(days=1)
     await unit.run((0.0, ahead), (0.0, back))
     assert len(warnings) == 2
-    assert unit.days() == 1
+    assert unit.days() == 2
     assert json.loads(unit.path.read_bytes())["targets"]["front"]["today"]["number"] == (
         back.timestamp() // 86400
     )
+
+
+@pytest.mark.parametrize("wrong_days", [1, 8])
+async def test_a_clock_that_was_ahead_for_a_while_hides_no_drift(
+    unit: Unit, warnings: list[str], wrong_days: int
+) -> None:
+    """After days of drift the clock is years ahead for some days, and then set."""
+    told = await unit.told_after_days(0.02)
+    assert told is not None
+    for day in range(told + 1, told + 1 + wrong_days):
+        await unit.run((0.02 * day, FIRST + timedelta(days=day + 3000)))
+    last = told + wrong_days
+    sentence = await unit.run((0.02 * last, FIRST + timedelta(days=last)))
+    assert "front drifts by 0.0" in sentence
+    assert len(warnings) == 1
+    after = FIRST + timedelta(days=last + 1)
+    assert "drifts" in await unit.run((0.02 * (last + 1), after))
+    assert len(warnings) == 1
+    assert unit.component.state is State.OK
 
 
 async def test_a_clock_set_back_by_less_than_a_day_loses_nothing(unit: Unit, warnings: list[str]) -> None:
