@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,7 +21,7 @@ KIB = 1024
 
 def content(size: int) -> object:
     def write(folder: Path) -> Written:
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "frame").write_bytes(b"x" * size)
         return Written(exposures=3, seconds=0.15)
 
@@ -120,7 +122,7 @@ def test_a_disk_that_is_nearly_full_keeps_room_for_the_history(
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), BadInputError("rec", "is odd")])
 def test_what_fails_while_it_is_written_leaves_nothing(tmp_path: Path, error: Exception) -> None:
     def write(folder: Path) -> Written:
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "half").write_bytes(b"x")
         raise error
 
@@ -144,6 +146,47 @@ def test_what_a_killed_daemon_left_half_done_is_removed_at_the_next_start(tmp_pa
     (tmp_path / ".under-way-99" / "half").write_bytes(b"x")
     assert RecordingStore(tmp_path, 1 << 20).open() == (kept,)
     assert [path.name for path in tmp_path.iterdir()] == [kept.name]
+
+
+def test_what_another_daemon_is_writing_stays(tmp_path: Path) -> None:
+    """Another process, for one that ends lets go of its lock."""
+    script = f"""
+import sys, time
+from pathlib import Path
+from altd.acquisition.kept_frames.store import RecordingStore, Written
+
+def write(folder):
+    folder.mkdir(exist_ok=True)
+    (folder / "frame").write_bytes(b"x")
+    print("writes", flush=True)
+    sys.stdin.readline()
+    return Written(3, 0.15)
+
+print(RecordingStore(Path({str(tmp_path)!r}), 1 << 20).add("theirs", None, 1, write).name)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdin is not None
+        assert other.stdout is not None
+        assert other.stdout.readline() == "writes\n"
+        shelf = Shelf(tmp_path)
+        ours = shelf.add()
+        other.stdin.write("go on\n")
+        other.stdin.flush()
+        assert other.stdout.read() == "unknown-time-theirs\n"
+    assert shelf.names() == ["unknown-time-theirs", ours.name]
+    assert shelf.store.content("unknown-time-theirs", "frame") == b"x"
+
+
+def test_the_header_is_the_last_of_the_files_whatever_the_cameras_are_called(tmp_path: Path) -> None:
+    """An archive that ends before it is no recording."""
+    shelf = Shelf(tmp_path)
+    kept = shelf.add()
+    for name in ("recording.json", "frames.csv", "front/0.png", "top/0.png"):
+        (tmp_path / kept.name / name).parent.mkdir(exist_ok=True)
+        (tmp_path / kept.name / name).write_bytes(b"")
+    assert shelf.store.files(kept.name)[-2:] == ["top/0.png", "recording.json"]
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "a\x00b", "x" * 200, "ä", ".under-way-1"])
