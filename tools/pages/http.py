@@ -229,8 +229,8 @@ calibration's file and report, and diagnostics:
 
 The file holds hashes alone (scrypt; SHA-256 of tokens, which are 256 bits drawn by chance). It must not be
 readable by others than its owner and group. Who is taken out of it (`--remove`) may act no more from then on,
-without a restart, and his sessions are over. A file that cannot be read lets nobody in, and the component
-says so.
+without a restart, and his sessions are over; so they are when his password is changed. A file that cannot be
+read lets nobody in, and the component says so.
 
 A program sends its token:
 
