@@ -212,8 +212,9 @@ With TLS the browser itself compares the name with the certificate.
 
 ## Who may act
 
-To act is to ask for a self-check. Each such request has the header `{REQUEST_HEADER}`, which a page of
-another site cannot send unasked, and no `Origin` but the unit's own; else it is refused with 403.
+To act is to ask for a self-check, to keep the last seconds of frames, and to mark a recording or take its
+mark away. Each such request has the header `{REQUEST_HEADER}`, which a page of another site cannot send
+unasked, and no `Origin` but the unit's own; else it is refused with 403.
 
 Without `credentials` only the unit's own computer may, through its local socket or on its own address, and
 `Host` must be an address. With them a token or a login is needed, on the unit's own computer too (its local

@@ -251,7 +251,7 @@ def _check_is_own_computer(request: HTTPConnection) -> None:
     theirs = None if client is None else address_of(client.host)
     ours = None if server is None else address_of(server[0])
     if theirs is None or not (is_loopback(theirs) or theirs == ours):
-        sentence = "it is asked for on the unit's own computer only: altd selfcheck"
+        sentence = "only the unit's own computer may ask for this: [http] credentials is not set"
         raise Refused(refusal(403, sentence))
     host = host_of(request.headers.get("Host", ""))
     if host not in _LOCAL_NAMES and address_of(host) is None:
