@@ -47,7 +47,8 @@ class RecordingStore:
     """The recordings in ``folder``, which may take ``max_bytes`` together. Its calls block.
 
     A recording is written beside the others and gets its name when it is whole; until then who writes it
-    holds the lock of its folder (flock(2)), which ends with the process.
+    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, by which the
+    oldest is told: a clock that nobody set names the newest by a day of long ago.
     """
 
     def __init__(self, folder: Path, max_bytes: int) -> None:
@@ -65,8 +66,8 @@ class RecordingStore:
 
     def recordings(self) -> tuple[KeptRecording, ...]:
         """What there is, the newest first; what altd did not put there is passed over."""
-        found = [self._read(path) for path in self._folder.iterdir() if _NAME.fullmatch(path.name)]
-        return tuple(sorted(filter(None, found), key=lambda kept: kept.name, reverse=True))
+        newest_first = sorted(self._numbered(), key=lambda each: (each[0], each[1].name), reverse=True)
+        return tuple(kept for _, kept in newest_first)
 
     def folder_of(self, name: str) -> Path:
         """Where a recording lies; raises NotKeptError when there is none of that name."""
@@ -92,12 +93,12 @@ class RecordingStore:
     def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """Mark a recording, or take its mark away."""
         path = self.folder_of(name)
-        kept = self._read(path)
-        if kept is None:
+        found = self._read(path)
+        if found is None:
             raise NotKeptError(f"{path / _ABOUT_FILE} is damaged")
-        kept = replace(kept, is_marked=is_marked)
+        number, kept = found[0], replace(found[1], is_marked=is_marked)
         try:
-            _write_about(path, kept)
+            _write_about(path, number, kept)
         except OSError as error:
             raise self._refused(error) from error
         return kept
@@ -128,7 +129,8 @@ class RecordingStore:
                     _bytes_of(under_way) + _BLOCK_BYTES,
                     is_marked=False,
                 )
-                _write_about(under_way, kept)
+                number = 1 + max((number for number, _ in self._numbered()), default=0)
+                _write_about(under_way, number, kept)
                 under_way.rename(self._folder / kept.name)
         except (BadInputError, OSError) as error:
             raise self._refused(error) from error
@@ -166,12 +168,18 @@ class RecordingStore:
                 return name
         raise NotKeptError(f"there are {_MAX_SAME_NAME} recordings of the name {base}")
 
-    def _read(self, path: Path) -> KeptRecording | None:
+    def _numbered(self) -> list[tuple[int, KeptRecording]]:
+        """What there is, each with its number."""
+        found = (self._read(path) for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
+        return [each for each in found if each is not None]
+
+    def _read(self, path: Path) -> tuple[int, KeptRecording] | None:
+        """Number and facts of a recording; 0 of one that was kept before there were numbers."""
         try:
             about = parse_json(read_file(path / _ABOUT_FILE, _MAX_ABOUT_BYTES))
             if not isinstance(about, dict):
                 return None
-            return KeptRecording(
+            kept = KeptRecording(
                 path.name,
                 str(about["why"]),
                 str(about["start"] or ""),
@@ -180,6 +188,7 @@ class RecordingStore:
                 int(about["bytes"]),
                 about["marked"] is True,
             )
+            return int(about.get("number", 0)), kept
         except (BadInputError, OSError, KeyError, TypeError, ValueError, OverflowError):
             return None
 
@@ -203,8 +212,9 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _write_about(path: Path, kept: KeptRecording) -> None:
-    replace_file(path / _ABOUT_FILE, (json.dumps(kept.as_object()) + "\n").encode())
+def _write_about(path: Path, number: int, kept: KeptRecording) -> None:
+    about = {**kept.as_object(), "number": number}
+    replace_file(path / _ABOUT_FILE, (json.dumps(about) + "\n").encode())
 
 
 def _bytes_of(folder: Path) -> int:

@@ -85,6 +85,28 @@ def test_the_oldest_make_room(tmp_path: Path) -> None:
     assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) <= 100 * KIB
 
 
+def test_the_oldest_is_told_by_what_came_first_and_not_by_the_clock(tmp_path: Path) -> None:
+    """A unit without a battery begins each day in 1970, and one without a clock knows no day at all."""
+    store = RecordingStore(tmp_path, max_bytes=100 * KIB)
+    starts = [START, datetime(1970, 1, 1, 0, 9, tzinfo=UTC), None, datetime(1970, 1, 1, tzinfo=UTC)]
+    names = [store.add("asked", start, 20 * KIB, content(20 * KIB)).name for start in starts]  # type: ignore[arg-type]
+    store.mark(names[2], True)
+    last = store.add("asked", datetime(1970, 1, 1, 0, 1, tzinfo=UTC), 20 * KIB, content(20 * KIB)).name  # type: ignore[arg-type]
+    assert [kept.name for kept in store.recordings()] == [last, *reversed(names[1:])]
+
+
+def test_those_of_before_there_were_numbers_are_the_oldest(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path)
+    before = [shelf.add() for _ in range(2)]
+    for kept in before:
+        about = tmp_path / kept.name / "kept.json"
+        facts = json.loads(about.read_text())
+        del facts["number"]
+        about.write_text(json.dumps(facts))
+    new = shelf.store.add("asked", datetime(1970, 1, 1, tzinfo=UTC), KIB, content(KIB))  # type: ignore[arg-type]
+    assert shelf.names() == [new.name, before[1].name, before[0].name]
+
+
 def test_a_marked_one_stays(tmp_path: Path) -> None:
     shelf = Shelf(tmp_path, max_bytes=100 * KIB)
     marked = shelf.add(20 * KIB)
@@ -222,4 +244,4 @@ def test_a_damaged_one_is_passed_over_and_never_removed(tmp_path: Path, about: b
 def test_what_is_written_about_a_recording_are_plain_facts(tmp_path: Path) -> None:
     kept = Shelf(tmp_path).add()
     about = json.loads((tmp_path / kept.name / "kept.json").read_text())
-    assert about == kept.as_object()
+    assert about == {**kept.as_object(), "number": 1}
