@@ -6,12 +6,13 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from playwright.async_api import Page, Route
-from support.history import ABOUT, beam, store, write_seconds
+from support.history import ABOUT, batch, beam, event, store, write_seconds
 from support.measurements import measured
 from support.page import browser
 from support.picture_maker import Maker
@@ -25,6 +26,7 @@ from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.http.publisher import HttpPublisher
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board
+from altd.status.event_log import EventKind
 from altd.status.health import Health
 from altd.status.proof import Identity
 from altd.status.recording_desk import KeptRecording, NotKeptError
@@ -122,6 +124,25 @@ async def test_a_past_of_another_unit_is_not_shown_for_this_one(tmp_path: Path) 
             await shown.get_by_text("B-2").wait_for()
             await asyncio.sleep(1.0)
             assert await trend_in(shown) == {"-50"}
+
+
+async def test_frames_that_had_to_make_room_are_not_offered(tmp_path: Path) -> None:
+    remembered(tmp_path / "a", "A-1", 10.0)
+    now_s, noted = time.time(), []
+    for number, name in enumerate((RECORDING, "20251120T012345Z-spot_missing-front"), 1):
+        noted.append(
+            replace(event(number, now_s, EventKind.RECORDING, text=name), detail={"recording": name})
+        )
+    writing = store(tmp_path / "a", About(ABOUT.columns, {"serial": "A-1"}))
+    writing.write(batch(now_s, [], noted))
+    writing.end(None)
+    history = History(tmp_path / "a" / "history.db")
+    async with page() as shown, unit("A-1", history=history) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#events")
+        there, gone = (shown.locator(".events tr").filter(has_text=each.text) for each in noted)
+        await there.get_by_role("link", name="its frames").wait_for()
+        await gone.get_by_text("its frames are not kept any more").wait_for()
+        assert await gone.get_by_role("link").count() == 0
 
 
 async def test_a_unit_that_answers_slowly_is_not_asked_by_ever_more(tmp_path: Path) -> None:

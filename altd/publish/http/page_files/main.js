@@ -49,7 +49,8 @@ function useSession(isAnswering) {
 }
 
 function EventsView({ session, mayLook, onSession }) {
-  return html`<${Events} mayLook=${mayLook} /><${Recordings} mayAct=${session?.may_act} mayLook=${mayLook} onSession=${onSession} />`;
+  const kept = useAnswer("/api/v1/recordings", CHECK_MS);
+  return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} mayAct=${session?.may_act} mayLook=${mayLook} onSession=${onSession} />`;
 }
 
 function UnitView({ status, session, mayLook, onSession }) {

@@ -99,7 +99,14 @@ export function PastTrends({ span }) {
       html`<${Plot} key=${quantity.key} quantity=${quantity} trend=${trend} />`)}</div><${Lane} trend=${trend} />`;
 }
 
-export function Events({ mayLook }) {
+// The frames of an event, where they are still kept; `kept`: what the unit answers of those that are.
+function Frames({ name, kept, mayLook }) {
+  if (!name || !kept?.recordings) return null;
+  if (!kept.recordings.some(each => each.name === name)) return html`<small>its frames are not kept any more</small>`;
+  return mayLook !== false && html` <a href=${`/api/v1/recordings/${name}`} download>its frames</a>`;
+}
+
+export function Events({ kept, mayLook }) {
   const [before, setBefore] = useState(null);
   const answer = useAnswer(`/api/v1/events?limit=50${before ? `&before=${before}` : ""}`, 5000);
   const events = answer?.events ?? [];
@@ -109,18 +116,16 @@ export function Events({ mayLook }) {
       <thead><tr><th scope="col">UTC</th><th scope="col">what</th><th scope="col">of</th><th scope="col">says</th></tr></thead>
       <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}>
         <td>${utc(event.time)}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
-        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}${
-          event.detail.recording && mayLook !== false ? html` <a href=${`/api/v1/recordings/${event.detail.recording}`} download>its frames</a>` : ""}</td></tr>`)}</tbody>
+        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}
+          <${Frames} name=${event.detail.recording} kept=${kept} mayLook=${mayLook} /></td></tr>`)}</tbody>
     </table></div>
     ${before && html`<button type="button" onClick=${() => setBefore(null)}>newest</button>`}
     ${events.length === 50 && html` <button type="button" onClick=${() => setBefore(events.at(-1).id)}>older</button>`}</section>`;
 }
 
 // mayLook: frames are pictures, and for whoever looks at this page.
-export function Recordings({ mayAct, mayLook, onSession }) {
-  const [said, setSaid] = useState("");
-  const answer = useAnswer("/api/v1/recordings", 5000);
-  const kept = answer?.recordings ?? [];
+export function Recordings({ kept: answer, mayAct, mayLook, onSession }) {
+  const [said, setSaid] = useState(""), kept = answer?.recordings ?? [];
   const act = async (address, method) => {
     setSaid("…");
     const done = await asked(address, method);
