@@ -103,7 +103,7 @@ class DaemonHistory:
         store = Store(path, max_bytes, about)
         self._recorder = HistoryRecorder(store, self.events, self._state.read, component, self._clock)
         self._board.on_publish = self._recorder.take
-        self.history = History(path)
+        self.history = History(path, serial=about.facts.get("serial"))
 
     def note_recording(self, text: str, kept: KeptRecording | None) -> None:
         """Frames were kept as a recording, or could not be."""

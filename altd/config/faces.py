@@ -113,7 +113,7 @@ class HttpSettings(Table):
     credentials: Path | None = None
     """A file of names with hashes of passwords and tokens, made by `altd password` and `altd token`.
 
-    Without it a self-check can be asked for on the unit's own computer only.
+    Without it only the unit's own computer may act: ask for a self-check, keep frames, mark a recording.
     """
     certificate: Path | None = None
     """The certificate chain, PEM: from then on TLS alone is spoken. With `key`."""

@@ -48,6 +48,10 @@ class Credentials:
         fits = (known or NOBODYS).fits(password)
         return fits and known is not None
 
+    def password_of(self, name: str) -> PasswordHash | None:
+        """The hash of his password, which no other password has, nor the same one set anew."""
+        return self.passwords.get(name)
+
     def name_of_token(self, token: str) -> str | None:
         """Whose token it is; None: nobody's. All are compared, each in a time that tells nothing."""
         digest, found = token_digest(token), None

@@ -26,10 +26,15 @@ class NoHistoryError(Exception):
 
 
 class History:
-    """The history of the unit, for faces. ``unavailable`` says why there is none; empty: there is one."""
+    """The history of the unit, for faces. ``unavailable`` says why there is none; empty: there is one.
 
-    def __init__(self, path: Path | None, unavailable: str = "") -> None:
+    Where ``serial`` says which unit it is, a file of another one is refused: until it is moved aside, or
+    while the other's daemon writes it, it lies in the place of this unit's.
+    """
+
+    def __init__(self, path: Path | None, unavailable: str = "", serial: str | None = None) -> None:
         self.path = path
+        self.serial = serial
         self.unavailable = unavailable if path is None else ""
         self.waiting = 0
         """Queries that are not answered yet."""
@@ -66,15 +71,19 @@ class History:
             self._thread = DeviceThread("history queries")
         self.waiting += 1
         try:
-            return await self._thread.call(_answer, self.path, query, within_s=MAX_WAITING * QUERY_TIMEOUT_S)
+            return await self._thread.call(
+                _answer, self.path, self.serial, query, within_s=MAX_WAITING * QUERY_TIMEOUT_S
+            )
         except HistoryTimeoutError as error:
             raise NoHistoryError(f"the query was given up: {error}") from error
         except TimeoutError as error:
             raise NoHistoryError("the disk does not answer") from error
+        except UnusableFileError as error:
+            raise NoHistoryError(f"the history {error}") from error
         except OSError as error:
-            raise NoHistoryError(error.strerror or str(error)) from error
-        except (sqlite3.Error, UnusableFileError) as error:
-            raise NoHistoryError(str(error)) from error
+            raise NoHistoryError(f"the history cannot be read: {error.strerror or error}") from error
+        except sqlite3.Error as error:
+            raise NoHistoryError(f"the history cannot be read: {error}") from error
         finally:
             self.waiting -= 1
 
@@ -85,6 +94,8 @@ class History:
             await thread.end(lambda: None, QUERY_TIMEOUT_S)
 
 
-def _answer(path: Path, query: Callable[[Reader], Result]) -> Result:
+def _answer(path: Path, serial: str | None, query: Callable[[Reader], Result]) -> Result:
     with Reader(path, QUERY_TIMEOUT_S) as reader:
+        if serial is not None:
+            reader.check_unit(serial)
         return query(reader)

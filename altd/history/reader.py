@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from altd.history.columns import Column
 from altd.history.columns_in_file import columns_in
+from altd.history.facts import check_unit
 from altd.history.opening import damage_told, open_to_read
 from altd.history.reasons import codes_in, illness_in
 from altd.history.records import StoredEvent, StoredMeasurement, SummaryPoint, SummaryValue, Trend
@@ -93,6 +94,10 @@ class Reader:
     def facts(self) -> dict[str, str]:
         """What the newest daemon said of itself: ``serial``, ``version``, ``config``, ``calibration``."""
         return {str(name): str(value) for name, value in self.rows("SELECT name, value FROM facts LIMIT 100")}
+
+    def check_unit(self, serial: str) -> None:
+        """Raise ForeignFileError for a history of another unit."""
+        check_unit(self._connection, {"serial": serial})
 
     def trend(self, from_us: int, to_us: int, max_points: int, keys: Sequence[str] | None = None) -> Trend:
         """From ``from_us`` to before ``to_us`` in at most so many points, of the quantities with these keys.

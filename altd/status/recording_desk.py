@@ -11,6 +11,10 @@ class NotKeptError(Exception):
     """What was asked for cannot be done; the sentence says why."""
 
 
+class NoExposureError(NotKeptError):
+    """There is nothing to keep: the cameras delivered nothing, which they say themselves."""
+
+
 @dataclass(frozen=True, slots=True)
 class KeptRecording:
     """A recording on the unit's disk. ``start`` is UTC, ISO 8601; empty where it is not known.

@@ -212,8 +212,9 @@ With TLS the browser itself compares the name with the certificate.
 
 ## Who may act
 
-To act is to ask for a self-check. Each such request has the header `{REQUEST_HEADER}`, which a page of
-another site cannot send unasked, and no `Origin` but the unit's own; else it is refused with 403.
+To act is to ask for a self-check, to keep the last seconds of frames, and to mark a recording or take its
+mark away. Each such request has the header `{REQUEST_HEADER}`, which a page of another site cannot send
+unasked, and no `Origin` but the unit's own; else it is refused with 403.
 
 Without `credentials` only the unit's own computer may, through its local socket or on its own address, and
 `Host` must be an address. With them a token or a login is needed, on the unit's own computer too (its local
@@ -229,8 +230,8 @@ calibration's file and report, and diagnostics:
 
 The file holds hashes alone (scrypt; SHA-256 of tokens, which are 256 bits drawn by chance). It must not be
 readable by others than its owner and group. Who is taken out of it (`--remove`) may act no more from then on,
-without a restart, and his sessions are over. A file that cannot be read lets nobody in, and the component
-says so.
+without a restart, and his sessions are over; so they are when his password is changed. A file that cannot be
+read lets nobody in, and the component says so.
 
 A program sends its token:
 

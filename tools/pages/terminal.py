@@ -90,10 +90,11 @@ and the number after a signal.
 
 ## Who may
 
-The socket has mode {MODE:04o}: its owner and its group may connect, and then may what the unit's own
-computer may, which is to ask for a self-check ([selfcheck](selfcheck.md)): `altd selfcheck` goes through
-it too. The owner is the service's user, which exists only while it runs, so at first it is root alone:
-`sudo altd status`. To let a group in, such as `dialout`, whose members open the serial console anyway,
+The socket has mode {MODE:04o}: its owner and its group may connect, and then may see and do all that HTTP
+gives, without a password: pictures, recordings and diagnostics, and to act, as to ask for a self-check
+([selfcheck](selfcheck.md)): `altd selfcheck` goes through it too. The owner is the service's user, which
+exists only while it runs, so at first it is root alone: `sudo altd status`. To let a group in, such as
+`dialout`, whose members open the serial console anyway,
 run the service with it, `systemctl edit altd`:
 
     [Service]

@@ -24,7 +24,7 @@ from altd.records import Frame, counted
 from altd.runtime.threads import DeviceThread, call_in_thread
 from altd.status.cause import ShownCause, StateReport
 from altd.status.health import Component, State
-from altd.status.recording_desk import KeptRecording, NotKeptError
+from altd.status.recording_desk import KeptRecording, NoExposureError, NotKeptError
 
 log = logging.getLogger("altd")
 
@@ -171,7 +171,8 @@ class FrameKeeper:
             self._recordings = await self._on_disk(self._store.recordings)
         except NotKeptError as error:
             self._component.count("not_kept")
-            self._component.set_state(State.DEGRADED, f"{why} was not recorded: {error}")
+            if not isinstance(error, NoExposureError):
+                self._component.set_state(State.DEGRADED, f"{why} was not recorded: {error}")
             self.note(f"{why} was not recorded: {error}", None)
             raise
         finally:
@@ -184,7 +185,7 @@ class FrameKeeper:
     def _write(self, why: str, frames: deque[Frame]) -> KeptRecording:
         """In a thread: pair the frames and write them."""
         if not frames:
-            raise NotKeptError("no frame came in the last seconds")
+            raise NoExposureError("no frame came in the last seconds")
         start = self._clock.utc(frames[0].t_ns)
         nbytes = sum(frame.pixels.nbytes for frame in frames)
         return self._store.add(why, start, nbytes, partial(self._write_into, frames))

@@ -1,4 +1,4 @@
-"""What answers each path, from one reading of the board. Nothing but a self-check can be asked for."""
+"""What answers each path, from one reading of the board."""
 
 from __future__ import annotations
 

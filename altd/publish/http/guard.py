@@ -37,6 +37,9 @@ class Known(Protocol):
     def is_password(self, name: str, password: str) -> bool:
         """Whether it is his. Takes long."""
 
+    def password_of(self, name: str) -> object | None:
+        """What is another with each password that he is given; None: he has none."""
+
     def name_of_token(self, token: str) -> str | None:
         """Whose token it is."""
 
@@ -134,7 +137,7 @@ class Guard:
             raise _unknown("name or password is wrong")
         self._forgive(request)
         self._note(request, "logged in", "login", name)
-        return self._sessions.begin(name)
+        return self._sessions.begin(name, known.password_of(name))
 
     def may_act(self, request: HTTPConnection) -> bool:
         """Whether an action could be asked for from there, with what the request shows."""
@@ -150,15 +153,15 @@ class Guard:
     def log_out(self, request: HTTPConnection) -> None:
         """End the session of who asks; raises Refused where a page of elsewhere does."""
         _check_is_no_other_page(request)
-        if (secret := secret_of(request)) is None:
+        if self._known is None or (secret := secret_of(request)) is None:
             return
-        if (name := self._sessions.name_of(secret)) is not None:
+        if (name := self._name_of_session(secret, self._known())) is not None:
             self._note(request, "logged out", "logout", name)
         self._sessions.end(secret)
 
     def _name_of_session(self, secret: str, known: Known) -> str | None:
-        name = self._sessions.name_of(secret)
-        return name if name in known.names else None
+        """Whose it is; a password that was changed, or taken out, ends it."""
+        return self._sessions.name_of(secret, known.password_of)
 
     def _check_attempts(self, request: HTTPConnection) -> None:
         wait_s = max(self._attempts.wait_s(_group(request)), self._all_attempts.wait_s(_EVERYBODY))
@@ -248,7 +251,7 @@ def _check_is_own_computer(request: HTTPConnection) -> None:
     theirs = None if client is None else address_of(client.host)
     ours = None if server is None else address_of(server[0])
     if theirs is None or not (is_loopback(theirs) or theirs == ours):
-        sentence = "it is asked for on the unit's own computer only: altd selfcheck"
+        sentence = "only the unit's own computer may ask for this: [http] credentials is not set"
         raise Refused(refusal(403, sentence))
     host = host_of(request.headers.get("Host", ""))
     if host not in _LOCAL_NAMES and address_of(host) is None:

@@ -14,7 +14,7 @@ from altd.status.health import Component, Health
 
 
 class LocalPublisher(HttpPublisher):
-    """Serves the unit's own computer; who may open the file may ask for a self-check, too."""
+    """Serves the unit's own computer; who may open the file may act, too."""
 
     is_local = True
 

@@ -145,12 +145,11 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         assert shown.complaints == []
 
 
+@pytest.mark.parametrize("size", [SIZES["phone"], (360, 640), (320, 568)])
 async def test_on_a_phone_nothing_is_wider_than_the_screen(
-    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
+    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path, size: tuple[int, int]
 ) -> None:
-    async with seen(
-        calibration_of_unit_3, SIZES["phone"], tmp_path, calibration_file=calibration_file
-    ) as shown:
+    async with seen(calibration_of_unit_3, size, tmp_path, calibration_file=calibration_file) as shown:
         for view in ("", "drive", "trends", "events", "unit"):
             await shown.open(view)
             await shown.page.locator("main section").first.wait_for()

@@ -13,7 +13,9 @@ from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 
 from altd.app.history import DaemonHistory
 from altd.app.past_availability import LOOK_INTERVAL_S, PastAvailability
-from altd.history.history import History
+from altd.history.batch import About
+from altd.history.history import History, NoHistoryError
+from altd.history.lock import WriteLock
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.status.availability import Availability
 from altd.status.board import Board
@@ -130,3 +132,23 @@ async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
                 hour = cast("dict[str, Any]", health.as_object()["availability"])["last_hour"]
     assert hour["valid_s"] == pytest.approx(60, abs=1)
     assert hour["lost_s"]["not_running"] == pytest.approx(60, abs=1)
+
+
+async def test_a_daemon_takes_nothing_from_a_history_of_another_unit(tmp_path: Path) -> None:
+    """It lies in this unit's place until it is moved aside, and while the other one's daemon writes it."""
+    unit = Restarted(tmp_path)
+    unit.ran_before(unit.start_s - 120, 60)
+    health = Health(unit.clock)
+    board = Board(unit.clock, 1.0, QUANTITIES)
+    state = UnitState(board, health, unit.clock)
+    past = DaemonHistory(board, health, state, unit.clock)
+    past.keep_in(unit.path, MAX_BYTES, About(ABOUT.columns, {"serial": "TEST-2"}))
+    lock = WriteLock(unit.path)
+    async with past.recorded():
+        with pytest.raises(NoHistoryError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
+            await past.history.trend(0, 2**61, 10)
+        for _ in range(20):
+            await unit.clock.advance(LOOK_INTERVAL_S)
+            await asyncio.sleep(0.005)
+        assert state.availability.before.known_s == 0.0
+        lock.release()

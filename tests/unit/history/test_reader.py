@@ -158,10 +158,10 @@ class TestHistory:
     async def test_a_file_that_is_gone_damaged_or_foreign_is_a_sentence(self, path: Path) -> None:
         history = History(path)
         spoil(path)
-        with pytest.raises(NoHistoryError, match="file is not a database"):
+        with pytest.raises(NoHistoryError, match="the history cannot be read: file is not a database"):
             await history.events(0, 1)
         remove(path)
-        with pytest.raises(NoHistoryError, match="No such file"):
+        with pytest.raises(NoHistoryError, match="the history cannot be read: No such file"):
             await history.events(0, 1)
         await history.end()
 

@@ -36,13 +36,14 @@ export function Session({ session, onChange }) {
         <button>log in</button> <span role="status">${said}</span></form>`}</section>`;
 }
 
-export function CheckNow({ mayAct }) {
+export function CheckNow({ mayAct, onSession }) {
   const [said, setSaid] = useState("");
   if (!mayAct) return null;
   const check = async () => {
     setSaid("the unit checks itself…");
     const done = await asked("/api/v1/self-check", "POST");
     setSaid(done.error ?? `the verdict: ${done.verdict}`);
+    if (done.error) onSession();
   };
   return html`<p><button type="button" onClick=${check}>check now</button> <span role="status">${said}</span></p>`;
 }

@@ -1,6 +1,6 @@
 // The page: what the unit says now, put together; which view is shown stands behind # in the address.
 
-import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
+import { html, render, useEffect, useRef, useState } from "./vendor/htm-preact.js";
 import { CheckNow, Session, asked } from "./acting.js";
 import { Availability, Badge, Causes } from "./causes.js";
 import { Calibration } from "./calibration.js";
@@ -32,12 +32,12 @@ function useView() {
   return view;
 }
 
-function Trends() {
+function Trends({ unit }) {
   const [span, setSpan] = useState(LIVE);
   return html`<section aria-labelledby="trend-title" class="trends"><h2 id="trend-title">Last ${span}</h2>
     <div role="group" aria-label="span of time" class="spans">${[LIVE, ...Object.keys(SPANS)].map(each => html`<button key=${each} type="button"
       aria-pressed=${span === each} onClick=${() => setSpan(each)}>${each}</button>`)}</div>
-    ${span === LIVE ? html`<${LiveTrends} memory=${memory} />` : html`<${PastTrends} key=${span} span=${span} />`}</section>`;
+    ${span === LIVE ? html`<${LiveTrends} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span}`} span=${span} />`}</section>`;
 }
 
 // Who is logged in, asked for anew after a change and while the unit answers.
@@ -48,15 +48,15 @@ function useSession(isAnswering) {
   return [session, look];
 }
 
-function EventsView({ session }) {
-  return html`<${Events} /><${Recordings} mayAct=${session?.may_act} />`;
+function EventsView({ session, mayLook, onSession }) {
+  const kept = useAnswer("/api/v1/recordings", CHECK_MS);
+  return html`<${Events} kept=${kept} mayLook=${mayLook} /><${Recordings} kept=${kept} mayAct=${session?.may_act} mayLook=${mayLook} onSession=${onSession} />`;
 }
 
-function UnitView({ status, session, onSession }) {
+function UnitView({ status, session, mayLook, onSession }) {
   const check = useAnswer("/api/v1/self-check", CHECK_MS);
-  const mayLook = session && (!session.login || session.name !== null);  // null: not known
   return html`<${Unit} status=${status} mayLook=${mayLook} />
-    <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} mayAct=${session?.may_act} /><//>
+    <${SelfCheck} check=${status === null || check?.error ? null : check}><${CheckNow} mayAct=${session?.may_act} onSession=${onSession} /><//>
     <${Session} session=${session} onChange=${onSession} />
     ${status !== null && html`<${Calibration} mayLook=${mayLook} /><${PastChecks} />`}<${Parts} status=${status} />`;
 }
@@ -65,10 +65,12 @@ function Page() {
   const [known, setKnown] = useState({ words: "connecting…", measurement: null, status: null });
   const view = useView(), [session, onSession] = useSession(known.status !== null);
   useEffect(() => {
-    const link = new Link(now => { memory.add(now.measurement); setKnown(now); });
+    const link = new Link(now => { memory.add(now.measurement, now.status?.serial); setKnown(now); });
     link.start();
   }, []);
-  const { measurement, status } = known, verdict = verdictOf(known);
+  const { measurement, status } = known, verdict = verdictOf(known), unit = useRef("");
+  unit.current = status?.serial ?? unit.current;  // nothing of one is kept for another at its address
+  const mayLook = session && (!session.login || session.name !== null);  // null: not known
   useEffect(() => { document.title = `Active Laser Target ${status?.serial ?? ""}`; }, [status?.serial]);
   return html`
     <header>
@@ -80,12 +82,12 @@ function Page() {
     </header>
     <main class=${view || "overview"}>
       ${view === "" && html`<${Numbers} measurement=${measurement} /><${Causes} status=${status} />
-        ${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Pictures} />`}
+        ${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Pictures} mayLook=${mayLook} onSession=${onSession} />`}
       ${view === "drive" && html`${hasEyes && html`<${Eyes} measurement=${measurement} />`}<${Numbers} measurement=${measurement} />
         <${Causes} status=${status} />`}
-      ${view === "trends" && html`<${Trends} /><${Availability} status=${status} />`}
-      ${view === "events" && html`<${EventsView} session=${session} />`}
-      ${view === "unit" && html`<${UnitView} status=${status} session=${session} onSession=${onSession} />`}
+      ${view === "trends" && html`<${Trends} unit=${unit.current} /><${Availability} status=${status} />`}
+      ${view === "events" && html`<${EventsView} key=${unit.current} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
+      ${view === "unit" && html`<${UnitView} status=${status} session=${session} mayLook=${mayLook} onSession=${onSession} />`}
     </main>`;
 }
 

@@ -6,7 +6,12 @@ export const LENGTH_S = 600, MIN_STEP_S = 0.24;
 export class Memory {
   constructor() { this.rows = []; }
 
-  add(measurement) {
+  // `serial`: of the unit that answers, where it is known; another one may not have measured anything yet
+  add(measurement, serial) {
+    if (serial && serial !== this.serial) {
+      if (this.serial) this.rows = [];
+      this.serial = serial;
+    }
     if (!measurement?.time) return;
     const t = Date.parse(measurement.time) / 1000, last = this.rows.at(-1);
     // a clock that was set, a recording that begins again, or another unit at this address

@@ -71,16 +71,19 @@ function useFile(text) {
 export function useAnswer(address, everyMs) {
   const [answer, setAnswer] = useState(null);
   useEffect(() => {
-    let isWanted = true;
+    let isWanted = true, isAsking = false;
     const look = async () => {
-      if (document.hidden) return;
+      if (document.hidden || isAsking) return;  // a unit that is slow is not asked by ever more
+      isAsking = true;
       const found = await asked(address);
+      isAsking = false;
       if (isWanted) setAnswer(found);
     };
     setAnswer(null);
     look();
     const timer = setInterval(look, everyMs);
-    return () => { isWanted = false; clearInterval(timer); };
+    document.addEventListener("visibilitychange", look);
+    return () => { isWanted = false; clearInterval(timer); document.removeEventListener("visibilitychange", look); };
   }, [address]);
   return answer;
 }
@@ -96,7 +99,14 @@ export function PastTrends({ span }) {
       html`<${Plot} key=${quantity.key} quantity=${quantity} trend=${trend} />`)}</div><${Lane} trend=${trend} />`;
 }
 
-export function Events() {
+// The frames of an event, where they are still kept; `kept`: what the unit answers of those that are.
+function Frames({ name, kept, mayLook }) {
+  if (!name || !kept?.recordings) return null;
+  if (!kept.recordings.some(each => each.name === name)) return html`<small>its frames are not kept any more</small>`;
+  return mayLook !== false && html` <a href=${`/api/v1/recordings/${name}`} download>its frames</a>`;
+}
+
+export function Events({ kept, mayLook }) {
   const [before, setBefore] = useState(null);
   const answer = useAnswer(`/api/v1/events?limit=50${before ? `&before=${before}` : ""}`, 5000);
   const events = answer?.events ?? [];
@@ -106,31 +116,32 @@ export function Events() {
       <thead><tr><th scope="col">UTC</th><th scope="col">what</th><th scope="col">of</th><th scope="col">says</th></tr></thead>
       <tbody>${events.map(event => html`<tr key=${event.id} class=${`severity${event.severity}`}>
         <td>${utc(event.time)}</td><td>${words(event.kind)}</td><td>${event.of ?? ""}</td>
-        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}${
-          event.detail.recording ? html` <a href=${`/api/v1/recordings/${event.detail.recording}`} download>its frames</a>` : ""}</td></tr>`)}</tbody>
+        <td>${event.text}${event.detail.remedy ? html`<small>${event.detail.remedy}</small>` : ""}
+          <${Frames} name=${event.detail.recording} kept=${kept} mayLook=${mayLook} /></td></tr>`)}</tbody>
     </table></div>
     ${before && html`<button type="button" onClick=${() => setBefore(null)}>newest</button>`}
     ${events.length === 50 && html` <button type="button" onClick=${() => setBefore(events.at(-1).id)}>older</button>`}</section>`;
 }
 
-export function Recordings({ mayAct }) {
-  const [said, setSaid] = useState("");
-  const answer = useAnswer("/api/v1/recordings", 5000);
-  const kept = answer?.recordings ?? [];
+// mayLook: frames are pictures, and for whoever looks at this page.
+export function Recordings({ kept: answer, mayAct, mayLook, onSession }) {
+  const [said, setSaid] = useState(""), kept = answer?.recordings ?? [];
   const act = async (address, method) => {
     setSaid("…");
     const done = await asked(address, method);
     setSaid(done.error ?? "done");
+    if (done.error) onSession();
   };
   return html`<section aria-labelledby="kept-title" class="wide"><h2 id="kept-title">Frames that were kept</h2>
-    <p class="hint">The seconds around each fault, for <code>altd replay</code>. ${answer?.unavailable ?? answer?.error ?? ""}</p>
+    <p class="hint">The seconds around each fault, for <code>altd replay</code>. ${answer?.unavailable ?? answer?.error ?? ""}
+      ${mayLook === false && html` To take them along, <a href="#unit">log in</a> first.`}</p>
     ${mayAct && !answer?.unavailable && html`<button type="button" onClick=${() => act("/api/v1/recordings", "POST")}>keep the last seconds</button>`}
     <span role="status"> ${said}</span>
     ${kept.length > 0 && html`<div class="scrolls" tabindex="0" role="region" aria-label="kept frames"><table>
       <thead><tr><th scope="col">UTC</th><th scope="col">why</th><th scope="col">s</th><th scope="col">size</th><th scope="col">take along</th></tr></thead>
       <tbody>${kept.map(each => html`<tr key=${each.name}><td>${utc(each.start)}</td><td>${words(each.why)}</td>
         <td>${each.seconds.toFixed(1)}</td><td>${megabytes(each.bytes)}</td>
-        <td><a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>${each.marked ? " marked" : ""}
+        <td>${mayLook === false ? each.name : html`<a href=${`/api/v1/recordings/${each.name}`} download>${each.name}.tar</a>`}${each.marked ? " marked" : ""}
           ${mayAct && html` <button type="button" onClick=${() => act(`/api/v1/recordings/${each.name}/mark`, each.marked ? "DELETE" : "PUT")}>
             ${each.marked ? "take the mark away" : "mark: stays"}</button>`}</td></tr>`)}</tbody></table></div>`}</section>`;
 }

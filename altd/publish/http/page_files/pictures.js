@@ -90,13 +90,17 @@ function Target({ view, shown, views, lost }) {
   </figure>`;
 }
 
-export function Pictures() {
-  const [now, setNow] = useState({ views: [], shown: {}, words: "" });
+// mayLook false: they are for whoever is logged in. Where none come, `onSession` asks whether that is why.
+export function Pictures({ mayLook, onSession }) {
+  const [now, setNow] = useState({ views: [], shown: {}, words: "" }), isRefused = mayLook === false, isLost = Boolean(now.words);
   useEffect(() => {
+    if (isRefused) return undefined;
     const watcher = new Watcher(setNow);
     watcher.start();
     return () => watcher.stop();
-  }, []);
+  }, [isRefused]);
+  useEffect(() => { if (isLost) onSession(); }, [isLost]);
+  if (isRefused) return html`<section class="pictures" aria-label="pictures of the targets"><p>To see the pictures, <a href="#unit">log in</a> first.</p></section>`;
   return html`<section class="pictures" aria-label="pictures of the targets">
     ${now.views.map(view => html`<${Target} key=${view.target} view=${view} views=${now.views} shown=${now.shown} lost=${now.words} />`)}
     ${now.views.length === 0 && html`<p>${now.words || "no pictures yet"}</p>`}

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,7 +21,7 @@ KIB = 1024
 
 def content(size: int) -> object:
     def write(folder: Path) -> Written:
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "frame").write_bytes(b"x" * size)
         return Written(exposures=3, seconds=0.15)
 
@@ -83,6 +85,28 @@ def test_the_oldest_make_room(tmp_path: Path) -> None:
     assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) <= 100 * KIB
 
 
+def test_the_oldest_is_told_by_what_came_first_and_not_by_the_clock(tmp_path: Path) -> None:
+    """A unit without a battery begins each day in 1970, and one without a clock knows no day at all."""
+    store = RecordingStore(tmp_path, max_bytes=100 * KIB)
+    starts = [START, datetime(1970, 1, 1, 0, 9, tzinfo=UTC), None, datetime(1970, 1, 1, tzinfo=UTC)]
+    names = [store.add("asked", start, 20 * KIB, content(20 * KIB)).name for start in starts]  # type: ignore[arg-type]
+    store.mark(names[2], True)
+    last = store.add("asked", datetime(1970, 1, 1, 0, 1, tzinfo=UTC), 20 * KIB, content(20 * KIB)).name  # type: ignore[arg-type]
+    assert [kept.name for kept in store.recordings()] == [last, *reversed(names[1:])]
+
+
+def test_those_of_before_there_were_numbers_are_the_oldest(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path)
+    before = [shelf.add() for _ in range(2)]
+    for kept in before:
+        about = tmp_path / kept.name / "kept.json"
+        facts = json.loads(about.read_text())
+        del facts["number"]
+        about.write_text(json.dumps(facts))
+    new = shelf.store.add("asked", datetime(1970, 1, 1, tzinfo=UTC), KIB, content(KIB))  # type: ignore[arg-type]
+    assert shelf.names() == [new.name, before[1].name, before[0].name]
+
+
 def test_a_marked_one_stays(tmp_path: Path) -> None:
     shelf = Shelf(tmp_path, max_bytes=100 * KIB)
     marked = shelf.add(20 * KIB)
@@ -120,7 +144,7 @@ def test_a_disk_that_is_nearly_full_keeps_room_for_the_history(
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), BadInputError("rec", "is odd")])
 def test_what_fails_while_it_is_written_leaves_nothing(tmp_path: Path, error: Exception) -> None:
     def write(folder: Path) -> Written:
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         (folder / "half").write_bytes(b"x")
         raise error
 
@@ -144,6 +168,47 @@ def test_what_a_killed_daemon_left_half_done_is_removed_at_the_next_start(tmp_pa
     (tmp_path / ".under-way-99" / "half").write_bytes(b"x")
     assert RecordingStore(tmp_path, 1 << 20).open() == (kept,)
     assert [path.name for path in tmp_path.iterdir()] == [kept.name]
+
+
+def test_what_another_daemon_is_writing_stays(tmp_path: Path) -> None:
+    """Another process, for one that ends lets go of its lock."""
+    script = f"""
+import sys, time
+from pathlib import Path
+from altd.acquisition.kept_frames.store import RecordingStore, Written
+
+def write(folder):
+    folder.mkdir(exist_ok=True)
+    (folder / "frame").write_bytes(b"x")
+    print("writes", flush=True)
+    sys.stdin.readline()
+    return Written(3, 0.15)
+
+print(RecordingStore(Path({str(tmp_path)!r}), 1 << 20).add("theirs", None, 1, write).name)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdin is not None
+        assert other.stdout is not None
+        assert other.stdout.readline() == "writes\n"
+        shelf = Shelf(tmp_path)
+        ours = shelf.add()
+        other.stdin.write("go on\n")
+        other.stdin.flush()
+        assert other.stdout.read() == "unknown-time-theirs\n"
+    assert shelf.names() == ["unknown-time-theirs", ours.name]
+    assert shelf.store.content("unknown-time-theirs", "frame") == b"x"
+
+
+def test_the_header_is_the_last_of_the_files_whatever_the_cameras_are_called(tmp_path: Path) -> None:
+    """An archive that ends before it is no recording."""
+    shelf = Shelf(tmp_path)
+    kept = shelf.add()
+    for name in ("recording.json", "frames.csv", "front/0.png", "top/0.png"):
+        (tmp_path / kept.name / name).parent.mkdir(exist_ok=True)
+        (tmp_path / kept.name / name).write_bytes(b"")
+    assert shelf.store.files(kept.name)[-2:] == ["top/0.png", "recording.json"]
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "a\x00b", "x" * 200, "ä", ".under-way-1"])
@@ -179,4 +244,4 @@ def test_a_damaged_one_is_passed_over_and_never_removed(tmp_path: Path, about: b
 def test_what_is_written_about_a_recording_are_plain_facts(tmp_path: Path) -> None:
     kept = Shelf(tmp_path).add()
     about = json.loads((tmp_path / kept.name / "kept.json").read_text())
-    assert about == kept.as_object()
+    assert about == {**kept.as_object(), "number": 1}

@@ -12,6 +12,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from altd.credentials.changing import change
+from altd.credentials.hashes import PasswordHash
 from altd.publish.http.limits import ATTEMPTS
 from altd.publish.http.sessions import IDLE_S
 from altd.status.health import Component, Health, State
@@ -187,6 +188,23 @@ async def test_who_is_taken_out_of_the_file_loses_his_session(
         _chmod(credentials, 0o600)
         assert (await check(unit, Authorization=f"Bearer {TOKEN}")).status == 409
         assert component.state is State.OK
+
+
+@pytest.mark.parametrize("is_taken_out_first", [False, True])
+async def test_a_password_that_is_changed_ends_the_sessions_of_the_one_before(
+    served: Served, credentials: Path, checked: list[int], is_taken_out_first: bool
+) -> None:
+    async with served(credentials=credentials) as unit:
+        stolen = {"Cookie": cookie_of(await log_in(unit))}
+        assert (await check(unit, **stolen)).status == 200
+        if is_taken_out_first:
+            change(credentials, "ana", lambda known: known.with_password("ana", None))
+        change(credentials, "ana", lambda known: known.with_password("ana", PasswordHash.of("another one")))
+        assert (await check(unit, **stolen)).status == 401
+        assert (await unit.ask("/api/v1/session", headers=stolen)).json["name"] is None
+        new = {"Cookie": cookie_of(await log_in(unit, password="another one"))}
+        assert (await check(unit, **new)).status == 200
+    assert len(checked) == 2
 
 
 async def test_pictures_are_for_who_is_known_where_credentials_are_set(

@@ -308,30 +308,34 @@ def test_a_browser_whose_clock_is_set_back_keeps_no_picture_for_it(pictures: Pag
     assert pictures.do(pass_ms=100, message=message(9))["shown"] == {"front": [9, pytest.approx(0.15)]}
 
 
-def test_a_trend_holds_nothing_of_another_unit(tmp_path: Path) -> None:
-    """A unit was exchanged for another one, at the same address, while the page was open."""
+def columns_of(tmp_path: Path, added: list[list[Any]]) -> Any:
+    """Times and x of what the page's memory keeps, after it was given so many measurements and serials."""
     (tmp_path / "memory.mjs").write_bytes(page_files()["memory.js"].content)
     script = """
         const { Memory } = await import(process.argv[1]);
         const memory = new Memory();
-        JSON.parse(process.argv[2]).forEach(measurement => memory.add(measurement));
+        JSON.parse(process.argv[2]).forEach(added => memory.add(...added));
         console.log(JSON.stringify(memory.columns("x_mm").slice(0, 2)));
     """
-    units = ["1E4B2D8E", "1E4B2D8E", "00C0FFEE", "00C0FFEE"]
-    measured = [
-        {"time": f"2026-11-20T08:15:{second:02d}Z", "valid": True, "x_mm": second, "unit": unit}
-        for second, unit in enumerate(units)
-    ]
     node = need_program("node", "nodejs")
-    command = [
-        node,
-        "--input-type=module",
-        "-e",
-        script,
-        (tmp_path / "memory.mjs").as_uri(),
-        json.dumps(measured),
-    ]
-    said = subprocess.run(command, capture_output=True, check=True, text=True).stdout
-    times_s, xs_mm = json.loads(said)
+    module = (tmp_path / "memory.mjs").as_uri()
+    command = [node, "--input-type=module", "-e", script, module, json.dumps(added)]
+    return json.loads(subprocess.run(command, capture_output=True, check=True, text=True).stdout)
+
+
+def test_a_trend_holds_nothing_of_another_unit(tmp_path: Path) -> None:
+    """A unit was exchanged for another one, at the same address, while the page was open."""
+    units = ["1E4B2D8E", "1E4B2D8E", "00C0FFEE", "00C0FFEE"]
+    times_s, xs_mm = columns_of(tmp_path, [[at(second, unit)] for second, unit in enumerate(units)])
     assert xs_mm == [2, 3]
     assert times_s[1] - times_s[0] == 1
+
+
+def test_a_trend_holds_nothing_of_another_unit_before_this_one_has_measured(tmp_path: Path) -> None:
+    mine = [at(1, "1E4B2D8E"), "ALT-1"]
+    assert columns_of(tmp_path, [mine, [None, None], [None, "ALT-1"]])[1] == [1]
+    assert columns_of(tmp_path, [mine, [None, None], [None, "ALT-2"]])[1] == []
+
+
+def at(second: int, unit: str) -> dict[str, Any]:
+    return {"time": f"2026-11-20T08:15:{second:02d}Z", "valid": True, "x_mm": second, "unit": unit}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 
 import pytest
 from starlette.requests import Request
@@ -118,7 +119,9 @@ async def test_another_computer_may_not_ask(health: Health, client: str) -> None
         "server": ("10.0.0.2", 8080),
     }
     guard = Guard(None, FakeClock())
-    assert (await self_check.answer(Request(scope), health.self_check, guard)).status_code == 403
+    answer = await self_check.answer(Request(scope), health.self_check, guard)
+    said = {"error": "only the unit's own computer may ask for this: [http] credentials is not set"}
+    assert (answer.status_code, json.loads(answer.body)) == (403, said)
 
 
 async def sent(unit: Unit, raw: str) -> list[str]:

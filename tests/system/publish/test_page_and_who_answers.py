@@ -1,0 +1,194 @@
+"""The page in Chromium where another unit answers at its address, slowly, or only to whoever is logged in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from playwright.async_api import Page, Route
+from support.history import ABOUT, batch, beam, event, store, write_seconds
+from support.measurements import measured
+from support.page import browser
+from support.picture_maker import Maker
+
+from altd.config import HttpSettings
+from altd.credentials.file import Credentials, save_credentials
+from altd.credentials.hashes import PasswordHash
+from altd.history.batch import About
+from altd.history.history import History
+from altd.instruments.beam.quantities import QUANTITIES
+from altd.publish.http.publisher import HttpPublisher
+from altd.runtime.clock import SystemClock
+from altd.status.board import Board
+from altd.status.event_log import EventKind
+from altd.status.health import Health
+from altd.status.proof import Identity
+from altd.status.recording_desk import KeptRecording, NotKeptError
+
+pytestmark = pytest.mark.real_time
+
+PASSWORD = "open sesame"
+RECORDING = "20261120T012345Z-spot_missing-front"
+
+
+class Keeper:
+    """Has one recording."""
+
+    recordings = (KeptRecording(RECORDING, "spot_missing front", "", 12.0, 240, 1 << 20, is_marked=False),)
+
+    async def keep(self, why: str) -> KeptRecording:
+        raise NotKeptError("not here")
+
+    async def mark(self, name: str, is_marked: bool) -> KeptRecording:
+        raise NotKeptError("not here")
+
+    async def files(self, name: str) -> list[str]:
+        raise NotKeptError("not here")
+
+    async def content(self, name: str, file: str) -> bytes | None:
+        raise NotKeptError("not here")
+
+
+def remembered(folder: Path, serial: str, x_mm: float) -> History:
+    """The history of a unit that measured one x for the last minutes."""
+    folder.mkdir()
+    writing = store(folder, About(ABOUT.columns, {"serial": serial}))
+    write_seconds(writing, int(time.time()) - 300, [x_mm] * 200)
+    writing.end(None)
+    return History(folder / "history.db", serial=serial)
+
+
+@contextlib.asynccontextmanager
+async def unit(
+    serial: str, port: int = 0, history: History | None = None, credentials: Path | None = None
+) -> AsyncIterator[int]:
+    """A unit that measures; gives its port."""
+    clock = SystemClock()
+    board, health = Board(clock, 1.0, QUANTITIES, Identity.drawn(serial)), Health(clock)
+    health.facts |= {"serial": serial, "version": "0"}
+    health.pictures.open(Maker())
+    health.recordings.open(Keeper())
+    settings = HttpSettings(host="127.0.0.1", port=port, credentials=credentials)
+    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
+    ready, ends = asyncio.Event(), asyncio.Event()
+
+    async def measure() -> None:
+        number = 0
+        while not ends.is_set():
+            number += 1
+            now_ns = clock.monotonic_ns()
+            board.publish(measured(beam(1.0), sequence=number, t_ns=now_ns, time=datetime.now(UTC)))
+            await asyncio.sleep(0.1)
+
+    serving, measuring = asyncio.create_task(publisher.run(ready.set)), asyncio.create_task(measure())
+    try:
+        await ready.wait()
+        yield publisher.port
+    finally:
+        ends.set()
+        serving.cancel()
+        await asyncio.gather(serving, measuring, return_exceptions=True)
+        if history is not None:
+            await history.end()
+
+
+@contextlib.asynccontextmanager
+async def page() -> AsyncIterator[Page]:
+    async with browser() as started:
+        yield await started.new_page(accept_downloads=True)
+
+
+async def trend_in(shown: Page) -> set[str]:
+    """The means of x that the plot is made of, as its CSV has them."""
+    async with shown.expect_download() as coming:
+        await shown.get_by_role("link", name="as CSV").click()
+    head, *rows = (await (await coming.value).path()).read_text().splitlines()
+    place = head.split(",").index("x_mm_mean")
+    return {row.split(",")[place] for row in rows}
+
+
+async def test_a_past_of_another_unit_is_not_shown_for_this_one(tmp_path: Path) -> None:
+    async with page() as shown:
+        async with unit("A-1", history=remembered(tmp_path / "a", "A-1", 10.0)) as port:
+            await shown.goto(f"http://127.0.0.1:{port}/#trends")
+            await shown.get_by_text("A-1").wait_for()
+            await shown.get_by_role("button", name="1 day").click()
+            assert await trend_in(shown) == {"10"}
+        async with unit("B-2", port, remembered(tmp_path / "b", "B-2", -50.0)):
+            await shown.get_by_text("B-2").wait_for()
+            await asyncio.sleep(1.0)
+            assert await trend_in(shown) == {"-50"}
+
+
+async def test_frames_that_had_to_make_room_are_not_offered(tmp_path: Path) -> None:
+    remembered(tmp_path / "a", "A-1", 10.0)
+    now_s, noted = time.time(), []
+    for number, name in enumerate((RECORDING, "20251120T012345Z-spot_missing-front"), 1):
+        noted.append(
+            replace(event(number, now_s, EventKind.RECORDING, text=name), detail={"recording": name})
+        )
+    writing = store(tmp_path / "a", About(ABOUT.columns, {"serial": "A-1"}))
+    writing.write(batch(now_s, [], noted))
+    writing.end(None)
+    history = History(tmp_path / "a" / "history.db")
+    async with page() as shown, unit("A-1", history=history) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/#events")
+        there, gone = (shown.locator(".events tr").filter(has_text=each.text) for each in noted)
+        await there.get_by_role("link", name="its frames").wait_for()
+        await gone.get_by_text("its frames are not kept any more").wait_for()
+        assert await gone.get_by_role("link").count() == 0
+
+
+async def test_a_unit_that_answers_slowly_is_not_asked_by_ever_more(tmp_path: Path) -> None:
+    asked, go_on = list[str](), asyncio.Event()
+
+    async def hold(route: Route) -> None:
+        asked.append(route.request.url)
+        await go_on.wait()
+        await route.continue_()
+
+    async with page() as shown, unit("A-1", history=remembered(tmp_path / "a", "A-1", 10.0)) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/")
+        await shown.get_by_text("A-1").wait_for()
+        await shown.route("**/api/v1/events**", hold)
+        await shown.get_by_role("link", name="Events").click()
+        await asyncio.sleep(6.0)  # it asks each 5 s
+        assert len(asked) == 1
+        go_on.set()
+        await shown.get_by_text("a new history was begun").wait_for()
+
+
+async def test_who_may_not_see_pictures_is_told_to_log_in(tmp_path: Path) -> None:
+    credentials = tmp_path / "credentials"
+    save_credentials(credentials, Credentials({"ana": PasswordHash.of(PASSWORD)}, {}))
+    credentials.chmod(0o600)
+
+    async def told_to_log_in(shown: Page) -> None:
+        await shown.get_by_role("link", name="Overview").click()
+        await shown.get_by_text("To see the pictures, log in first.").wait_for()
+        await shown.get_by_role("link", name="Events").click()
+        await shown.get_by_text("To take them along, log in first.").wait_for()
+        assert await shown.get_by_role("link", name=f"{RECORDING}.tar").count() == 0
+
+    async with page() as shown, unit("A-1", credentials=credentials) as port:
+        await shown.goto(f"http://127.0.0.1:{port}/")
+        await told_to_log_in(shown)
+        await shown.get_by_role("link", name="log in").click()
+        await shown.get_by_label("name").fill("ana")
+        await shown.get_by_label("password").fill(PASSWORD)
+        await shown.get_by_role("button", name="log in").click()
+        await shown.get_by_role("button", name="log out").wait_for()
+        await shown.get_by_role("link", name="Overview").click()
+        await shown.locator("figure.target").nth(1).wait_for()
+        await shown.get_by_role("link", name="Events").click()
+        await shown.get_by_role("link", name=f"{RECORDING}.tar").wait_for()
+
+        await shown.context.clear_cookies()  # as when the session is over
+        await shown.get_by_role("button", name="keep the last seconds").click()
+        await told_to_log_in(shown)
