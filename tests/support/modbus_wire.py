@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import struct
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager
-from typing import Any
 
 import pytest
 
@@ -15,7 +13,6 @@ from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Measurement
 
 Measured = Callable[..., Measurement]
-Serving = Callable[[Any], AbstractAsyncContextManager[None]]
 
 UNIT = 7
 EVERYTHING = struct.pack(">BHH", 4, 0, 120)
