@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
+from altd.calibration.file import check_recording, load_calibration
 from altd.errors import BadInputError
 from altd.files.documents import line_of
 from altd.measuring.calibration import Calibration, TargetCalibration
@@ -60,12 +60,8 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> Judged:
     views: dict[str, LedView] = {}
     at: dict[str, tuple[float, float]] = {}
     simulated = calibration.simulated
+    check_recording(calibration, calibration_path, header)
     for target in header.shown_targets:
-        size = header.cameras[target.camera]
-        check_image_size(calibration, calibration_path, target.name, size.width, size.height)
-        check_camera(calibration, calibration_path, target.name, size.identity)
-        if header.targets is not None:
-            check_place(calibration, calibration_path, target.name, target.z_mm)
         known = calibration.target(target.name)
         if known is None:
             continue
@@ -76,7 +72,7 @@ def judge_recording(recording_path: Path, calibration_path: Path) -> Judged:
         views[target.name] = view
         if (place := _spot_place(view.dark, known)) is not None:
             at[target.name] = place
-        simulated |= size.origin is Origin.SIMULATED
+        simulated |= header.cameras[target.camera].origin is Origin.SIMULATED
     if not views:
         raise BadInputError(
             recording_path, f"has no frames with the LEDs on and off of {_names(calibration)}"

@@ -10,7 +10,7 @@ from typing import Any
 
 from altd.app.scan_positions import ScanPositions
 from altd.app.target_names import why_unusable
-from altd.calibration.file import check_camera, check_image_size, check_place, load_calibration
+from altd.calibration.file import check_recording, load_calibration
 from altd.config import Measuring
 from altd.errors import BadInputError
 from altd.instruments.beam.instrument import BeamInstrument
@@ -121,12 +121,7 @@ def open_replay(
     for name in calibration.target_names:
         if why := why_unusable(name):
             raise BadInputError(calibration_path, f"target {name!r} {why}: calibrate with another name")
-    for target in header.shown_targets:
-        size = header.cameras[target.camera]
-        check_image_size(calibration, calibration_path, target.name, size.width, size.height)
-        check_camera(calibration, calibration_path, target.name, size.identity)
-        if header.targets is not None:
-            check_place(calibration, calibration_path, target.name, target.z_mm)
+    check_recording(calibration, calibration_path, header)
     cameras = {target.name: target.camera for target in header.shown_targets}
     missing = [name for name in calibration.target_names if name not in cameras]
     if missing:

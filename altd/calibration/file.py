@@ -17,6 +17,7 @@ from altd.files.documents import checksum_of, parse_json
 from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration, CalibrationFile
+from altd.recording.header import RecordingHeader
 from altd.records import CameraIdentity
 
 MAX_BYTES = 1 << 26
@@ -64,6 +65,16 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     if unit_serial is not None and calibration.unit_serial != unit_serial:
         raise BadInputError(path, f"is for unit {calibration.unit_serial!r}, this is unit {unit_serial!r}")
     return replace(calibration, file=CalibrationFile(sha256(content).hexdigest(), str(checksum)))
+
+
+def check_recording(calibration: Calibration, path: Path, header: RecordingHeader) -> None:
+    """Refuse a recording of a target, an image size, a camera or a place that is not the calibration's."""
+    for target in header.shown_targets:
+        size = header.cameras[target.camera]
+        check_image_size(calibration, path, target.name, size.width, size.height)
+        check_camera(calibration, path, target.name, size.identity)
+        if header.targets is not None:
+            check_place(calibration, path, target.name, target.z_mm)
 
 
 def check_image_size(calibration: Calibration, path: Path, target: str, width: int, height: int) -> None:

@@ -113,7 +113,6 @@ def drift_of(name: str, view: LedView, target: TargetCalibration, limits: Limits
         rms_px=rms,
         significance=significance,
         is_similarity=is_similarity,
-        led_sigma_px=float(np.sqrt(np.mean(in_check**2))),
         detail=detail.rstrip("; "),
     )
 

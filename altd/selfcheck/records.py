@@ -118,8 +118,7 @@ class TargetDrift:
     axis; ``is_similarity`` is False where that is more than their noise explains: then print, LEDs and camera
     disagree, and nothing is corrected. ``significance`` is the Mahalanobis distance of (shift, turn, scale)
     from none, √χ² with four degrees of freedom: chance alone exceeds 4.9 in one check of 10,000.
-    ``led_sigma_px`` is the standard deviation of an LED's mean place in this check, an axis, without the
-    reference's. ``detail`` says for people what was seen, empty when all is well.
+    ``detail`` says for people what was seen, empty when all is well.
     """
 
     target: str
@@ -131,7 +130,6 @@ class TargetDrift:
     rms_px: float | None = None
     significance: float | None = None
     is_similarity: bool = True
-    led_sigma_px: float | None = None
     detail: str = ""
 
 

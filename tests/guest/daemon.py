@@ -45,12 +45,12 @@ def running(config: str) -> Iterator[subprocess.Popen[bytes]]:
             yield daemon
         finally:
             daemon.terminate()
-            daemon.wait(10)
+            daemon.wait(30)
 
 
 def status() -> Any:
     """``/api/status``."""
-    with urllib.request.urlopen(URL + "status", timeout=2) as answer:
+    with urllib.request.urlopen(URL + "status", timeout=20) as answer:
         return json.load(answer)
 
 
@@ -65,7 +65,7 @@ def await_valid(within_s: float) -> None:
     """Wait for the first valid measurement."""
     end_s = time.monotonic() + within_s
     while time.monotonic() < end_s:
-        with contextlib.suppress(OSError), urllib.request.urlopen(URL + "measurement", timeout=2) as answer:
+        with contextlib.suppress(OSError), urllib.request.urlopen(URL + "measurement", timeout=20) as answer:
             if json.load(answer)["valid"]:
                 return
         time.sleep(0.1)
@@ -77,7 +77,7 @@ class Stream:
 
     def __init__(self) -> None:
         self.events: list[tuple[float, Any]] = []
-        self._answer = urllib.request.urlopen(URL + "stream", timeout=5)
+        self._answer = urllib.request.urlopen(URL + "stream", timeout=20)
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:

@@ -68,7 +68,7 @@ def daemon(notes: Path) -> Iterator[subprocess.Popen[str]]:
 
 def components() -> dict[str, Any]:
     try:
-        with urlopen(STATUS, timeout=5) as answer:
+        with urlopen(STATUS, timeout=20) as answer:
             found: dict[str, Any] = json.load(answer)["components"]
     except OSError:
         return {}
@@ -89,7 +89,7 @@ def measures(now: dict[str, Any]) -> bool:
 
 
 def state(name: str, wanted: str) -> Callable[[dict[str, Any]], bool]:
-    return lambda now: now[name]["state"] == wanted
+    return lambda now: bool(now) and now[name]["state"] == wanted
 
 
 def valid_in_a_second() -> int:
@@ -140,7 +140,7 @@ with daemon(first) as running:
     results["plugged"] = wait_for(lambda now: state("indicators", "ok")(now) and state("lamps", "ok")(now))
 
     running.send_signal(signal.SIGTERM)
-    _, complaints = running.communicate(timeout=20)
+    _, complaints = running.communicate(timeout=30)
     results["ended"] = [running.returncode, complaints]
 results["notes of the ended"] = noted(first)
 

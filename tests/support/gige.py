@@ -51,7 +51,7 @@ def register(address: str, number: int, value: int | None = None) -> int | None:
             return None
 
 
-def wait_for(what: Callable[[], bool], within_s: float = 5.0) -> None:
+def wait_for(what: Callable[[], bool], within_s: float = 20.0) -> None:
     """Until it is so; fails the test when it does not become so."""
     deadline = time.monotonic() + within_s
     while not what():
@@ -134,12 +134,12 @@ class Grabbed:
         self.stopping.set()
         self._thread.join()
 
-    def await_frames(self, count: int, within_s: float = 5.0) -> None:
+    def await_frames(self, count: int, within_s: float = 20.0) -> None:
         """Until so many further frames have come."""
         wanted = len(self.frames) + count
         wait_for(lambda: len(self.frames) >= wanted, within_s)
 
-    def back_after_s(self, since_ns: int, within_s: float = 10.0) -> float:
+    def back_after_s(self, since_ns: int, within_s: float = 20.0) -> float:
         """How long after an instant the first frame was exposed and delivered."""
         wait_for(lambda: bool(self.frames) and self.frames[-1][1].t_ns > since_ns, within_s)
         return (next(at for at, frame in self.frames if frame.t_ns > since_ns) - since_ns) * 1e-9

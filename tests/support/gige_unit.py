@@ -214,7 +214,7 @@ class Served:
     def end(self) -> str:
         """Ask it to end; the rest of what it said."""
         self.process.terminate()
-        out, err = self.process.communicate(timeout=10)
+        out, err = self.process.communicate(timeout=30)
         assert self.process.returncode == 0, err
         return out
 
@@ -242,4 +242,4 @@ def served(*arguments: str) -> Iterator[Served]:
     finally:
         if process.poll() is None:
             process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=30)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from altd.acquisition.acquiring import FrameSink
 from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.ports import LampsError
 from altd.records import Frame
@@ -82,7 +83,7 @@ class LitCameras:
         self.silent: set[str] = set()
         self.changing: set[int] = set()
 
-    async def expose(self, sink: object, count: int = 1) -> None:
+    async def expose(self, sink: FrameSink, count: int = 1) -> None:
         """Let so many exposures pass, and hand their frames to a sink."""
         for _ in range(count):
             await self.clock.advance(PERIOD_S - 0.005)
@@ -93,6 +94,6 @@ class LitCameras:
                     pixels = LIT if lit else DARK
                     changing = self.sequence in self.changing
                     frame = Frame(camera, self.sequence, t_ns, pixels, exposure_ms=2.0, changing=changing)
-                    sink.put(frame, False)  # type: ignore[attr-defined]
+                    sink.put(frame, False)
             self.sequence += 1
             await settle()

@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import struct
 from collections.abc import AsyncIterator, Callable
-from contextlib import AbstractAsyncContextManager
-from typing import Any
 
 import pytest
 
@@ -15,7 +13,6 @@ from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Measurement
 
 Measured = Callable[..., Measurement]
-Serving = Callable[[Any], AbstractAsyncContextManager[None]]
 
 UNIT = 7
 EVERYTHING = struct.pack(">BHH", 4, 0, 120)
@@ -38,7 +35,7 @@ class Client:
 
     async def hear(self) -> tuple[int, int, bytes]:
         """Transaction, unit and protocol data unit of the next answer."""
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(20):
             transaction, _, length, unit = struct.unpack(">HHHB", await self._reader.readexactly(7))
             return transaction, unit, await self._reader.readexactly(length - 1)
 
@@ -47,7 +44,7 @@ class Client:
         return (await self.hear())[2]
 
     async def is_closed(self) -> bool:
-        async with asyncio.timeout(2):
+        async with asyncio.timeout(20):
             with contextlib.suppress(ConnectionError):
                 return await self._reader.read(1) == b""
         return True

@@ -61,10 +61,17 @@ class Seen:
     async def until(self, holds: Callable[[dict[str, Any]], object], timeout_s: float = 20.0) -> float:
         """Seconds until the page shows it."""
         began = time.monotonic()
-        async with asyncio.timeout(timeout_s):
-            while not holds(await self.now()):  # noqa: ASYNC110  a browser tells nothing by itself
-                await asyncio.sleep(0.02)
+        await self.once(holds, timeout_s)
         return time.monotonic() - began
+
+    async def once(
+        self, holds: Callable[[dict[str, Any]], object], timeout_s: float = 20.0
+    ) -> dict[str, Any]:
+        """What the page shows as soon as it is so; asked once more, it may show something else."""
+        async with asyncio.timeout(timeout_s):
+            while not holds(now := await self.now()):  # noqa: ASYNC110  a browser tells nothing by itself
+                await asyncio.sleep(0.02)
+        return now
 
     async def until_measured(self) -> None:
         await self.until(lambda now: now["values"].get("x_mm", UNKNOWN) != UNKNOWN)

@@ -18,9 +18,9 @@ SPOT = SpotContour(200.123, 100.5, 22.0, 21.0, -30.0)
 
 
 def picture(target: str, number: int, **about: Any) -> Picture:
-    values = {"sequence": 100 + number, "t_ns": 8_000_000_000, "width": 752, "height": 480, "spot": SPOT}
-    values |= {"why": "", "leds_on": False, "jpeg": b"\xff\xd8" + target.encode() * number, **about}
-    return Picture(target, number, **values)  # type: ignore[arg-type]
+    values: dict[str, Any] = {"sequence": 100 + number, "t_ns": 8_000_000_000, "width": 752, "height": 480}
+    values |= {"spot": SPOT, "why": "", "leds_on": False, "jpeg": b"\xff\xd8" + target.encode() * number}
+    return Picture(target, number, **values | about)
 
 
 @dataclass

@@ -63,7 +63,7 @@ class Bench:
         self.progress = 0
         self.pipeline = Pipeline(
             Buffers(self.frames, self.located),
-            self.chain,  # type: ignore[arg-type]
+            self.chain,  # type: ignore[arg-type]  # it stands in for one
             self.board,
             self.component,
             self.count,

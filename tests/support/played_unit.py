@@ -71,19 +71,28 @@ class PlayingDaemon:
     modbus: int
 
     def measurement(self) -> dict[str, Any]:
-        with urllib.request.urlopen(f"http://127.0.0.1:{self.http}/api/measurement", timeout=2) as page:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.http}/api/measurement", timeout=20) as page:
             answer: dict[str, Any] = json.load(page)
             return answer
 
-    def wait_until_valid(self, timeout_s: float = 20.0) -> None:
+    def wait_until_valid(self) -> dict[str, Any]:
+        """The first measurement that is."""
+        return self._wait_until(lambda measurement: bool(measurement["valid"]))
+
+    def wait_for_measurements(self, count: int) -> None:
+        """Until so many further ones were made."""
+        first: int = self.measurement()["sequence"]
+        self._wait_until(lambda measurement: measurement["sequence"] >= first + count)
+
+    def _wait_until(self, holds: Callable[[dict[str, Any]], bool], timeout_s: float = 60.0) -> dict[str, Any]:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError):
-                if self.measurement()["valid"]:
-                    return
+                if holds(measurement := self.measurement()):
+                    return measurement
             assert self.process.poll() is None, "it ended"
             time.sleep(0.05)
-        raise AssertionError(f"not valid after {timeout_s} s")
+        raise AssertionError(f"not so after {timeout_s} s")
 
 
 @contextlib.contextmanager

@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from altd.calibration.printed.lattice import Lattice, find_lattice
+from altd.calibration.printed.plane import Plane
+from altd.calibration.printed.sample import sample_of
 from altd.mapping.hull import convex_hull_mm
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import Frame
+from altd.vision.settings import SpotSettings
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.beam import BeamPose, Laser, footprint
 from hw_sim.imager import Imager, Settings
@@ -79,3 +83,12 @@ class Scene:
     def first_map(self) -> TensorMap:
         """A polynomial through the nodes; its misses are far below a dot's pitch."""
         return fit_tensor_map(NODES_MM, self.nodes_px(), convex_hull_mm(NODES_MM), (3, 3)).map
+
+
+def lattice_of(scene: Scene) -> Lattice | None:
+    """What is found of a print's lattice."""
+    plane = Plane(scene.first_map())
+    samples = [sample_of(frame, plane, SpotSettings(), None) for frame in scene.frames()]
+    seen = [sample for sample in samples if sample is not None]
+    assert len(seen) == len(NODES_MM)
+    return find_lattice(seen, plane.to_mm(scene.nodes_px()))

@@ -131,3 +131,7 @@ def write_scan_of(path: Path, *targets: Mapping[str, object], exposures: int = 1
     names = [str(target["name"]) for target in targets]
     shots = [(dict.fromkeys(names, place), place) for place in grid() for _ in range(exposures)]
     return write_targets(path, "scan", targets, shots, **more)
+
+
+def quiet(_done: int, _planned: int) -> None:
+    """No progress."""

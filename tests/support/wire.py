@@ -34,7 +34,7 @@ class Wire:
     def send(self, data: bytes) -> None:
         os.write(self.far, data)
 
-    async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 3.0) -> bytes:
+    async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 20.0) -> bytes:
         """What the unit sent, up to when it is enough."""
         data = b""
         async with asyncio.timeout(timeout_s):

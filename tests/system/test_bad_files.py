@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -132,17 +133,26 @@ def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_
         [sys.executable, "-m", "altd.cli", "run", "--config", str(config)], stderr=subprocess.PIPE
     )
 
-    def until(valid: bool) -> dict[str, Any]:
-        deadline = time.monotonic() + 30
+    def until(what: str, holds: Callable[[dict[str, Any]], object]) -> None:
+        deadline = time.monotonic() + 60
         while time.monotonic() < deadline and process.poll() is None:
-            try:
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/measurement", timeout=5) as page:
-                    answer: dict[str, Any] = json.load(page)
-                if answer["valid"] == valid:
-                    return answer
-            except OSError:
-                time.sleep(0.05)
+            with (
+                contextlib.suppress(OSError),
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/api/{what}", timeout=20) as page,
+            ):
+                if holds(json.load(page)):
+                    return
+            time.sleep(0.05)
         raise AssertionError(f"status {process.poll()}")
+
+    def is_valid(measurement: dict[str, Any]) -> bool:
+        return bool(measurement["valid"])
+
+    def says_why_not(measurement: dict[str, Any]) -> object:
+        return not measurement["valid"] and set(measurement["status"]) & {"rear_camera_silent", "stale"}
+
+    def says_of_which_size(status: dict[str, Any]) -> bool:
+        return "is 40000 × 40000, expected 752 × 480" in json.dumps(status, ensure_ascii=False)
 
     def put(contents: dict[Path, bytes]) -> None:
         for frame, content in contents.items():
@@ -150,13 +160,12 @@ def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_
             (copy / "new").replace(frame)
 
     try:
-        until(valid=True)
+        until("measurement", is_valid)
         put(dict.fromkeys(frames, HUGE))
-        assert set(until(valid=False)["status"]) & {"rear_camera_silent", "stale"}
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/status", timeout=5) as page:
-            assert "is 40000 × 40000, expected 752 × 480" in page.read().decode()
+        until("measurement", says_why_not)
+        until("status", says_of_which_size)
         put(good)
-        until(valid=True)
+        until("measurement", is_valid)
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 0
     finally:

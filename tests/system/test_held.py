@@ -34,7 +34,7 @@ def folder(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def is_valid(port: int) -> bool:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5.0)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20.0)
     try:
         connection.request("GET", "/api/measurement")
         return bool(json.loads(connection.getresponse().read()).get("valid"))
@@ -44,7 +44,7 @@ def is_valid(port: int) -> bool:
         connection.close()
 
 
-def await_valid(port: int, within_s: float = 30.0) -> None:
+def await_valid(port: int, within_s: float = 60.0) -> None:
     deadline_s = time.monotonic() + within_s
     while not is_valid(port):
         assert time.monotonic() < deadline_s

@@ -28,8 +28,9 @@ from support.cli import altd_here
 from support.foreign import need_program
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
+from support.played_unit import PlayingDaemon
 from support.ports import free_port
-from support.recordings import header, write_beams, write_scan
+from support.recordings import header, quiet, write_beams, write_scan
 from support.unit_toml import write_config
 
 from altd.app.scan import scanner_of
@@ -196,7 +197,7 @@ def line_to(device_of: Callable[[str], None]) -> Iterator[int]:
         os.close(near)
 
 
-def read_until(descriptor: int, pattern: str, timeout_s: float = 10.0) -> str:
+def read_until(descriptor: int, pattern: str, timeout_s: float = 60.0) -> str:
     os.set_blocking(descriptor, False)
     text, deadline = "", time.monotonic() + timeout_s
     while re.search(pattern, text) is None:
@@ -228,12 +229,12 @@ def test_every_face_of_the_daemon_says_it(
         daemon = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             assert re.search(r"^\$PALT[^\n]*,S,", read_until(telegram, r"\$PALT[^\n]*,S,[^\n]*\n"), re.M)
-            measured = _valid(http)
+            measured = PlayingDaemon(daemon, http, modbus).wait_until_valid()
             assert {"playback", "simulated"} <= set(measured["status"])
-            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/stream", timeout=5) as stream:
+            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/stream", timeout=20) as stream:
                 event = next(line for line in stream if line.startswith(b"data:"))
             assert "simulated" in json.loads(event.removeprefix(b"data:"))["status"]
-            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/status", timeout=5) as page:
+            with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/status", timeout=20) as page:
                 fact = json.load(page)["calibration"]
             assert ("SIMULATED" in fact) == (calibration == "simulated")
             os.write(console, b"status\r")
@@ -244,23 +245,9 @@ def test_every_face_of_the_daemon_says_it(
             daemon.wait()
 
 
-def _valid(http: int) -> dict[str, Any]:
-    deadline = time.monotonic() + 20
-    while time.monotonic() < deadline:
-        with (
-            contextlib.suppress(OSError),
-            urllib.request.urlopen(f"http://127.0.0.1:{http}/api/measurement", timeout=2) as page,
-        ):
-            answer: dict[str, Any] = json.load(page)
-            if answer["valid"]:
-                return answer
-        time.sleep(0.05)
-    raise AssertionError("never valid")
-
-
 def _status_word(port: int) -> int:
     """Input register 0 of unit 1, asked by hand (Modbus TCP, function 4)."""
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as line:
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as line:
         line.sendall(bytes.fromhex("0001 0000 0006 01 04 0000 0001"))
         answer = line.recv(256)
     assert answer[7] == 4, answer.hex()
@@ -326,10 +313,6 @@ class Silent:
 
     def progress(self, done: int, total: int, doing: str) -> None:
         pass
-
-
-def quiet(_done: int, _planned: int) -> None:
-    """No progress."""
 
 
 def test_all_that_the_simulator_records_is_simulated(tmp_path: Path) -> None:

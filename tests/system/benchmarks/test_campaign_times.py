@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.campaign.way import CAMERAS, Draw
+from benchmarks.campaign.way import CAMERAS, Draw, Way
 from benchmarks.campaign.ways import (
     numbers,
     times,
@@ -26,10 +26,10 @@ DELIVERIES = [
 
 
 @pytest.mark.parametrize("way", times.WAYS, ids=lambda way: way.name)
-def test_a_way_of_times_touches_nothing_before_its_onset(way: object) -> None:
-    changed = way.name == "clean_times"  # type: ignore[attr-defined]
+def test_a_way_of_times_touches_nothing_before_its_onset(way: Way) -> None:
+    changed = way.name == "clean_times"
     for seed in range(6):
-        mistimed = way.make(draw(seed))  # type: ignore[attr-defined]
+        mistimed = way.make(draw(seed))
         assert isinstance(mistimed, Mistimed)
         after = mistimed.change(DELIVERIES, 500 * MS)
         assert [one for one in after if one.true_ns < 500 * MS] == DELIVERIES[

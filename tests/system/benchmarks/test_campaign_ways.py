@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from support.foreign import need
 from altd.records import PixelArray
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, noisy_image
-from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, both, spoil_pixels
+from benchmarks.campaign.way import CAMERAS, Draw, Shot, Spoil, Way, both, spoil_pixels
 from benchmarks.campaign.ways import (
     ambient,
     cameras,
@@ -32,8 +33,8 @@ def draw(seed: int = 0) -> Draw:
     return Draw(np.random.default_rng(seed))
 
 
-def made(make: object, seed: int = 0) -> Spoil:
-    spoil = make(draw(seed))  # type: ignore[operator]
+def made(make: Callable[[Draw], object], seed: int = 0) -> Spoil:
+    spoil = make(draw(seed))
     assert isinstance(spoil, Spoil)
     return spoil
 
@@ -166,10 +167,10 @@ def test_a_photographed_beam_has_its_centroid_where_the_beam_is() -> None:
 
 
 @pytest.mark.parametrize("way", OPTICAL, ids=lambda way: way.name)
-def test_a_way_of_light_changes_light_only_of_what_it_was_given(way: object) -> None:
+def test_a_way_of_light_changes_light_only_of_what_it_was_given(way: Way) -> None:
     changed = False
     for seed in range(6):
-        spoil = made(way.make, seed)  # type: ignore[attr-defined]
+        spoil = made(way.make, seed)
         before = scene(sorted(spoil.cameras)[0])
         assert spoil.light is not None
         moved = Scene(before.camera, before.beam, before.rest, before.response, SHAPE.moved(9, 0), PX_PER_MM)
@@ -203,10 +204,10 @@ def spoilt_shots(spoil: Spoil, bits: int = 8, onset: int = 3) -> tuple[list[Shot
 
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("way", ELECTRONIC, ids=lambda way: way.name)
-def test_a_way_of_frames_leaves_all_before_the_onset_and_keeps_depth_and_size(way: object, bits: int) -> None:
+def test_a_way_of_frames_leaves_all_before_the_onset_and_keeps_depth_and_size(way: Way, bits: int) -> None:
     changed = False
     for seed in range(4):
-        spoil = made(way.make, seed)  # type: ignore[attr-defined]
+        spoil = made(way.make, seed)
         for clean, dirty in zip(*spoilt_shots(spoil, bits), strict=True):
             same = np.array_equal(clean.pixels, dirty.pixels)
             if clean.k < 3:

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.recordings import quiet
 
 from altd.calibration.calibrating import calibrate
 from altd.calibration.recorded_flat import flat_correlation, flats_of
@@ -26,10 +27,6 @@ from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
 SEED = 3
-
-
-def quiet(_done: int, _planned: int) -> None:
-    """No progress."""
 
 
 @pytest.fixture(scope="module")

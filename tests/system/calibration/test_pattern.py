@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -34,10 +36,10 @@ def scatters(
     return targets
 
 
-def found_mm(runs: int = 300, **parts: object) -> np.ndarray:
+def found_mm(runs: int = 300, **parts: Any) -> np.ndarray:
     """Root mean square over many scans of each target's pattern as it is found."""
     rng = np.random.default_rng(1)
-    found = [pattern_noise_px(scatters(rng, **parts)) for _ in range(runs)]  # type: ignore[arg-type]
+    found = [pattern_noise_px(scatters(rng, **parts)) for _ in range(runs)]
     return np.sqrt(np.mean(np.square(found), axis=0)) * 0.25
 
 

@@ -24,7 +24,7 @@ from altd.history.schema import SECONDS
 
 
 def status(daemon: PlayingDaemon) -> dict[str, Any]:
-    with urllib.request.urlopen(f"http://127.0.0.1:{daemon.http}/api/status", timeout=5) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{daemon.http}/api/status", timeout=20) as answer:
         document: dict[str, Any] = json.load(answer)
         return document
 
@@ -44,6 +44,11 @@ def end(daemon: PlayingDaemon) -> None:
 def said_of_history(daemon: PlayingDaemon) -> tuple[str, str]:
     component = status(daemon)["components"]["history"]
     return component["state"], component["message"]
+
+
+def until_started(path: Path, times: int) -> None:
+    """Wait until the history says so often that a daemon started: it is written some times a second."""
+    until(lambda: [event.kind for event in events(path)].count("started") == times)
 
 
 def events(path: Path) -> list[StoredEvent]:
@@ -67,11 +72,11 @@ def test_what_was_shown_is_in_the_history_with_its_start_end_and_changes(
         published = status(daemon)["components"]["measuring"]["measurements"]
         end(daemon)
     with keeping(played_unit, tmp_path, path, "max_mb = 300\n") as daemon:
-        time.sleep(1.0)
+        until_started(path, 2)
         daemon.process.kill()
         daemon.process.wait()
     with keeping(played_unit, tmp_path, path, "max_mb = 300\n") as daemon:
-        time.sleep(1.0)
+        until_started(path, 3)
         end(daemon)
     with Reader(path) as reader:
         stored = reader.measurements_after(0, 5000)
@@ -177,6 +182,7 @@ def test_a_disk_that_takes_ten_seconds_a_write_leaves_the_measurement_as_it_is(
         assert time.monotonic() - told_s < 6.0
 
 
+@pytest.mark.real_time
 def test_a_full_disk_and_one_that_is_gone_leave_the_measurement_as_it_is(
     played_unit: PlayedUnit, tmp_path: Path
 ) -> None:

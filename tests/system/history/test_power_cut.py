@@ -40,6 +40,7 @@ class Moment:
         return self._due_s is not None and time.monotonic() >= self._due_s
 
 
+@pytest.mark.real_time
 @pytest.mark.timeout(60 + 30 * CUTS)
 def test_a_power_cut_loses_less_than_a_second_and_never_the_file(tmp_path: Path) -> None:
     make = shutil.which("mkfs.ext4") or shutil.which("mkfs.ext4", path="/usr/sbin:/sbin") or ""

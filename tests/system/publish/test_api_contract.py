@@ -14,6 +14,7 @@ import pytest
 from support.evidence import calibration
 from support.history import START_S, batch, event, sample, store
 from support.measurements import measurement
+from support.serving import serving
 
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of
@@ -69,12 +70,8 @@ async def port(
     kept.end(None)
     history = History(tmp_path / "history.db")
     publisher = HttpPublisher(settings, board, health, health.component("http"), history)
-    ready = asyncio.Event()
-    task = asyncio.create_task(publisher.run(ready.set))
-    await ready.wait()
-    yield publisher.port
-    task.cancel()
-    await asyncio.wait({task})
+    async with serving(publisher):
+        yield publisher.port
     await history.end()
     await files.end()
 

@@ -17,6 +17,7 @@ from support.cli import altd_here
 from support.foreign import need_program
 from support.measurements import measurement
 from support.places import DOCS
+from support.serving import serving
 
 from altd.config import HttpSettings
 from altd.publish.http.limits import REQUESTS
@@ -31,12 +32,8 @@ async def unit(board: Board, health: Health, **settings: Any) -> AsyncIterator[i
     board.publish(measurement())
     settings = {"host": "127.0.0.1", "port": 0, **settings}
     publisher = HttpPublisher(HttpSettings(**settings), board, health, health.component("http"))
-    ready = asyncio.Event()
-    task = asyncio.create_task(publisher.run(ready.set))
-    await ready.wait()
-    yield publisher.port
-    task.cancel()
-    await asyncio.wait({task})
+    async with serving(publisher):
+        yield publisher.port
 
 
 async def curl(*arguments: object) -> tuple[int, str]:

@@ -54,7 +54,7 @@ async def scanned(
 ) -> ScanResult:
     config = scan_config(unit, table.device, scan)
     assert config.stage is not None
-    fast = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0, "answer_within_s": 0.3, **stage})
+    fast = config.stage.model_copy(update={"feed_mm_per_min": 100_000.0, **stage})
     config = Config.model_validate(config.model_dump() | {"stage": fast.model_dump()})
     cameras = {camera.name: camera for camera in make_cameras(unit)}
     return await scanner_of(config, folder, folder, listener, cameras, SimulatedLamps(unit)).run()
@@ -180,7 +180,7 @@ async def test_cancellation_brings_the_stage_to_a_stand(unit: Unit, table: GrblT
     task = asyncio.create_task(scanned(unit, table, tmp_path / "scan", listener))
 
     def cancel_on_the_way() -> None:
-        table.machine.settings |= {110: "1500", 111: "1500"}
+        table.machine.settings |= {110: "300", 111: "300"}
         asyncio.get_running_loop().call_later(0.3, task.cancel)
 
     listener.at["node x -12.5 y -37.5 mm"] = cancel_on_the_way
@@ -264,7 +264,7 @@ async def test_without_light_the_scan_stops_and_goes_on_with_light(
 async def test_a_silent_camera_stops_the_scan(
     unit: Unit, table: GrblTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(frame_sets, "FRAME_SET_TIMEOUT_S", 0.6)
+    monkeypatch.setattr(frame_sets, "FRAME_SET_TIMEOUT_S", 3.0)
     listener = Listener()
     listener.at["node x -12.5 y -37.5 mm"] = lambda: unit.inject(Fault.FRONT_SILENT)
     with pytest.raises(ScanStoppedError, match=r"^node x -12.5 y -37.5 mm: camera front: no frame for"):

@@ -10,6 +10,8 @@ import pytest
 from support.foreign import need_program
 from support.guest import run_in_guest
 
+pytestmark = pytest.mark.real_time
+
 PLUGS = 2
 GREETING = "\r\nActive Laser Target"
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.cli import altd, refusal
+from support.cli import Outcome, altd, refusal
 from support.foreign import need
 from support.local_daemon import LocalDaemon, local_daemon
 from support.played_unit import PlayedUnit
@@ -29,15 +29,22 @@ def unit(played_unit: PlayedUnit, tmp_path: Path) -> Iterator[LocalDaemon]:
         yield daemon
 
 
+def said_while_it_measures(unit: LocalDaemon) -> Outcome:
+    """On a busy machine the daemon may be without a fresh measurement for a while, and says so."""
+    deadline = time.monotonic() + 60.0
+    while "measuring    NOT LIVE, 0." not in (said := altd("status", "--config", unit.config)).out:
+        assert time.monotonic() < deadline, said.out
+    return said
+
+
 def test_it_says_what_the_daemon_measures_and_what_to_do(unit: LocalDaemon) -> None:
-    said = altd("status", "--config", unit.config)
+    said = said_while_it_measures(unit)
     assert (said.status, said.err) == (1, ""), "a recording is played: nothing to steer by"
     lines = said.out.splitlines()
     assert lines[0].startswith("unit         TEST-1, altd ")
     assert lines[1].startswith("state        CHECK FUNCTION for ")
     assert "  - a recording is played, this is NOT LIVE" in said.out
     assert "do not steer by it" in said.out
-    assert "measuring    NOT LIVE, 0." in said.out
     assert "\x1b" not in said.out
     assert max(map(len, lines)) < 80
     measured = unit.daemon.measurement()
@@ -63,7 +70,7 @@ def test_the_socket_is_for_owner_and_group_and_goes_with_the_daemon(unit: LocalD
     assert stat.S_ISSOCK(about.st_mode)
     assert stat.S_IMODE(about.st_mode) == 0o660
     unit.daemon.process.terminate()
-    unit.daemon.process.wait(10)
+    unit.daemon.process.wait(30)
     assert not unit.socket.exists()
     said = altd("status", "--config", unit.config)
     assert (said.status, said.out) == (1, "")
@@ -94,6 +101,7 @@ def test_after_kill_9_the_next_daemon_takes_its_place(
         assert altd("status", "--config", again.config).out.startswith("unit ")
 
 
+@pytest.mark.real_time
 def test_a_daemon_that_hangs_is_said_so_in_time(unit: LocalDaemon) -> None:
     unit.daemon.process.send_signal(signal.SIGSTOP)
     begun = time.monotonic()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.cramer_rao import cramer_rao
-from support.frames import Blob, frame, light
+from support.frames import Blob, light
+from support.photographs import ELECTRONS_PER_COUNT, SIZE, found, photographed
 
 from altd.records import Frame
 from altd.vision.centre import Centre, Noise
@@ -15,20 +16,7 @@ from altd.vision.patch import Patch, patch_around
 from altd.vision.search import search
 from altd.vision.settings import SpotSettings
 
-SIZE = 168
-FULL_WELL = 15_000.0
-ELECTRONS_PER_COUNT = FULL_WELL / 255
 SETTINGS = SpotSettings()
-
-
-def photographed(mean_counts: np.ndarray, read: float, rng: np.random.Generator) -> Frame:
-    electrons = rng.poisson(np.maximum(mean_counts, 0) * ELECTRONS_PER_COUNT)
-    return frame(electrons / ELECTRONS_PER_COUNT, rng, read)
-
-
-def found(centre: Centre | None) -> Centre:
-    assert centre is not None
-    return centre
 
 
 def seen(picture: Frame, read: float, flat: Flat | None = None) -> Centre:

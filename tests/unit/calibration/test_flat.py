@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from support.cli import altd_here, refusal
-from support.recordings import header, write_scan
+from support.recordings import header, quiet, write_scan
 
 from altd.calibration.recorded_flat import flats_of
 from altd.calibration.target_frames import target_frames
@@ -22,10 +22,6 @@ from hw_sim.stage import Stage
 from hw_sim.unit import Unit, UnitConfig
 
 SEED = 3
-
-
-def quiet(_done: int, _planned: int) -> None:
-    """No progress."""
 
 
 @pytest.fixture(scope="module")

@@ -6,25 +6,11 @@ import cv2
 import numpy as np
 import pytest
 from support.frames import HEIGHT, WIDTH, Blob, frame, light
+from support.photographs import FULL_WELL, SIZE, found, photographed
 
 from altd.records import Frame, Spot
-from altd.vision.centre import Centre
 from altd.vision.flat import Flat
 from altd.vision.localise import locate, locate_ellipse
-
-SIZE = 168
-FULL_WELL = 15_000.0
-ELECTRONS_PER_COUNT = FULL_WELL / 255
-
-
-def photographed(mean_counts: np.ndarray, read: float, rng: np.random.Generator) -> Frame:
-    electrons = rng.poisson(np.maximum(mean_counts, 0) * ELECTRONS_PER_COUNT)
-    return frame(electrons / ELECTRONS_PER_COUNT, rng, read)
-
-
-def found(centre: Centre | None) -> Centre:
-    assert centre is not None
-    return centre
 
 
 def super_gaussian(

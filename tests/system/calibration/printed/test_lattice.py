@@ -4,20 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.prints import NODES_MM, Dots, Scene, steps
+from support.prints import Dots, Scene, lattice_of, steps
 
-from altd.calibration.printed.lattice import Lattice, find_lattice
-from altd.calibration.printed.plane import Plane
-from altd.calibration.printed.sample import sample_of
-from altd.vision.settings import SpotSettings
-
-
-def lattice_of(scene: Scene) -> Lattice | None:
-    plane = Plane(scene.first_map())
-    samples = [sample_of(frame, plane, SpotSettings(), None) for frame in scene.frames()]
-    seen = [sample for sample in samples if sample is not None]
-    assert len(seen) == len(NODES_MM)
-    return find_lattice(seen, plane.to_mm(scene.nodes_px()))
+from altd.calibration.printed.lattice import Lattice
 
 
 def whole(lattice: Lattice, steps_mm: np.ndarray) -> np.ndarray:

@@ -51,6 +51,7 @@ def test_a_frame_tells_what_it_was_exposed_with(unit: Unit) -> None:
     assert min(counts) > 0
 
 
+@pytest.mark.real_time
 def test_two_readers_in_threads_share_sequence_and_time(unit: Unit) -> None:
     cameras = opened(unit, real_time=True)
 
@@ -65,6 +66,7 @@ def test_two_readers_in_threads_share_sequence_and_time(unit: Unit) -> None:
     assert all(front_times[k] == rear_times[k] for k in shared)
 
 
+@pytest.mark.real_time
 def test_in_real_time_a_frame_comes_after_its_exposure_and_before_the_next(unit: Unit) -> None:
     front, _ = opened(unit, real_time=True)
     ages_ns = []
@@ -75,6 +77,7 @@ def test_in_real_time_a_frame_comes_after_its_exposure_and_before_the_next(unit:
     assert sorted(ages_ns)[len(ages_ns) // 2] < PERIOD_NS
 
 
+@pytest.mark.real_time
 def test_a_late_reader_gets_the_newest_and_the_sequence_jumps(unit: Unit) -> None:
     front, _ = opened(unit, real_time=True)
     before = front.next_frame(1.0)
@@ -121,6 +124,7 @@ def test_a_camera_that_is_not_open_says_so(unit: Unit) -> None:
     front.close()
 
 
+@pytest.mark.real_time
 def test_closing_ends_a_call_that_waits(unit: Unit) -> None:
     front, _ = opened(unit, real_time=True)
     unit.inject(Fault.FRONT_SILENT)

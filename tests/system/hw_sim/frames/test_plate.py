@@ -7,17 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from support.cli import altd_here, refusal
+from support.recordings import quiet
 
 from altd.recording.reader import open_recording
-from hw_sim.__main__ import main
 from hw_sim.fisheye import FisheyeLens
 from hw_sim.lens import PIXEL_MM, rotation
 from hw_sim.plate import Plate, record_plate, with_plate
 from hw_sim.unit import Unit, UnitConfig
-
-
-def quiet(_done: int, _planned: int) -> None:
-    """No progress."""
 
 
 @pytest.fixture(scope="module")
@@ -110,14 +107,7 @@ def test_its_axis_is_no_special_place() -> None:
     ],
 )
 def test_a_wrong_argument_gives_one_line_and_status_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
+    tmp_path: Path, arguments: list[str], complaint: str
 ) -> None:
-    try:
-        status = main(["plate", "-o", str(tmp_path / "p"), *arguments])
-    except SystemExit as exit_:
-        status = int(str(exit_.code))
-    captured = capsys.readouterr()
-    assert status == 2
-    assert complaint in captured.err
-    assert captured.err.count("\n") == 1
+    assert complaint in refusal(altd_here("plate", "-o", tmp_path / "p", *arguments, module="hw_sim"))
     assert list(tmp_path.iterdir()) == []

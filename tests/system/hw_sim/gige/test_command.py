@@ -36,7 +36,7 @@ def test_a_signal_ends_it_and_leaves_nothing(number: int, streaming: bool) -> No
             front.frame()
             clients.callback(front.abandon)
         os.kill(cameras.process.pid, number)
-        out, err = cameras.process.communicate(timeout=10)
+        out, err = cameras.process.communicate(timeout=30)
     assert cameras.process.returncode == 0
     assert err == ""
     made = re.search(r"SIM-3-front (\d+), SIM-3-rear 0; CPU: [\d.]+% of one core", out)

@@ -139,7 +139,7 @@ def test_an_exposure_comes_with_each_software_trigger_and_without_one_none(unit_
             before_ns = time.time_ns()
             front.execute("TriggerSoftware")
             frame = front.frame()
-            assert before_ns - 1_000_000 < frame.timestamp_ns < before_ns + 500_000_000
+            assert before_ns - 1_000_000 < frame.timestamp_ns < time.time_ns()
             assert front.next(within_us=100_000) is None
         front.stop()
         front.set(TriggerMode="Off")

@@ -43,7 +43,14 @@ def projected(unit: Unit, camera: str, t_ns: float) -> np.ndarray:
 
 def monotonic_ns(frame: Received) -> int:
     """When the frame's exposure began, on the clock that this process shares with the server."""
-    return frame.timestamp_ns - (time.time_ns() - time.monotonic_ns())
+    return frame.timestamp_ns - utc_minus_monotonic_ns()
+
+
+def utc_minus_monotonic_ns() -> int:
+    """Of the try in which least time passed between the clocks' readings: a busy machine parts them."""
+    tries = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(10)]
+    before_ns, utc_ns, after_ns = min(tries, key=lambda one: one[2] - one[0])
+    return utc_ns - (before_ns + after_ns) // 2
 
 
 def test_the_spots_are_where_the_truth_says_in_separate_processes_and_within_a_millisecond(
@@ -145,13 +152,15 @@ def test_faults_come_and_go_by_lines_on_standard_input(driven_unit: Unit) -> Non
         client(cameras.front) as front,
         client(cameras.rear) as rear,
     ):
-        assert cameras.process.stdin is not None
+        said_to, said_by = cameras.process.stdin, cameras.process.stderr
+        assert said_to is not None
+        assert said_by is not None
 
         def fault(names: str) -> None:
-            assert cameras.process.stdin is not None
-            cameras.process.stdin.write(f"{names}\n")
-            cameras.process.stdin.flush()
-            time.sleep(0.2)
+            """Once this is back the fault is there: the cameras have refused what came behind it."""
+            said_to.write(f"{names}\ngremlins\n")
+            said_to.flush()
+            assert "'gremlins'" in said_by.readline()
 
         def lit(held: Client, camera: str) -> bool:
             return spot_light(driven_unit, camera, held.take(1)[0].pixels) > 30.0
@@ -173,5 +182,4 @@ def test_faults_come_and_go_by_lines_on_standard_input(driven_unit: Unit) -> Non
         fault("dropped_frames")
         numbers = [next_exposure(front).number] + [front.frame().number for _ in range(60)]
         assert 60 < (numbers[-1] - numbers[0]) % 65535 < 120  # one in five, 15 of 75
-        fault("gremlins")
         assert front.next() is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
@@ -16,11 +17,13 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import measured
 from support.picture_maker import Maker
+from support.serving import serving
 
 from altd.config import HttpSettings
 from altd.credentials import hashes
 from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash, token_digest
+from altd.history.history import History
 from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.records import Measurement
@@ -140,20 +143,22 @@ def events(clock: FakeClock) -> EventLog:
     return EventLog(clock)
 
 
-@pytest.fixture
-def served(board: Board, health: Health, component: Component, events: EventLog) -> Served:
-    @contextlib.asynccontextmanager
-    async def serving(**more: Any) -> AsyncIterator[Unit]:
-        settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, "names": NAMES, **more})
-        publisher = HttpPublisher(settings, board, health, component, events=events)
-        ready = asyncio.Event()
-        task = asyncio.ensure_future(publisher.run(ready.set))
-        await ready.wait()
+@contextlib.asynccontextmanager
+async def served_with(
+    board: Board, health: Health, history: History | None, events: EventLog | None = None, **more: Any
+) -> AsyncIterator[Unit]:
+    """With its history, if it has one, and other settings of ``[http]``."""
+    settings = HttpSettings(**{"host": "127.0.0.1", "port": 0, "names": NAMES, **more})
+    publisher = HttpPublisher(settings, board, health, health.component("http"), history, events)
+    async with serving(publisher) as task:
         yield Unit(publisher, task)
-        task.cancel()
-        await asyncio.wait({task})
+    if history is not None:
+        await history.end()
 
-    return serving
+
+@pytest.fixture
+def served(board: Board, health: Health, events: EventLog) -> Served:
+    return functools.partial(served_with, board, health, None, events)
 
 
 @pytest.fixture

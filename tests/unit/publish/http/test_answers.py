@@ -25,13 +25,7 @@ from altd.status.health import Component, Health, State
 from altd.status.measurement_json import as_object_now
 
 from .conftest import Served
-
-NEED_MORE = (
-    *("/api/v1/trend", "/api/v1/events"),
-    *("/api/v1/calibration", "/api/v1/calibration/file", "/api/v1/calibration/report"),
-)
-"""What a history or a calibration answers, which the unit of these tests has not."""
-"""What ``test_past.py`` asks a unit that has one."""
+from .documents import NEED_MORE
 
 
 async def test_the_measurement_is_the_object_of_replay_with_its_proof_behind(

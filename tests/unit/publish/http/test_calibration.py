@@ -12,41 +12,13 @@ from altd.app.calibration_summary import summary_of
 from altd.credentials.changing import change
 from altd.credentials.hashes import new_token, token_digest
 from altd.publish.http.downloads import MAX_DOWNLOADS
-from altd.status.calibration_desk import NoCalibrationFileError, NoReportError
 from altd.status.health import Health
 
+from .calibration_files import FILE, PAGE, Files
 from .conftest import Served
-from .test_openapi import DOCUMENT, fits
+from .documents import DOCUMENT, fits
 
-PAGE = b'<!DOCTYPE html><meta charset="utf-8"><script>alert(document.cookie)</script>'
-FILE = b'{"format": "altd-calibration/1"}\n'
 PATHS = ("/api/v1/calibration/file", "/api/v1/calibration/report")
-
-
-class Files:
-    """A calibration's files as a test wants them."""
-
-    name = "unit 7\r\nX: y.json"
-
-    def __init__(self) -> None:
-        self.refuses = ""
-        self.no_report = ""
-        self.goes_on = asyncio.Event()
-        self.goes_on.set()
-
-    async def calibration(self) -> bytes:
-        await self.goes_on.wait()
-        if self.refuses:
-            raise NoCalibrationFileError(self.refuses)
-        return FILE
-
-    async def check_report(self) -> None:
-        if self.no_report:
-            raise NoReportError(self.no_report)
-
-    async def report(self) -> bytes:
-        await self.check_report()
-        return PAGE
 
 
 @pytest.fixture

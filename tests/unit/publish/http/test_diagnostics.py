@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import csv
 import json
 import subprocess
 import time
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -20,18 +17,16 @@ from support.history import START_S, WallClock, at, event, store, write_seconds
 from support.history import batch as batch_of
 
 from altd.app.calibration_summary import summary_of
-from altd.config import HttpSettings
 from altd.credentials.changing import change
 from altd.history.history import History
 from altd.publish.http import diagnostics
-from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.diagnostic_part import DiagnosticPart
 from altd.status.health import Health
 from altd.status.self_check_desk import SelfCheckReport
 
-from .conftest import NAMES, Answer, Unit
-from .test_calibration import Files
+from .calibration_files import Files
+from .conftest import Answer, served_with
 
 PATH = "/api/v1/diagnostics"
 ALWAYS = {"README.txt", "status.json", "targets.json", "calibration.json", "metrics.txt"}
@@ -56,22 +51,6 @@ def recorded(tmp_path: Path) -> History:
     kept.write(batch_of(START_S + 122, (), html))
     kept.end(None)
     return History(tmp_path / "history.db")
-
-
-@asynccontextmanager
-async def served(
-    board: Board, health: Health, history: History | None = None, **more: Any
-) -> AsyncIterator[Unit]:
-    settings = HttpSettings(host="127.0.0.1", port=0, names=NAMES, **more)
-    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
-    ready = asyncio.Event()
-    task = asyncio.create_task(publisher.run(ready.set))
-    await ready.wait()
-    yield Unit(publisher, task)
-    task.cancel()
-    await asyncio.wait({task})
-    if history is not None:
-        await history.end()
 
 
 def opened(answer: Answer, folder: Path) -> Mapping[str, bytes]:
@@ -100,7 +79,7 @@ async def test_all_that_is_known_is_in_it(
     health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
     health.calibration.open(summary_of(calibration(), ("front",), 20, "cal.json"), Files())
     health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         files = opened(answer := await unit.ask(PATH), tmp_path)
     assert (
         answer.headers["content-disposition"] == 'attachment; filename="altd-ALT-0007-20261120T080200Z.zip"'
@@ -120,7 +99,7 @@ async def test_all_that_is_known_is_in_it(
 async def test_events_and_trend_are_those_of_the_history(
     board: Board, health: Health, recorded: History, tmp_path: Path
 ) -> None:
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
     lines = files["events.jsonl"].decode().split("\n")
     assert lines.pop() == ""
@@ -150,7 +129,7 @@ async def test_what_cannot_be_had_is_named_and_costs_no_other(
         DiagnosticPart("slow.txt", "takes long", lambda: time.sleep(0.6) or b""),
         DiagnosticPart("well.txt", "is well", lambda: b"well\n"),
     )
-    async with served(board, health) as unit:
+    async with served_with(board, health, None) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
     assert set(files) == ALWAYS | {"well.txt"}
     missing = {"measurement.json", "self-check.json", *OF_HISTORY, "broken.txt", "slow.txt"}
@@ -167,7 +146,7 @@ async def test_a_part_that_is_too_long_ends_at_a_line_and_says_so(
 ) -> None:
     monkeypatch.setattr(diagnostics, "MAX_PART_BYTES", 1000)
     health.diagnostics = (DiagnosticPart("long.txt", "is long", lambda: b"123456789012\n" * 1000),)
-    async with served(board, health) as unit:
+    async with served_with(board, health, None) as unit:
         files = opened(await unit.ask(PATH), tmp_path)
     assert files["long.txt"] == b"123456789012\n" * 76
     assert "long.txt: is long (its first 1000 bytes)" in files["README.txt"].decode()
@@ -175,7 +154,7 @@ async def test_a_part_that_is_too_long_ends_at_a_line_and_says_so(
 
 async def test_names_that_are_no_names_break_nothing(board: Board, health: Health, tmp_path: Path) -> None:
     health.facts["serial"] = 'a/../b"\r\nX-Evil: 1\u202e<script>\ud800'
-    async with served(board, health) as unit:
+    async with served_with(board, health, None) as unit:
         answer = await unit.ask(PATH)
     assert "x-evil" not in answer.headers
     name = answer.headers["content-disposition"]
@@ -187,14 +166,14 @@ async def test_a_clock_that_was_never_set_is_no_obstacle(
     board: Board, health: Health, clock: WallClock, tmp_path: Path
 ) -> None:
     clock.offset_s -= START_S
-    async with served(board, health) as unit:
+    async with served_with(board, health, None) as unit:
         assert set(opened(await unit.ask(PATH), tmp_path)) == ALWAYS
 
 
 async def test_it_is_for_who_may_see_pictures(board: Board, health: Health, tmp_path: Path) -> None:
     change(tmp_path / "known", "press", lambda known: known.with_token("press", bytes(32)))
-    async with served(board, health, credentials=tmp_path / "known") as unit:
+    async with served_with(board, health, None, credentials=tmp_path / "known") as unit:
         assert (await unit.ask(PATH)).status == 401
-    async with served(board, health) as unit:
+    async with served_with(board, health, None) as unit:
         answer = await unit.ask(PATH, "HEAD")
     assert (answer.status, answer.body, answer.headers["content-type"]) == (200, b"", "application/zip")

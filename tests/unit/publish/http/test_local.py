@@ -10,6 +10,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from support.serving import serving
 
 from altd.local_socket.asking import ask
 from altd.publish.http import server
@@ -21,25 +22,21 @@ from altd.status.health import Health, State
 from altd.status.self_check_desk import SelfCheckReport
 
 from .conftest import Served
-from .test_answers import NEED_MORE
+from .documents import NEED_MORE
 
 HEADERS = {"X-Altd-Request": "1"}
 
 
 @contextlib.asynccontextmanager
-async def serving(path: Path, board: Board, health: Health) -> AsyncIterator[LocalPublisher]:
+async def served_at(path: Path, board: Board, health: Health) -> AsyncIterator[LocalPublisher]:
     publisher = LocalPublisher(path, board, health, health.component("local"))
-    ready = asyncio.Event()
-    task = asyncio.ensure_future(publisher.run(ready.set))
-    await asyncio.wait_for(ready.wait(), 5.0)
-    yield publisher
-    task.cancel()
-    await asyncio.wait({task})
+    async with serving(publisher):
+        yield publisher
 
 
 @pytest.fixture
 async def path(tmp_path: Path, board: Board, health: Health) -> AsyncIterator[Path]:
-    async with serving(tmp_path / "altd.sock", board, health):
+    async with served_at(tmp_path / "altd.sock", board, health):
         yield tmp_path / "altd.sock"
 
 
@@ -87,7 +84,7 @@ async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
     tmp_path: Path, board: Board, health: Health
 ) -> None:
     path = tmp_path / "altd.sock"
-    async with serving(path, board, health):
+    async with served_at(path, board, health):
         second = LocalPublisher(path, board, health, health.component("second"))
         with pytest.raises(OSError, match="another process listens there") as caught:
             await second.run(lambda: pytest.fail("ready"))

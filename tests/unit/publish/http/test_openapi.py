@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
-from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 from openapi_spec_validator import OpenAPIV31SpecValidator
 from starlette.responses import JSONResponse
 from support.clock import FakeClock
@@ -31,18 +29,8 @@ from altd.status.health import Health, State
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 
-from .conftest import Answer, Served
-
-DOCUMENT = document_of(PATHS, QUANTITIES, "0.1.0")
-
-
-def fits(document: dict[str, Any], path: str, answer: Answer, method: str = "get") -> Any:
-    """The answer's object, after jsonschema has held it against the document."""
-    response = document["paths"][path][method]["responses"][str(answer.status)]
-    schema = response["content"]["application/json"]["schema"]
-    whole = {**schema, "components": document["components"]}
-    Draft202012Validator(whole).validate(answer.json)
-    return answer.json
+from .conftest import Served
+from .documents import DOCUMENT, fits
 
 
 def test_a_foreign_validator_takes_the_document() -> None:

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Iterable
-from contextlib import asynccontextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.history import START_S, WallClock, at, batch, event, sample, store
 
-from altd.config import HttpSettings
 from altd.history.history import History
 from altd.publish.http import resuming, stream
-from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
 
-from .conftest import NAMES, Unit
-from .test_openapi import DOCUMENT, fits
+from .conftest import Unit, served_with
+from .documents import DOCUMENT, fits
 
 MONOTONIC_NS = 10**12
 """When ``START_S`` was, on the clock of ``support.history``."""
@@ -42,22 +39,8 @@ def recorded(tmp_path: Path) -> History:
     return History(tmp_path / "history.db")
 
 
-@asynccontextmanager
-async def served(board: Board, health: Health, history: History | None) -> AsyncIterator[Unit]:
-    settings = HttpSettings(host="127.0.0.1", port=0, names=NAMES)
-    publisher = HttpPublisher(settings, board, health, health.component("http"), history)
-    ready = asyncio.Event()
-    task = asyncio.create_task(publisher.run(ready.set))
-    await ready.wait()
-    yield Unit(publisher, task)
-    task.cancel()
-    await asyncio.wait({task})
-    if history is not None:
-        await history.end()
-
-
 async def test_a_trend_is_what_was_measured(board: Board, health: Health, recorded: History) -> None:
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         path = f"/api/v1/trend?from={START_S}&to={START_S + 60}&points=6"
         answer = await unit.ask(path)
         head = await unit.ask(path, "HEAD")
@@ -81,7 +64,7 @@ async def test_times_may_count_from_now(
     clock.now_ns += 60 * 10**9
     wall = clock.utc(clock.now_ns)
     clock.offset_s = START_S + 60 - wall.timestamp()
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         whole = (await unit.ask("/api/v1/trend?points=1000")).json
         last = (await unit.ask("/api/v1/trend?from=-10")).json
         none = (await unit.ask("/api/v1/trend?from=5&to=5")).json
@@ -99,7 +82,7 @@ def fits_columns(shown: dict[str, Any]) -> None:
 async def test_events_come_newest_first_and_page_by_page(
     board: Board, health: Health, recorded: History
 ) -> None:
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         first = fits(DOCUMENT, "/api/v1/events", await unit.ask("/api/v1/events?kind=state&limit=3"))[
             "events"
         ]
@@ -132,7 +115,7 @@ async def test_events_come_newest_first_and_page_by_page(
     ],
 )
 async def test_what_cannot_be_is_named(board: Board, health: Health, recorded: History, query: str) -> None:
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         answer = await unit.ask(f"/api/v1/{query}")
     assert answer.status == 400
     assert query.partition("?")[2].partition("=")[0] in answer.json["error"]
@@ -142,18 +125,18 @@ async def test_what_cannot_be_is_named(board: Board, health: Health, recorded: H
 async def test_no_parameter_gets_into_the_sql(
     board: Board, health: Health, recorded: History, kind: str
 ) -> None:
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         answer = await unit.ask(f"/api/v1/events?kind={kind.replace(' ', '+')}")
         assert (answer.status, "kind is none" in answer.json["error"]) == (400, True)
         assert len((await unit.ask("/api/v1/events?kind=state")).json["events"]) == 5
 
 
 async def test_without_a_history_it_says_why(board: Board, health: Health, tmp_path: Path) -> None:
-    async with served(board, health, None) as unit:
+    async with served_with(board, health, None) as unit:
         for path in ("/api/v1/trend", "/api/v1/events"):
             answer = await unit.ask(path)
             assert (answer.status, answer.json) == (503, {"error": "there is no history"})
-    async with served(board, health, History(tmp_path / "gone.db")) as unit:
+    async with served_with(board, health, History(tmp_path / "gone.db")) as unit:
         assert (await unit.ask("/api/v1/trend")).status == 503
 
 
@@ -187,7 +170,7 @@ async def test_a_stream_that_broke_off_goes_on_with_what_was_missed(
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         last = key(40)
         events = await read(unit, last, 20)
     now, *past = events
@@ -222,7 +205,7 @@ async def test_once_all_has_come_events_have_ids_again(
             await asyncio.sleep(0.02)
             board.publish(at(START_S + 59.1, 5.9, sequence))
 
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         publishing = asyncio.create_task(publish())
         events = await read(unit, key(57), 12)
         publishing.cancel()
@@ -237,7 +220,7 @@ async def test_who_missed_nothing_gets_nothing_twice(
 ) -> None:
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         without = await read(unit, None, 1)
         (again,) = await read(unit, without[0]["id"], 1)
     assert without[0]["id"] == key(60)
@@ -265,7 +248,7 @@ async def test_what_cannot_be_resumed_is_a_gap_that_says_why(
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     monkeypatch.setattr(resuming, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         _, gap = await read(unit, last_id, 2)
     assert (gap["event"], gap["data"]) == ("gap", {"after": last_id[:64], "why": why})
 
@@ -281,7 +264,7 @@ async def test_who_comes_back_before_his_last_one_is_written_misses_nothing(
     """The history writes a batch a second: what was sent last is not in it when the line breaks."""
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     board.publish(at(START_S + 62, 6.2, 63))
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         reading = asyncio.create_task(read(unit, key(61), 2))
         await asyncio.sleep(0.2)
         kept = store(tmp_path)
@@ -299,10 +282,10 @@ async def test_no_history_and_one_that_lags_are_gaps(
     monkeypatch.setattr(stream, "KEEP_ALIVE_INTERVAL_S", 0.01)
     monkeypatch.setattr(resuming, "MAX_WAIT_S", -1.0)
     board.publish(at(START_S + 70, 5.9, 71))
-    async with served(board, health, None) as unit:
+    async with served_with(board, health, None) as unit:
         _, gap = await read(unit, key(40), 2)
         assert gap["data"]["why"] == "there is no history"
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         *past, gap = (await read(unit, key(58), 4))[1:]
         assert [each["data"]["sequence"] for each in past] == [59, 60]
         assert gap["data"]["why"] == "the history does not have the newest measurements"
@@ -315,7 +298,7 @@ async def test_too_much_is_not_sent_again(
     monkeypatch.setattr(resuming, "MAX_ROWS_AT_ONCE", 5)
     monkeypatch.setattr(resuming, "MAX_ROWS", 12)
     board.publish(at(START_S + 59, 5.9, 60))
-    async with served(board, health, recorded) as unit:
+    async with served_with(board, health, recorded) as unit:
         events = await read(unit, key(1), 17)
     assert [each["data"]["sequence"] for each in events[1:-1]] == list(range(2, 17))
     assert events[-1]["event"] == "gap"

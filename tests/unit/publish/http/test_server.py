@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.foreign import need
+from support.serving import serving
 
 from altd.config import HttpSettings
 from altd.publish.http import server
@@ -48,12 +49,8 @@ async def test_it_can_be_served_again_on_the_same_port(
         await events.head()
         port = unit.port
     publisher = HttpPublisher(HttpSettings(host="127.0.0.1", port=port), board, health, component)
-    ready = asyncio.Event()
-    task = asyncio.ensure_future(publisher.run(ready.set))
-    await asyncio.wait_for(ready.wait(), 1.0)
-    task.cancel()
-    with contextlib.suppress(asyncio.CancelledError):
-        await task
+    async with asyncio.timeout(5.0), serving(publisher):
+        assert publisher.port == port
 
 
 async def test_cancellation_is_prompt_and_leaves_nothing_even_with_streams_open(served: Served) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 from collections.abc import AsyncIterator, Iterator
@@ -12,7 +11,8 @@ from typing import Any
 import pytest
 from support.clock import FakeClock
 from support.measurements import measured
-from support.modbus_wire import UNIT, Client, Measured, Serving, connected
+from support.modbus_wire import UNIT, Client, Measured, connected
+from support.serving import serving
 
 from altd.config import ModbusTcpSettings
 from altd.instruments.beam.solver import Beam
@@ -50,31 +50,8 @@ def measured_fixture(clock: FakeClock) -> Measured:
     return measurement
 
 
-@contextlib.asynccontextmanager
-async def _serving(publisher: Any) -> AsyncIterator[None]:
-    ready = asyncio.Event()
-    task = asyncio.create_task(publisher.run(ready.set))
-    waiting = asyncio.create_task(ready.wait())
-    await asyncio.wait({task, waiting}, return_when=asyncio.FIRST_COMPLETED)
-    waiting.cancel()
-    try:
-        if task.done():
-            await task
-        yield
-    finally:
-        task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
-
-
 @pytest.fixture
-def serving() -> Serving:
-    """Runs a publisher inside ``async with``; a start that fails raises what run() raised."""
-    return _serving
-
-
-@pytest.fixture
-async def tcp(board: Board, component: Component, serving: Serving) -> AsyncIterator[ModbusTcpPublisher]:
+async def tcp(board: Board, component: Component) -> AsyncIterator[ModbusTcpPublisher]:
     """A Modbus TCP publisher on a free port of the loopback."""
     publisher = ModbusTcpPublisher(
         ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component

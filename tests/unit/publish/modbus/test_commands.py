@@ -7,14 +7,13 @@ from collections.abc import AsyncIterator
 
 import pytest
 from support.modbus_wire import UNIT, Client, connected, frame
+from support.serving import serving
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
 from altd.status.health import Component
 from altd.status.self_check_desk import SelfCheckDesk
-
-from .conftest import Serving
 
 NOW = bytes.fromhex("06 03e8 0001")
 
@@ -33,7 +32,7 @@ def desk(asked: list[bool]) -> SelfCheckDesk:
 
 @pytest.fixture(params=[True])
 async def controller(
-    request: pytest.FixtureRequest, board: Board, component: Component, desk: SelfCheckDesk, serving: Serving
+    request: pytest.FixtureRequest, board: Board, component: Component, desk: SelfCheckDesk
 ) -> AsyncIterator[Client]:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=request.param)
     publisher = ModbusTcpPublisher(settings, board, component, desk)
@@ -104,7 +103,7 @@ async def test_the_ids_of_the_device_itself_are_its_own(
 
 
 async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
-    board: Board, component: Component, desk: SelfCheckDesk, serving: Serving, asked: list[bool]
+    board: Board, component: Component, desk: SelfCheckDesk, asked: list[bool]
 ) -> None:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
     publisher = ModbusTcpPublisher(settings, board, component, desk)

@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock
 from support.foreign import need_program
-from support.modbus_wire import UNIT, Measured, Serving
+from support.modbus_wire import UNIT, Measured
+from support.serving import serving
 
 from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.rtu import ModbusRtuPublisher
@@ -86,7 +87,6 @@ async def test_over_rtu_mbpoll_reads_the_same(
     line: tuple[Path, Path],
     board: Board,
     component: Component,
-    serving: Serving,
     measured: Measured,
 ) -> None:
     board.publish(measured())

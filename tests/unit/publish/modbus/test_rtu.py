@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 from support.modbus_rtu_wire import COLLIDING, READ_OF_20, crc, frame
-from support.modbus_wire import ONE, ONE_ANSWER, UNIT, Serving
+from support.modbus_wire import ONE, ONE_ANSWER, UNIT
+from support.serving import serving
 
 from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.registers import SIZE
@@ -59,9 +60,7 @@ def settings(device: str, **fields: Any) -> ModbusRtuPortSettings:
 
 
 @pytest.fixture
-async def controller(
-    pty: tuple[int, str], board: Board, component: Component, serving: Serving
-) -> AsyncIterator[Controller]:
+async def controller(pty: tuple[int, str], board: Board, component: Component) -> AsyncIterator[Controller]:
     descriptor, device = pty
     async with serving(ModbusRtuPublisher(settings(device), board, component)):
         yield Controller(descriptor)
@@ -201,14 +200,14 @@ async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller
     assert await controller.is_answered()
 
 
-async def test_a_missing_device_is_an_os_error(board: Board, component: Component, serving: Serving) -> None:
+async def test_a_missing_device_is_an_os_error(board: Board, component: Component) -> None:
     with pytest.raises(FileNotFoundError, match="/dev/altd-is-not-here"):
         async with serving(ModbusRtuPublisher(settings("/dev/altd-is-not-here"), board, component)):
             pass
 
 
 async def test_a_file_that_is_no_serial_port_is_an_os_error(
-    tmp_path: Path, board: Board, component: Component, serving: Serving
+    tmp_path: Path, board: Board, component: Component
 ) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
@@ -217,7 +216,7 @@ async def test_a_file_that_is_no_serial_port_is_an_os_error(
 
 
 async def test_a_port_in_use_is_an_os_error(
-    controller: Controller, pty: tuple[int, str], board: Board, component: Component, serving: Serving
+    controller: Controller, pty: tuple[int, str], board: Board, component: Component
 ) -> None:
     with pytest.raises(OSError, match=f"another program uses the port: '{pty[1]}'"):
         async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
@@ -254,7 +253,7 @@ async def test_a_controller_that_takes_no_answers_does_not_hold_the_unit_up(
 
 
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
-    pty: tuple[int, str], board: Board, component: Component, serving: Serving
+    pty: tuple[int, str], board: Board, component: Component
 ) -> None:
     before = asyncio.all_tasks()
     for _ in range(3):
@@ -265,7 +264,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
 
 @pytest.mark.parametrize(("parity", "stop_bits"), [("even", 1), ("odd", 1), ("none", 2)])
 async def test_every_setting_of_the_line_can_be_used(
-    pty: tuple[int, str], board: Board, component: Component, serving: Serving, parity: str, stop_bits: int
+    pty: tuple[int, str], board: Board, component: Component, parity: str, stop_bits: int
 ) -> None:
     line = settings(pty[1], parity=parity, stop_bits=stop_bits, baud=1200)
     async with serving(ModbusRtuPublisher(line, board, component)):

@@ -18,12 +18,12 @@ from support.modbus_wire import (
     UNIT,
     Client,
     Measured,
-    Serving,
     connected,
     eventually,
     frame,
     words,
 )
+from support.serving import serving
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.registers import SIZE
@@ -220,7 +220,7 @@ async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTc
 
 
 async def test_an_address_in_use_is_an_os_error(
-    tcp: ModbusTcpPublisher, board: Board, component: Component, serving: Serving
+    tcp: ModbusTcpPublisher, board: Board, component: Component
 ) -> None:
     second = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component)
     with pytest.raises(OSError, match="address already in use"):
@@ -229,7 +229,7 @@ async def test_an_address_in_use_is_an_os_error(
 
 
 async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
-    board: Board, component: Component, serving: Serving
+    board: Board, component: Component
 ) -> None:
     publisher = ModbusTcpPublisher(
         ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component

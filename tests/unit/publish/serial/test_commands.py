@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from support.clock import FakeClock
 from support.measurements import changed
+from support.serving import serving
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
@@ -28,7 +29,6 @@ from altd.status.target_area import TargetArea
 from tools.pages.serial_examples import MEASURED, SPOT_LOST
 
 from .consoles import answer, console, well
-from .serving import serving
 
 
 class TestQuestion:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import pytest
 from support.clock import FakeClock
+from support.serving import GONE, lines, serving
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
@@ -17,8 +18,6 @@ from altd.publish.serial.publisher import ConsolePublisher
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
-
-from .serving import GONE, lines, serving
 
 
 class TestConsole:

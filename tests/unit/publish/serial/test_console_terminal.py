@@ -14,6 +14,7 @@ from typing import Self
 
 from support.clock import stop
 from support.foreign import need_program
+from support.serving import serving
 
 from altd.config import ConsolePortSettings
 from altd.publish.serial.publisher import ConsolePublisher
@@ -22,8 +23,6 @@ from altd.runtime.clock import SystemClock
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from hw_sim.demo_lines import Line
-
-from .serving import serving
 
 
 class Picocom:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from support.clock import FakeClock
 from support.history import START_S, batch, sample, store
+from support.serving import serving
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
@@ -22,7 +23,6 @@ from altd.status.health import Health
 from tools.pages.serial_examples import MEASURED
 
 from .consoles import answer, well
-from .serving import serving
 
 NOW_S = START_S + 3600
 

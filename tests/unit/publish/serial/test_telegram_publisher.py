@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from support.clock import FakeClock
+from support.serving import GONE, lines, serving
 from support.telegram_reader import parse
 from support.wire import Wire
 
@@ -17,8 +18,6 @@ from altd.publish.serial.publisher import TelegramPublisher
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, State
-
-from .serving import GONE, lines, serving
 
 
 def telegram_port(wire: Wire, **line: Any) -> TelegramPortSettings:
