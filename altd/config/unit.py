@@ -46,3 +46,13 @@ class Installation(Table):
     offset_y_mm: Millimetres = 0.0
     offset_yaw_deg: OffsetDegrees = 0.0
     offset_pitch_deg: OffsetDegrees = 0.0
+
+    @property
+    def signs(self) -> dict[str, Literal[-1, 1]]:
+        """The sign of each quantity of the beam, by its key."""
+        return {
+            "x_mm": self.sign_x,
+            "y_mm": self.sign_y,
+            "yaw_deg": self.sign_yaw,
+            "pitch_deg": self.sign_pitch,
+        }

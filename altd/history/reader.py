@@ -72,11 +72,6 @@ class Reader:
         self._connection.close()
 
     @property
-    def file_id(self) -> str:
-        """Drawn when the file was made: the ids of another file's rows are others."""
-        return self.facts().get("file", "")
-
-    @property
     def summarised(self) -> dict[str, Column]:
         """The quantities that summaries hold, by their keys."""
         return {column.key: column for column in self._columns.values() if column.is_summarised}

@@ -97,10 +97,5 @@ class CheckJudge:
 
 def _installed(effects: Mapping[str, Value], installation: Installation) -> Mapping[str, Value]:
     """Effects in the unit frame as a controller sees them, whose axes may be turned round."""
-    signs = {
-        "x_mm": installation.sign_x,
-        "y_mm": installation.sign_y,
-        "yaw_deg": installation.sign_yaw,
-        "pitch_deg": installation.sign_pitch,
-    }
+    signs = installation.signs
     return {key: replace(effect, value=signs[key] * effect.value) for key, effect in effects.items()}

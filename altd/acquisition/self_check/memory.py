@@ -18,6 +18,7 @@ from altd.files.reading import read_file
 from altd.files.writing import write_file
 from altd.measuring.calibration import Calibration
 from altd.ports import Clock
+from altd.records import counted
 from altd.runtime.threads import DeviceThread
 from altd.selfcheck.history import History
 from altd.selfcheck.history_document import document_of, history_of
@@ -201,7 +202,7 @@ class _Kept:
             self._tell(f"not kept: {_NO_ANSWER}")
             return False
         days = max(1 + len(target.days) for target in history.targets.values()) if history.targets else 0
-        self._component.set_state(State.OK, f"{days} {'day' if days == 1 else 'days'} in {self._file.path}")
+        self._component.set_state(State.OK, f"{counted(days, 'day')} in {self._file.path}")
         return True
 
     async def end(self) -> None:

@@ -12,6 +12,9 @@ from altd.instruments.beam.solver import Beam, joint_jacobian_mm_per_px, line_ga
 from altd.records import FloatArray, TargetPoint
 from altd.records.motion import Motion, SpotMotion
 
+_ROWS = ("x_mm", "yaw_deg", "y_mm", "pitch_deg")
+"""Of the line's gain."""
+
 
 def beam_motions(
     motion: SpotMotion,
@@ -30,12 +33,8 @@ def beam_motions(
     per_slope_deg = [
         math.degrees(math.cos(math.radians(angle)) ** 2) for angle in (beam.yaw_deg, beam.pitch_deg)
     ]
-    scale = np.array([1.0, per_slope_deg[0], 1.0, per_slope_deg[1]]) * (
-        installation.sign_x,
-        installation.sign_yaw,
-        installation.sign_y,
-        installation.sign_pitch,
-    )
+    signs = installation.signs
+    scale = np.array([1.0, per_slope_deg[0], 1.0, per_slope_deg[1]]) * [signs[key] for key in _ROWS]
     by_px = scale[:, None] * gain @ joint_jacobian_mm_per_px(points)
     rate, onset = by_px @ motion.rate_px_per_s, by_px @ motion.onset_px_per_s
     rate_variance = _variances(by_px, motion.rate_covariance)
@@ -49,7 +48,7 @@ def beam_motions(
             onset_s=motion.onset_s,
             spread_s2=motion.spread_s2,
         )
-        for row, key in enumerate(("x_mm", "yaw_deg", "y_mm", "pitch_deg"))
+        for row, key in enumerate(_ROWS)
     }
 
 

@@ -65,6 +65,16 @@ async def reading(unit: Restarted) -> AsyncIterator[Restarted]:
         await unit.history.end()
 
 
+def daemon_of(unit: Restarted, about: About) -> tuple[Health, UnitState, DaemonHistory]:
+    """What a daemon, as ``about`` says, keeps in the unit's history."""
+    health = Health(unit.clock)
+    board = Board(unit.clock, 1.0, QUANTITIES)
+    state = UnitState(board, health, unit.clock)
+    past = DaemonHistory(board, health, state, unit.clock)
+    past.keep_in(unit.path, MAX_BYTES, about)
+    return health, state, past
+
+
 async def test_a_restart_loses_nothing_of_the_hour(tmp_path: Path) -> None:
     unit = Restarted(tmp_path)
     unit.ran_before(unit.start_s - 120, 60)
@@ -117,11 +127,7 @@ async def test_a_clock_that_is_set_after_the_start_puts_the_past_in_its_place(tm
 async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
     unit = Restarted(tmp_path)
     unit.ran_before(unit.start_s - 120, 60)
-    health = Health(unit.clock)
-    board = Board(unit.clock, 1.0, QUANTITIES)
-    state = UnitState(board, health, unit.clock)
-    past = DaemonHistory(board, health, state, unit.clock)
-    past.keep_in(unit.path, MAX_BYTES, ABOUT)
+    health, state, past = daemon_of(unit, ABOUT)
     health.state = state.read
     hour: dict[str, Any] = {}
     async with past.recorded():
@@ -138,11 +144,7 @@ async def test_a_daemon_takes_nothing_from_a_history_of_another_unit(tmp_path: P
     """It lies in this unit's place until it is moved aside, and while the other one's daemon writes it."""
     unit = Restarted(tmp_path)
     unit.ran_before(unit.start_s - 120, 60)
-    health = Health(unit.clock)
-    board = Board(unit.clock, 1.0, QUANTITIES)
-    state = UnitState(board, health, unit.clock)
-    past = DaemonHistory(board, health, state, unit.clock)
-    past.keep_in(unit.path, MAX_BYTES, About(ABOUT.columns, {"serial": "TEST-2"}))
+    _, state, past = daemon_of(unit, About(ABOUT.columns, {"serial": "TEST-2"}))
     lock = WriteLock(unit.path)
     async with past.recorded():
         with pytest.raises(NoHistoryError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):

@@ -124,7 +124,7 @@ def test_a_file_has_a_name_of_its_own(tmp_path: Path) -> None:
             writing.write(batch(t_s))
             writing.end(batch(t_s))
             with Reader(tmp_path / name / "history.db") as reader:
-                names.add(reader.file_id)
+                names.add(reader.facts()["file"])
     assert len(names) == 2
 
 

@@ -118,8 +118,9 @@ class Events:
 
     async def event(self) -> tuple[str, Any]:
         """The next event: its id and its object."""
-        while not (block := await self.block()).startswith("id: "):
-            pass
+        async with asyncio.timeout(3.0):  # comments come all the while
+            while not (block := await self.block()).startswith("id: "):
+                pass
         first, second = block.split("\n")
         return first.removeprefix("id: "), json.loads(second.removeprefix("data: "))
 
