@@ -47,7 +47,7 @@ demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige
 
-unit: venv ## the quick tests, on all cores: under a minute
+unit: venv ## the quick tests, on all cores: two minutes on two
 	@exec $(unit_tests)
 
 test: programs venv kernel ## all tests: the quick ones, the others, one a core those with limits of real time, some alone

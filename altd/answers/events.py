@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +21,8 @@ from altd.tables.columns import Column, Type, text
 from altd.tables.text import CsvTable
 
 _LOOK_INTERVAL_S = 0.5
+_MAX_LOOKS = 60
+"""A slow disk takes seconds over each write."""
 
 COLUMNS = (
     Column("id", Type.WHOLE, "", "grows over restarts, never given twice in one file"),
@@ -69,7 +72,15 @@ def answer(question: Question) -> None:
                 now = _identity(question.history)
                 if now is not None and now != file:  # moved aside: the daemon has begun another
                     break
-        time.sleep(_LOOK_INTERVAL_S)  # it may be an empty file still
+        _wait_until_begun(question.history)
+
+
+def _wait_until_begun(file: Path) -> None:
+    """Until the daemon has made a history of its new file, but not for ever."""
+    for _ in range(_MAX_LOOKS):
+        time.sleep(_LOOK_INTERVAL_S)
+        with suppress(BadInputError), opened(file):
+            return
 
 
 def _identity(file: Path) -> tuple[int, int] | None:
