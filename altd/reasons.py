@@ -212,7 +212,8 @@ class Reason(StrEnum):
         "geometry_unverified", _UNIT, 27, StatusGroup.NOT_TRUSTED, _FAILURE,
         "the self-check could not tell whether cameras and targets are in place",
         "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
-        "the last self-check ended without a verdict on the whole unit, and `[self_check]` asks for one",
+        "the last self-check ended without a verdict on the whole unit, or that after a shock has not ended, "
+        "and `[self_check]` asks for one",
     )  # fmt: skip
     SELF_CHECKING = (
         "self_checking", _UNIT, 28, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
@@ -264,7 +265,8 @@ class Reason(StrEnum):
         "geometry_unknown", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
         "the self-check could not tell whether cameras and targets are in place",
         "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
-        "the last self-check ended without a verdict, or without one on a part of the unit",
+        "the last self-check ended without a verdict, or without one on a part of the unit, or that after a "
+        "shock has not ended",
     )  # fmt: skip
     COMPENSATED = (
         "compensated", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,

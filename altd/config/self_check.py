@@ -34,7 +34,8 @@ class SelfCheckSettings(Table):
     when_bad: Literal["invalid", "warning"] = "invalid"
     """What a bad verdict makes of the measurements."""
     when_unknown: Literal["invalid", "warning"] = "warning"
-    """What a check that ends without a verdict, or without one on a part of the unit, makes of them."""
+    """What a check that ends without a verdict, or without one on a part of the unit, makes of them; also a
+    shock until the check after it has ended."""
     compensate: bool = False
     """Take out of the measurement what drift a check has proven; the measurement carries a warning. Ends
     when no check has had a verdict for three times ``interval_s``."""

@@ -138,12 +138,21 @@ async def test_a_beam_that_jumps_during_a_check_makes_no_drift_and_is_checked_af
 
 
 async def test_a_blow_that_moves_all_spots_is_followed_by_a_check(calibration_of_unit_3: Calibration) -> None:
+    """Until then nobody knows what it did to cameras and targets, and each measurement says so."""
     async with led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         await running.measured(valid=True)
         running.unit.place(replace(POSE, x_mm=POSE.x_mm + 5.0))
+        struck_s = time.monotonic()
         report = await running.report(2)
+        since = [
+            codes(poll.measurement) for poll in running.polls if poll.measurement and poll.at_s > struck_s
+        ]
         assert (report.document["cause"], report.document["verdict"]) == ("shock", "good")
+        first = next(number for number, said in enumerate(since) if "geometry_unknown" in said)
+        assert first < 0.1 * len(since)
+        assert all("geometry_unknown" in said for said in since[first:-5])  # the last: the check has ended
+        assert "geometry_unknown" not in codes(await running.measured(valid=True))
         assert running.daemon.health.component("self-check").counters["shocks"] == 1
 
 

@@ -74,6 +74,8 @@ class SelfChecks:
         self._at: dict[str, SpotPx] = {}
         self._is_valid = False
         """What was passed on last was valid."""
+        self._has_jumped = False
+        """There was a shock since the last check began."""
         self._logged = ""
         desk.open(partial(parts.schedule.ask, Cause.REQUEST))
 
@@ -91,6 +93,8 @@ class SelfChecks:
         if self._shocks.is_shock(located):
             self._component.count("shocks")
             self._schedule.ask(Cause.SHOCK)
+            self._standing.note_shock()
+            self._has_jumped = True
 
     def pass_on(self, measurement: Measurement) -> Measurement | None:
         """A measurement as the geometry lets it be.
@@ -120,6 +124,7 @@ class SelfChecks:
     async def _check_for_ever(self, exposer: CheckExposer, frames: MarkedFrames) -> None:
         while True:
             cause = await self._schedule.next()
+            self._has_jumped = False
             lost_before = _marked(frames)
             number = self._desk.begin()
             has_begun = True
@@ -175,6 +180,8 @@ class SelfChecks:
         """What follows from a check: for the measurements, for who asked, and for the next check."""
         check = judged.check
         self._standing.take(check, self._memory.slow_drift)
+        if self._has_jumped:
+            self._standing.note_shock()  # the check after it is still to come
         report = report_of(occasion, judged)
         self._correction.apply(self._standing)
         self._component.count("checks")

@@ -19,6 +19,7 @@ from altd.status.health import State
 MAX_UNCONFIRMED_INTERVALS = 3
 """For so many intervals of the schedule a correction is trusted after the check that it comes from. By then
 some nine checks ended without a verdict: nobody knows what the drift is now."""
+_AFTER_SHOCK = "the spots of all targets have jumped, and the check after it has not ended"
 _BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
 
 
@@ -70,13 +71,19 @@ class Standing:
         """A check has ended; ``slow_drift`` says in words what all of them together show."""
         self._pending = ()
         is_unknown = check.verdict is Verdict.UNKNOWN
-        self._of_unknown = () if check.is_whole and not is_unknown else (self._fault_of_unknown(check),)
+        is_all_known = check.is_whole and not is_unknown
+        self._of_unknown = () if is_all_known else (self._fault_of_unknown("; ".join(check.reasons)),)
         if self._changes_nothing(check):
             return
         self._known = check
         self._known_ns, self._slow_drift = self._clock.monotonic_ns(), slow_drift
         self._compensation, self._refusal = self._compensation_of(check)
         self._of_known = self._faults(check)
+
+    def note_shock(self) -> None:
+        """The unit may have been struck: until a check has ended nobody knows what that moved."""
+        if self._settings.enabled:
+            self._of_unknown = (self._fault_of_unknown(_AFTER_SHOCK),)
 
     def recall_bad(self) -> None:
         """The last check before this start was bad; where one has had a verdict since, that counts."""
@@ -138,10 +145,9 @@ class Standing:
         in_part = check.verdict is Verdict.SUSPECT and not check.is_whole
         return check.verdict is Verdict.UNKNOWN or (in_part and self._compensation is not None)
 
-    def _fault_of_unknown(self, check: SelfCheck) -> Fault:
+    def _fault_of_unknown(self, detail: str) -> Fault:
         is_invalid = self._settings.when_unknown == "invalid"
-        reason = Reason.GEOMETRY_UNVERIFIED if is_invalid else Reason.GEOMETRY_UNKNOWN
-        return Fault(reason, detail="; ".join(check.reasons))
+        return Fault(Reason.GEOMETRY_UNVERIFIED if is_invalid else Reason.GEOMETRY_UNKNOWN, detail=detail)
 
     def _compensation_of(self, check: SelfCheck) -> tuple[Compensation | None, str]:
         if not self._settings.compensate or not _is_proven(check):

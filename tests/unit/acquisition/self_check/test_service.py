@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from support import evidence
 from support.clock import FakeClock, settle, stop
+from support.located import SPOT, located
 from support.measurements import measured
 
 from altd.acquisition.self_check.exposing import CheckFailedError
@@ -73,6 +75,13 @@ class Running:
 
     async def __aexit__(self, *_: object) -> None:
         await stop(self._task)
+
+    def strike(self) -> None:
+        """The spots of all targets jump by 12 px."""
+        for number in range(4):
+            for camera in CAMERAS:
+                one = located(camera, number, self.clock.now_ns + number * 50_000_000)
+                self.checks.look(replace(one, spot=replace(SPOT, u_px=300.0 + 12.0 * (number == 3))))
 
     @property
     def passed(self) -> tuple[bool, list[str]]:
@@ -156,3 +165,38 @@ async def test_a_check_that_saw_but_a_part_is_repeated_soon(is_whole: bool, chec
         await settle()
         await running.clock.advance(FIRST_REPEAT_S + 0.1)
         assert len(running.exposer.asked_s) == checks
+
+
+GOOD = SelfCheck(Verdict.GOOD, {}, {})
+
+
+async def test_after_a_shock_the_geometry_is_unknown_until_its_check_has_ended() -> None:
+    async with Running(has_begun=True, found=GOOD) as running, asyncio.timeout(10):
+        await running.desk.report(1)
+        assert running.passed == (True, [])
+        running.strike()
+        await running.clock.advance(REST_S - 0.1)
+        assert running.passed == (True, ["geometry_unknown"])
+        await running.clock.advance(0.2)
+        await running.desk.report(2)
+        assert running.passed == (True, [])
+
+
+async def test_a_check_that_a_shock_falls_into_says_nothing_of_what_is_after_it() -> None:
+    async with Running(has_begun=True, found=GOOD) as running, asyncio.timeout(10):
+        await running.desk.report(1)
+        judged = running.checks._judge.judge  # noqa: SLF001
+
+        def struck(*asked: Any) -> Judged:
+            running.strike()
+            return judged(*asked)
+
+        running.checks._judge.judge = struck  # type: ignore[method-assign]  # noqa: SLF001
+        running.desk.ask()
+        await running.clock.advance(REST_S + 0.1)
+        await running.desk.report(2)
+        assert running.passed == (True, ["geometry_unknown"])
+        running.checks._judge.judge = judged  # type: ignore[method-assign]  # noqa: SLF001
+        await running.clock.advance(REST_S + 0.1)
+        await running.desk.report(3)
+        assert running.passed == (True, [])

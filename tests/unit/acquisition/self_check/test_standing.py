@@ -130,6 +130,27 @@ def test_a_slow_drift_is_a_warning_while_all_is_good(calibration: Calibration) -
     assert of_unit.faults[0].detail == "rear drifts by 0.020 px a day"
 
 
+@pytest.mark.parametrize(
+    ("settings", "before", "valid", "says"),
+    [
+        ({}, GOOD, True, ["geometry_unknown"]),
+        ({"when_unknown": "invalid"}, GOOD, False, ["geometry_unverified"]),
+        ({}, SUSPECT, True, ["geometry_suspect", "geometry_unknown"]),
+        ({}, BAD, False, ["geometry_drift", "geometry_unknown"]),
+        ({"enabled": False}, GOOD, True, []),  # no check would come after it
+    ],
+)
+def test_after_a_shock_nobody_knows_until_a_check_has_ended(
+    calibration: Calibration, settings: dict[str, object], before: SelfCheck, valid: bool, says: list[str]
+) -> None:
+    of_unit = standing(calibration, **settings)
+    of_unit.take(before)
+    of_unit.note_shock()
+    assert codes(of_unit) == (valid, says)
+    of_unit.take(GOOD)
+    assert codes(of_unit) == (True, [])
+
+
 class TestCompensation:
     PROVEN = check(Verdict.BAD, "bad", shift_px=0.5, significance=50.0)
 
