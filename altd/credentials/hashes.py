@@ -49,8 +49,13 @@ class PasswordHash:
         return cls(SCRYPT_N, SCRYPT_R, SCRYPT_P, salt, blank.hashed(password))
 
     def fits(self, password: str) -> bool:
-        """Whether it is that password. Takes as long whatever it is."""
-        return hmac.compare_digest(self.digest, self.hashed(password))
+        """Whether it is that password. Takes as long whatever it is.
+
+        One with a NUL, which no password has, is none: scrypt's HMAC pads with NUL (RFC 2104, section 2), so
+        that one with some at its end has the digest of the one without.
+        """
+        fits = hmac.compare_digest(self.digest, self.hashed(password))
+        return fits and "\0" not in password
 
     def hashed(self, password: str) -> bytes:
         """The digest of a password with these parameters."""
