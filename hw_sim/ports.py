@@ -1,12 +1,17 @@
-"""A TCP port for a daemon that is started."""
+"""TCP ports for daemons that are started."""
 
 from __future__ import annotations
 
 import socket
 
+_given: set[int] = set()
+
 
 def free_port() -> int:
-    """A TCP port that nobody has at the moment."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
+    """A TCP port that nobody has at the moment, and that was not given before."""
+    while True:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port: int = server.getsockname()[1]
+        if port not in _given:
+            _given.add(port)
+            return port

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import socket
 
@@ -9,13 +10,24 @@ _PORTS = range(15_000, 32_000)
 """Below those that the kernel gives out by itself (32768 on, see ip(7)): it gives none of them to another."""
 
 
+_WORKERS = 16
+_given: set[int] = set()
+
+
 def free_port() -> int:
-    """One that nobody listens on at any address of this machine; by chance, so that two at once differ."""
+    """One that nobody listens on at any address of this machine, and that no test was given before.
+
+    Each of pytest's processes has ports of its own to choose from; by chance, for two runs at once.
+    """
     chance = random.SystemRandom()
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     while True:
-        port = chance.choice(_PORTS)
+        port = chance.choice(_PORTS[worker % _WORKERS :: _WORKERS])
+        if port in _given:
+            continue
         try:
             socket.create_server(("", port), reuse_port=False).close()
         except OSError:
             continue
+        _given.add(port)
         return port
