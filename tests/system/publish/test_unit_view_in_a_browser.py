@@ -89,6 +89,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         async with shown.page.expect_popup() as coming:
             await section.get_by_role("link", name="the report on it").click()
         popup = await coming.value
+        await popup.get_by_text("residuals").wait_for()  # a tab that only begins cannot be loaded anew
         answered: list[str] = []
         popup.on("response", lambda response: answered.append(response.url.partition("/api/v1")[2]))
         await popup.reload()
