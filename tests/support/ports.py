@@ -8,8 +8,6 @@ import socket
 
 _PORTS = range(15_000, 32_000)
 """Below those that the kernel gives out by itself (32768 on, see ip(7)): it gives none of them to another."""
-
-
 _WORKERS = 16
 _given: set[int] = set()
 
