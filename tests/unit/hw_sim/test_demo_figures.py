@@ -38,3 +38,17 @@ async def test_a_pair_is_lost_once_however_its_frames_are(
     figures = Figures(cast("Daemon", SimpleNamespace(health=health)), cast("Unit", None))
     figures.take(measurement_of(None, sequence=99, frames=0), skipped=measured - 1)
     assert figures.pairs_lost == lost
+
+
+async def test_frames_that_the_daemon_has_not_counted_yet_are_not_lost() -> None:
+    health = Health(SystemClock())
+    cameras = [health.component(f"camera {name}") for name in ("front", "rear")]
+    figures = Figures(cast("Daemon", SimpleNamespace(health=health)), cast("Unit", None))
+    shown = []
+    for sequence in range(100):
+        if sequence % 5 == 0:  # four times a second
+            for camera in cameras:
+                camera.count("frames", 5 if sequence else 1)
+        figures.take(measurement_of(None, sequence=sequence, frames=0), skipped=0)
+        shown.append(figures.pairs_lost)
+    assert shown == [0] * 100
