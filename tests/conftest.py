@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # both as altd itself, befor
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 28))
 
 import cv2
+import hypothesis
 import pytest
 from support import own_network
 from support.foreign import need
@@ -27,6 +28,11 @@ from support.wire import Wire
 
 from altd.calibration.file import load_calibration
 from altd.measuring.calibration import Calibration
+
+# The same inputs in every run, and no limit of time for one: `make fuzz` is where new inputs are tried.
+hypothesis.settings.register_profile("suite", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("explore", max_examples=5000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile("suite")
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 

@@ -16,13 +16,7 @@ EXAMPLES = 50
 def test_no_input_is_a_defect(name: str) -> None:
     target = load(name)
 
-    @settings(
-        max_examples=EXAMPLES,
-        derandomize=True,
-        database=None,
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
     @given(target.EXAMPLES)
     def run(example: Any) -> None:
         with bounded():

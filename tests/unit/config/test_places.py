@@ -64,7 +64,7 @@ def test_where_tomllib_read_it_otherwise_there_are_no_places(document: dict[str,
     assert Places("x = 1\n", document).value(("x",)) is None
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200)
 @given(
     st.lists(st.sampled_from(FULL.decode().splitlines()), unique=True),
     st.sampled_from(("\n", "\r\n", "\n\n# [x]\n")),

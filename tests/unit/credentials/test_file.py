@@ -118,7 +118,7 @@ def test_there_are_only_so_many_and_the_file_is_only_so_long(path: Path) -> None
 
 
 @given(st.binary(max_size=200) | st.text(max_size=100).map(str.encode))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_no_bytes_make_credentials_that_are_not_there(
     tmp_path_factory: pytest.TempPathFactory, content: bytes
 ) -> None:

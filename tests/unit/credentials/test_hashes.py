@@ -40,7 +40,7 @@ def test_a_new_hash_has_a_salt_of_its_own_and_the_strength_that_is_promised() ->
 @given(st.text(st.characters(exclude_characters="\0"), max_size=30), st.text(max_size=30))
 @example("", "\0")
 @example("open sesame", "open sesame\0\0")
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_only_the_same_password_fits(one: str, other: str) -> None:
     assert quick(one).fits(other) == (one == other)
 

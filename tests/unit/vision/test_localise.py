@@ -25,7 +25,7 @@ def reason(outcome: Spot | NoSpot) -> Reason:
     return outcome.reason
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     u=st.floats(60, WIDTH - 61),
     v=st.floats(60, HEIGHT - 61),

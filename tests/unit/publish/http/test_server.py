@@ -131,7 +131,7 @@ async def test_a_malformed_body_after_a_good_header_logs_nothing(
 
 
 @given(st.lists(st.binary(max_size=300), min_size=1, max_size=20))
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 async def test_garbage_does_not_trouble_it(served: Served, garbage: list[bytes]) -> None:
     async with served() as unit:
         for piece in garbage:
