@@ -188,13 +188,13 @@ class HistoryRecorder:
             if not self._settle(self._writing):
                 self._writing.cancel()
                 await asyncio.gather(self._writing, return_exceptions=True)
-                await thread.end(lambda: None, 0.0)
+                await thread.end(lambda: _end_store(self._store, None), 0.0)
                 return
         last = self._next_batch(self._clock.monotonic_ns())
         await thread.end(lambda: _end_store(self._store, last), _END_TIMEOUT_S)
 
 
-def _end_store(store: Store, last: Batch) -> None:
+def _end_store(store: Store, last: Batch | None) -> None:
     try:
         store.end(last)
     except Exception:  # there is nobody behind it any more

@@ -49,9 +49,9 @@ def test_what_an_old_history_holds_is_kept_and_goes_on(old: Path) -> None:
 
 
 def test_it_has_the_tables_that_a_new_one_has(old: Path, tmp_path: Path) -> None:
-    store(old.parent).write(batch(START_S + 10))
     (tmp_path / "new").mkdir()
-    store(tmp_path / "new").write(batch(START_S + 10))
+    for folder in (old.parent, tmp_path / "new"):
+        store(folder).end(batch(START_S + 10))
     found = []
     for path in (old, tmp_path / "new" / "history.db"):
         with sqlite3.connect(path) as foreign:
