@@ -1,6 +1,6 @@
 # Sets up, runs, checks and measures altd; `make` alone says what there is.
 # Each target works in a bare clone: .ci/venv makes .venv first, and again when requirements.lock or pyproject.toml
-# changed. PYTHON=python3.12 chooses the interpreter that .venv is made with.
+# changed. PYTHON=python3.12 chooses another interpreter, with a .venv-python3.12 of its own.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -10,7 +10,8 @@ SHELL := /bin/bash
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
-python := .venv/bin/python
+export VENV := .venv$(patsubst %,-%,$(notdir $(filter-out python3,$(PYTHON))))
+python := $(VENV)/bin/python
 LIVE_S ?= 60
 BROWSERS ?= emulated
 LOAD_S ?= 600
@@ -70,7 +71,7 @@ check: venv ## style, types, layers, licences, generated pages, width of pages
 	@$(python) -m ruff check
 	$(python) -m ruff format --check
 	$(python) -m mypy
-	.venv/bin/lint-imports --no-logo
+	$(VENV)/bin/lint-imports --no-logo
 	$(python) -m tools.licences
 	for page in $(pages); do
 		file=docs/$${page%:*}.md
@@ -147,7 +148,7 @@ lock: ## write the three locks with today's newest packages
 	@.ci/lock
 
 clean: ## remove .venv and all that tools leave behind
-	@rm -rf .venv .venv-peers build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@rm -rf .venv .venv-* build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find altd hw_sim studies tests benchmarks tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 venv:
