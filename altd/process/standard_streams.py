@@ -9,6 +9,8 @@ import select
 import sys
 from typing import Any
 
+from altd.errors import one_line
+
 _COMPLAINT_TIMEOUT_MS = 1000
 
 _STREAMS = (("stdin", "r", os.O_WRONLY), ("stdout", "w", os.O_RDONLY), ("stderr", "w", os.O_WRONLY))
@@ -51,9 +53,18 @@ def prepare_streams() -> None:
         )
 
 
-def complain(line: str) -> None:
-    """A line on standard error, over a counter that stands there, unless it takes none for a second."""
-    _write(f"{_erasure()}{line}\n")
+def say(*lines: str) -> None:
+    """Print lines on standard output, each escaped by ``one_line``."""
+    sys.stdout.write("".join(f"{one_line(line)}\n" for line in lines))
+    sys.stdout.flush()
+
+
+def complain(*lines: str) -> None:
+    """Print lines on standard error, each escaped by ``one_line``, unless it takes nothing for a second.
+
+    A counter in the last line of a terminal is overwritten.
+    """
+    _write(_erasure() + "".join(f"{one_line(line)}\n" for line in lines))
 
 
 def clear_counter() -> None:
