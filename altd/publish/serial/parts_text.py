@@ -49,7 +49,8 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
         if kind in _ABOUT_CALIBRATION:
             lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {kind.remedy}", 4))
     if summary := health.calibration.summary:
-        lines.append(hanging("  file", f"{summary['file']['name']}, SHA-256 {summary['file']['sha256']}", 13))
+        file = summary["file"]
+        lines.append(hanging("  file", f"{file['name']}, SHA-256 {file['sha256'] or 'not known'}", 13))
         lines.append(hanging("  expected", _expected(summary, quantities), 13))
     lines += [hanging(f"  {target.name}", _where(target), 13) for target in health.targets]
     return "\n".join(lines)
