@@ -66,7 +66,8 @@ def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View
     if canvas.rows < MIN_ROWS or canvas.columns < MIN_COLUMNS:
         if not moment.lost:
             canvas.put(2, 0, f"make the window larger: {MIN_COLUMNS} x {MIN_ROWS} at least", Style.WARNING)
-            _numbers(canvas, moment, 3)
+            for row, number in enumerate(moment.numbers, start=3):
+                _number(canvas, row, moment, number, canvas.columns)
         return view
     if view.help:
         _lines(canvas, list(_HELP), 0)
@@ -112,15 +113,14 @@ def _verdict(moment: Moment) -> tuple[str, Style]:
     return text, Style.GOOD if verdict == "VALID" else Style.WARNING
 
 
-def _numbers(canvas: Canvas, moment: Moment, row: int) -> None:
-    for offset, number in enumerate(moment.reading.numbers if moment.reading else ()):
-        text = number_text(number, moment.reading is not None and moment.reading.valid, canvas.columns)
-        canvas.put(row + offset, 0, text, Style.BOLD if number.value is not None else Style.DIM)
+def _number(canvas: Canvas, row: int, moment: Moment, number: Shown, width: int) -> None:
+    text = number_text(number, moment.reading is not None and moment.reading.valid, width)
+    canvas.put(row, 0, text, Style.BOLD if number.value is not None else Style.DIM, width)
 
 
 def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
     """Both targets, the numbers with their trends, and as many causes as there is room for."""
-    numbers = moment.reading.numbers if moment.reading else ()
+    numbers = moment.numbers
     causes = _cause_lines(moment.status, canvas.columns)
     below = 1 + max(len(numbers), 4) + 1
     room = canvas.rows - 2 - 1 - below - 1
@@ -130,10 +130,7 @@ def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: f
     width = canvas.columns - _NUMBER_COLUMNS
     step_s = min(max(_TREND_S / width, 1.0), _MAX_STEP_S) if width > 0 else 1.0
     for offset, number in enumerate(numbers):
-        style = Style.BOLD if number.value is not None else Style.DIM
-        valid = moment.reading is not None and moment.reading.valid
-        text = number_text(replace(number, also=None), valid, _NUMBER_COLUMNS)
-        canvas.put(row + offset, 0, text, style, _NUMBER_COLUMNS)
+        _number(canvas, row + offset, moment, replace(number, also=None), _NUMBER_COLUMNS)
         trend = knowledge.trend(number.key, now_s, width, step_s)
         draw_trend(canvas, row + offset, _NUMBER_COLUMNS, 1, trend, number.sigma)
     row += max(len(numbers), 4)
@@ -169,13 +166,11 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
 
 def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
     """Each number as large as there is room for, a column a second."""
-    numbers = moment.reading.numbers if moment.reading else ()
-    rows = (canvas.rows - 4) // max(len(numbers), 1) - 1
+    rows = (canvas.rows - 4) // max(len(moment.numbers), 1) - 1
     width = canvas.columns - _SCALE_COLUMNS
-    for place, number in enumerate(numbers):
+    for place, number in enumerate(moment.numbers):
         row = 2 + place * (rows + 1)
-        valid = moment.reading is not None and moment.reading.valid
-        canvas.put(row, 0, number_text(number, valid, canvas.columns), Style.BOLD)
+        _number(canvas, row, moment, number, canvas.columns)
         trend = knowledge.trend(number.key, now_s, width, 1.0)
         if rows > 0:
             draw_trend(canvas, row + 1, _SCALE_COLUMNS, rows, trend, number.sigma)
