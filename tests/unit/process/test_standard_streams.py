@@ -56,6 +56,12 @@ def test_text_from_outside_stays_in_its_line(
     assert "".join(capsys.readouterr()) == f"unit A{escape}B\nnext é\n"
 
 
+def test_an_answer_is_not_cut_however_long_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """Such as the JSON of `altd status`."""
+    say("x" * 100_000)
+    assert capsys.readouterr().out == "x" * 100_000 + "\n"
+
+
 @pytest.mark.parametrize(("raw", "escape"), HOSTILE.items(), ids=ascii)
 def test_text_from_outside_forges_no_line_of_the_log(raw: str, escape: str) -> None:
     first, repeated = logged(raw, times=2)
