@@ -37,9 +37,16 @@ def did_you_mean(word: object, possible: Iterable[str]) -> str:
 
 
 def one_line(text: str) -> str:
-    """The text as a terminal and a log can show it, whatever a file put into it."""
-    if len(text) > _MAX_LINE_CHARACTERS:
-        text = f"{text[:_MAX_LINE_CHARACTERS]}…"
+    """One line for a terminal or a log, whatever a file or a network put into the text: escaped and cut."""
+    return escaped(text if len(text) <= _MAX_LINE_CHARACTERS else f"{text[:_MAX_LINE_CHARACTERS]}…")
+
+
+def escaped(text: str) -> str:
+    r"""The text with a Python escape, such as ``\x1b``, for each character that is not printable.
+
+    Those are line ends, C0 and C1 control characters, bidirectional overrides and lone surrogates. Python
+    holds bytes of a file name that are not UTF-8 as such surrogates.
+    """
     return "".join(
         letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text
     )

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Literal
 
 from altd.answers.past import opened
-from altd.errors import BadInputError, did_you_mean, one_line
+from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import line_of
 from altd.history.records import StoredEvent
+from altd.process.standard_streams import say
 from altd.records import utc_text
 from altd.status.event_log import EventKind
 from altd.tables.columns import Column, Type, text
@@ -98,7 +99,7 @@ def event_line(event: StoredEvent) -> str:
     more = f" (and {event.held_back} like it before)" if event.held_back else ""
     detail = event.detail.get("detail")
     said = f": {detail}" if isinstance(detail, str) and detail else ""
-    return one_line(f"{_time_of(event)} {event.kind:<11}{of} {event.text}{said}{more}")
+    return f"{_time_of(event)} {event.kind:<11}{of} {event.text}{said}{more}"
 
 
 def _writer(form: str) -> Callable[[StoredEvent], object]:
@@ -111,7 +112,7 @@ def _writer(form: str) -> Callable[[StoredEvent], object]:
         )
     if form == "jsonl":
         return lambda event: write(line_of(_document(event)) + "\n")
-    return lambda event: write(event_line(event) + "\n")
+    return lambda event: say(event_line(event))
 
 
 def _document(event: StoredEvent) -> dict[str, object]:

@@ -9,20 +9,20 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from altd.calibration.report.prediction import predict
+from altd.calibration.report.prediction import EXPOSURES, predict
 from altd.errors import one_line
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import utc_text
 from altd.vision.fingerprint import Fingerprint
 
 MAX_TEXT_CHARACTERS = 300
-_GRID = 9, 7
-"""Places for which sigma is predicted: few, for they cost time at the start (the report: 41 × 33)."""
 _DIGITS = 4
+_SIGMA_DIGITS = 7
+"""More than is shown, or a number that is rounded twice could differ from that of the report."""
 
 
-def summary_of(calibration: Calibration, targets: Iterable[str], exposures: int, name: str) -> dict[str, Any]:
-    """The calibration of these targets, out of the file ``name``; a measurement averages ``exposures``."""
+def summary_of(calibration: Calibration, targets: Iterable[str], name: str) -> dict[str, Any]:
+    """The calibration of these targets, out of the file ``name``."""
     chosen = [target for each in targets if (target := calibration.target(each)) is not None]
     file = calibration.file
     return {
@@ -38,23 +38,23 @@ def summary_of(calibration: Calibration, targets: Iterable[str], exposures: int,
             "sha256": None if file is None else file.sha256,
             "checksum": None if file is None else file.checksum,
         },
-        "exposures": exposures,
-        "expected_sigma": _expected_sigma(calibration, exposures),
+        "exposures": EXPOSURES,
+        "expected_sigma": _expected_sigma(calibration),
         "targets": [_target(target) for target in chosen],
     }
 
 
-def _expected_sigma(calibration: Calibration, exposures: int) -> dict[str, float | None]:
-    """By quantity, the rms over the area; empty where the targets have no area in common."""
+def _expected_sigma(calibration: Calibration) -> dict[str, float | None]:
+    """By quantity, that of the report; empty where the targets have no area in common."""
     try:
-        prediction = predict(calibration, exposures, _GRID)
+        prediction = predict(calibration)
     except ValueError:
         return {}
-    return {key: _rounded(prediction.rms(key)) for key in prediction.quantities}
+    return {key: _rounded(prediction.rms(key), _SIGMA_DIGITS) for key in prediction.quantities}
 
 
 def _target(target: TargetCalibration) -> dict[str, Any]:
-    low, high = target.map.hull_mm.min(axis=0), target.map.hull_mm.max(axis=0)
+    low, high = target.valid_mm.min(axis=0).tolist(), target.valid_mm.max(axis=0).tolist()
     check = target.cross_check
     return {
         "name": target.name,
@@ -68,8 +68,8 @@ def _target(target: TargetCalibration) -> dict[str, Any]:
         "width": target.width,
         "height": target.height,
         "map": target.map.name,
-        "x_mm": [_rounded(low[0]), _rounded(high[0])],
-        "y_mm": [_rounded(low[1]), _rounded(high[1])],
+        "x_mm": [low[0], high[0]],
+        "y_mm": [low[1], high[1]],
         "left_out_px": _rounded(target.leave_one_out_px),
         "residuals": {
             "mean_mm": _rounded(target.residual_mean_mm),
@@ -104,7 +104,7 @@ def _shown(text: str) -> str:
     return one_line(text if len(text) <= MAX_TEXT_CHARACTERS else f"{text[:MAX_TEXT_CHARACTERS]}…")
 
 
-def _rounded(number: float) -> float | None:
-    """To four significant digits; None for what is no number, which JSON does not have."""
+def _rounded(number: float, digits: int = _DIGITS) -> float | None:
+    """To so many significant digits; None for what is no number, which JSON does not have."""
     value = float(number)
-    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None

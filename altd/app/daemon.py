@@ -88,8 +88,8 @@ class Daemon:
         }
         self.health.targets = target_areas_of(config, calibration)
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
-        names, window = [target.name for target in config.targets], config.measuring.window
-        summary = summary_of(calibration, names, window, config.unit.calibration.name)
+        names = [target.name for target in config.targets]
+        summary = summary_of(calibration, names, config.unit.calibration.name)
         self.health.calibration.open(summary, self._calibration_files)
         self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None

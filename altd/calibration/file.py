@@ -28,14 +28,20 @@ _Z_TOLERANCE_MM = 1e-3
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all; raises BadInputError when it cannot be written."""
+    write_file(path, _content_of(calibration)[0])
+
+
+def file_of(calibration: Calibration) -> CalibrationFile:
+    """The hashes of the file that ``save_calibration`` writes."""
+    content, checksum = _content_of(calibration)
+    return CalibrationFile(sha256(content).hexdigest(), checksum)
+
+
+def _content_of(calibration: Calibration) -> tuple[bytes, str]:
+    """The bytes of the file, and the checksum in it."""
     document = document_of(calibration)
-    document["checksum"] = checksum_of(document)
-    write_file(path, (json.dumps(document, indent=1) + "\n").encode())
-
-
-def calibration_checksum(calibration: Calibration) -> str:
-    """The checksum that its file carries."""
-    return checksum_of(document_of(calibration))
+    checksum = checksum_of(document)
+    return (json.dumps({**document, "checksum": checksum}, indent=1) + "\n").encode(), checksum
 
 
 def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:

@@ -36,7 +36,7 @@ class Parser(argparse.ArgumentParser):
         if unknown:
             self._command(options.command).refuse_unknown(unknown)
         if options.command is None:
-            complain(self.format_help().rstrip())
+            complain(*self.format_help().splitlines())
             return None
         return options
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from altd.cli.options import add_output, progress_on
 from altd.errors import BadInputError
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import complain, say
 
 if TYPE_CHECKING:
     from altd.calibration.result import CalibrationResult
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         write_together(folder, report)
     _print_result(result)
     if report:
-        print(f"report: {', '.join(str(folder / name) for name in report)}")
+        say(f"report: {', '.join(str(folder / name) for name in report)}")
     return 0
 
 
@@ -75,15 +75,15 @@ def _print_result(result: CalibrationResult) -> None:
         complain(f"altd calibrate: left out: {line}")
     for line in result.doubts:
         complain(f"altd calibrate: doubtful: {line}")
-    print(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
+    say(f"unit {result.calibration.unit_serial}, {result.calibration.recording_note}")
     if result.calibration.simulated:
-        print("made from SIMULATED frames: every measurement with it says `simulated`")
-    print(
+        say("made from SIMULATED frames: every measurement with it says `simulated`")
+    say(
         "target  map            left out px   residual mean / std / max mm   repeatability u / v px   LEDs"
         "   cross-check    apart / bound px"
     )
     for target in result.calibration.targets:
-        print(
+        say(
             f"{target.name:<7} {target.map.name:<14} {target.leave_one_out_px:.3f}         "
             f"{target.residual_mean_mm:.4f} / {target.residual_std_mm:.4f} / {target.residual_max_mm:.4f}"
             f"       {target.repeatability_px[0]:.3f} / {target.repeatability_px[1]:.3f}"
@@ -92,7 +92,7 @@ def _print_result(result: CalibrationResult) -> None:
             f"{target.cross_check.limit_px:.2f}"
         )
     for line in result.remarks:
-        print(line)
+        say(line)
 
 
 def _report(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from altd.cli.options import DEFAULT_CONFIG
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import complain, say
 
 SUMMARY = "say whether a config can be used"
 
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     if errors:
         return 2
     simulated = ", calibrated from SIMULATED frames" if calibration and calibration.simulated else ""
-    print(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
+    say(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
     for missing in missing_files(config):
-        print(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
+        say(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
     return 0

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from altd.process.standard_streams import say
+
 SUMMARY = "list cameras, GPIO lines and serial ports as the config wants them"
 
 
@@ -16,5 +18,5 @@ def run(_options: argparse.Namespace) -> int:
     from altd.app.connected_devices import lines
 
     for line in lines():
-        print(line, flush=True)
+        say(line)
     return 0

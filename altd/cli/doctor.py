@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from altd.cli.options import add_config
+from altd.process.standard_streams import say
 
 SUMMARY = "say what is wrong on this computer, and what mends it"
 
@@ -20,5 +21,5 @@ def run(options: argparse.Namespace) -> int:
     from altd.doctor.finding import Verdict, in_lines
 
     findings = examine(options.config)
-    print("\n".join(in_lines(findings)))
+    say(*in_lines(findings))
     return int(any(finding.verdict is Verdict.WRONG for finding in findings))

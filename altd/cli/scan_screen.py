@@ -6,6 +6,7 @@ import shutil
 import sys
 import time
 
+from altd.errors import one_line
 from altd.process.standard_streams import complain
 
 _BAR_LETTERS = 24
@@ -31,7 +32,7 @@ class ScanScreen:
         bar = ("#" * (_BAR_LETTERS * done // total)).ljust(_BAR_LETTERS, ".")
         line = f"[{bar}] {done}/{total} nodes{self._left(done, total)}  {doing}"
         width = shutil.get_terminal_size().columns - 1
-        sys.stderr.write(f"\r{line[:width]}\033[K")
+        sys.stderr.write(f"\r{one_line(line)[:width]}\033[K")
         sys.stderr.flush()
 
     def clear(self) -> None:

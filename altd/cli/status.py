@@ -7,7 +7,7 @@ import json
 import sys
 
 from altd.cli.options import add_socket, socket_of
-from altd.process.standard_streams import complain
+from altd.process.standard_streams import complain, say
 
 SUMMARY = "how is the unit? numbers, state, causes and what to do, of the running daemon"
 
@@ -40,5 +40,5 @@ def run(options: argparse.Namespace) -> int:
     else:
         encoding = sys.stdout.encoding or "ascii"
         text = status_text(reading, status, check).encode(encoding, "replace").decode(encoding)
-    sys.stdout.write(f"{text}\n")
+    say(*text.split("\n"))
     return 0 if is_fine(reading, status) else 1

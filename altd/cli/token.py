@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from altd.cli.options import add_credentials
+from altd.process.standard_streams import say
 
 SUMMARY = "make or remove a token for the unit's API"
 
@@ -21,9 +22,9 @@ def run(options: argparse.Namespace) -> int:
 
     if options.remove:
         change(options.file, options.name, lambda known: known.with_token(options.name, None))
-        print(f"{options.file}: {options.name} has no token")
+        say(f"{options.file}: {options.name} has no token")
         return 0
     token = new_token()
     change(options.file, options.name, lambda known: known.with_token(options.name, token_digest(token)))
-    print(token)
+    say(token)
     return 0

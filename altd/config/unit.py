@@ -5,16 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from altd.config.complaints import complaint
 from altd.config.table import Millimetres, Name, OffsetDegrees, Table
+from altd.errors import escaped
+
+
+def _printable(serial: str) -> str:
+    if not serial.isprintable():
+        raise complaint(((), f"{escaped(serial)} has a character that is not printable"))
+    return serial
 
 
 class Unit(Table):
     """Which unit this is."""
 
-    serial: Annotated[str, Field(min_length=1, max_length=64)]
-    """Serial number; the calibration file must carry the same."""
+    serial: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
+    """Serial number, of printable characters; the calibration file must carry the same."""
     calibration: Path
     """The calibration file, relative to the config file."""
 

@@ -18,7 +18,6 @@ from altd.config import Config
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 from altd.doctor.system import STATE
-from altd.errors import one_line
 from altd.history.opening import check_pages, open_to_read
 from altd.history.schema import NewerFileError, UnusableFileError
 
@@ -146,7 +145,7 @@ def _file(path: Path, machine: Machine) -> Finding:
         return wrong(subject, str(error), f"sudo mv {path} {path}.newer   # or the newer release")
     except (UnusableFileError, sqlite3.Error) as error:
         remedy = "a daemon that starts moves a damaged one aside and begins a new one"
-        return better(subject, one_line(str(error)), remedy)
+        return better(subject, str(error), remedy)
     except OSError as error:
         return better(subject, f"cannot be looked at: {error.strerror}", "sudo altd doctor")
     return good(subject, "every page of it is whole")

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from altd.mapping.hull import moved_outwards
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.cross_check import CrossCheck
@@ -60,6 +61,15 @@ class TargetCalibration:
     def inverse(self) -> InverseMap:
         """The map from px to mm."""
         return InverseMap.of(self.map)
+
+    @property
+    def valid_mm(self) -> FloatArray:
+        """Corners (n, 2) of the area in which spots are valid, to 0.01 mm: the nodes' hull and its margin.
+
+        That is where ``InverseMap.outside_mm`` is the margin at most.
+        """
+        corners: FloatArray = np.round(moved_outwards(self.map.hull_mm, self.map.margin_mm), 2)
+        return corners
 
     def point(self, u_px: float, v_px: float) -> TargetPoint | None:
         """Where the beam meets the target; None outside what was calibrated."""

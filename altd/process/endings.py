@@ -53,8 +53,7 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     try:
         status = work()
     except BadInputError as error:
-        for line in error.lines:
-            complain(f"{name()}: {line}")
+        complain(*(f"{name()}: {line}" for line in error.lines))
         return 2
     except EndedBySignal as end:
         clear_counter()

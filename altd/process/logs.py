@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import logging
 import os
 import queue
@@ -13,6 +12,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+
+from altd.errors import one_line
 
 LOG_REPEAT_S = 10.0
 """A cause is written once in this time, and how often it came meanwhile with its next line."""
@@ -26,6 +27,7 @@ MAX_WAITING_LINES = 1000
 JOIN_TIMEOUT_S = 1.0
 """How long the end waits for standard error to take what is left."""
 
+_PLAIN = logging.Formatter()
 _ADDRESSES_AND_NUMBERS = re.compile(r"0x[0-9a-f]+|\d+")
 
 
@@ -63,7 +65,7 @@ class RepeatLimit:
             cause.held_back += 1
             return None
         held_back = 0 if cause is None else cause.held_back
-        causes[key] = _Cause(message.partition("\n")[0], now_s)
+        causes[key] = _Cause(message, now_s)
         return _repeats_note(held_back)
 
     def due(self, *, all_of_them: bool = False) -> list[str]:
@@ -99,9 +101,8 @@ class StderrLog(logging.Handler):
             note = self._limit.note(record)
             if note is None:
                 return
-            line = copy.copy(record)
-            line.msg, line.args = record.getMessage() + note, None
-            self._enqueue(self.format(line))
+            traceback = "" if record.exc_info is None else _PLAIN.formatException(record.exc_info)
+            self._enqueue(record.getMessage() + note, traceback)
         except Exception:
             self.handleError(record)
 
@@ -114,9 +115,11 @@ class StderrLog(logging.Handler):
             self._thread.join(JOIN_TIMEOUT_S)
         super().close()
 
-    def _enqueue(self, line: str) -> None:
+    def _enqueue(self, line: str, traceback: str = "") -> None:
+        """Each line is escaped; those of a traceback are indented, or text in it could pass for a line."""
+        indented = (f"\n  {one_line(each)}" for each in traceback.splitlines())
         try:
-            self._lines.put_nowait(line)
+            self._lines.put_nowait(one_line(line) + "".join(indented))
         except queue.Full:
             self._dropped += 1
 
@@ -149,7 +152,7 @@ class StderrLog(logging.Handler):
 
     def _write(self, line: str) -> None:
         """Write a line, however long it takes; a standard error that is gone takes nothing."""
-        rest = f"{self._prefix}{line}\n".encode(errors="backslashreplace")
+        rest = f"{self._prefix}{line}\n".encode()
         try:
             while rest:
                 try:

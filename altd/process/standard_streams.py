@@ -9,6 +9,8 @@ import select
 import sys
 from typing import Any
 
+from altd.errors import escaped
+
 _COMPLAINT_TIMEOUT_MS = 1000
 
 _STREAMS = (("stdin", "r", os.O_WRONLY), ("stdout", "w", os.O_RDONLY), ("stderr", "w", os.O_WRONLY))
@@ -46,14 +48,23 @@ def prepare_streams() -> None:
         sys.stdout = io.TextIOWrapper(
             io.BufferedWriter(_Output(1, "w", closefd=False)),
             encoding=sys.stdout.encoding,
-            errors="backslashreplace",  # the name of a file may be no text
+            errors="backslashreplace",  # standard output may be ASCII
             line_buffering=sys.stdout.isatty() or getattr(sys.stdout, "write_through", False),
         )
 
 
-def complain(line: str) -> None:
-    """A line on standard error, over a counter that stands there, unless it takes none for a second."""
-    _write(f"{_erasure()}{line}\n")
+def say(*lines: str) -> None:
+    """Print lines on standard output, each ``escaped``."""
+    sys.stdout.write("".join(f"{escaped(line)}\n" for line in lines))
+    sys.stdout.flush()
+
+
+def complain(*lines: str) -> None:
+    """Print lines on standard error, each ``escaped``, unless it takes nothing for a second.
+
+    A counter in the last line of a terminal is overwritten.
+    """
+    _write(_erasure() + "".join(f"{escaped(line)}\n" for line in lines))
 
 
 def clear_counter() -> None:

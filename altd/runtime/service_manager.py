@@ -8,6 +8,7 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
+from altd.errors import one_line
 from altd.ports import Clock
 from altd.records import Measurement
 from altd.status.board import Board
@@ -91,7 +92,7 @@ def notify(*assignments: str) -> bool:
     kind = socket.SOCK_DGRAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK
     with socket.socket(socket.AF_UNIX, kind) as link:
         try:
-            link.sendto("\n".join(assignments).encode(), address)
+            link.sendto("\n".join(map(one_line, assignments)).encode(), address)
         except OSError:
             return False
     return True

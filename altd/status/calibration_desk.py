@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class NoCalibrationFileError(Exception):
@@ -35,9 +35,9 @@ class CalibrationDesk:
     """``summary``, of plain JSON types, is empty and ``files`` None until the calibration is there."""
 
     def __init__(self) -> None:
-        self.summary: Mapping[str, object] = {}
+        self.summary: Mapping[str, Any] = {}
         self.files: CalibrationFiles | None = None
 
-    def open(self, summary: Mapping[str, object], files: CalibrationFiles) -> None:
+    def open(self, summary: Mapping[str, Any], files: CalibrationFiles) -> None:
         """From now on there is a calibration."""
         self.summary, self.files = summary, files

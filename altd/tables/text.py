@@ -6,6 +6,7 @@ import csv
 from collections.abc import Callable, Sequence
 from typing import Literal
 
+from altd.errors import escaped
 from altd.files.documents import line_of
 from altd.tables.columns import Column, Row, Value
 
@@ -13,7 +14,10 @@ Write = Callable[[str], object]
 
 
 class CsvTable:
-    """A header of names, then a line a row, CRLF at their ends; what is not known is an empty field."""
+    """A header of names, then a line a row, CRLF at their ends; what is not known is an empty field.
+
+    Text is escaped, so that a row is one line. JSON has the exact text.
+    """
 
     def __init__(self, write: Write, columns: Sequence[Column]) -> None:
         self._names = [column.name for column in columns]
@@ -53,4 +57,4 @@ def _field(value: Value) -> str:
         return ""
     if isinstance(value, bool):
         return "true" if value else "false"
-    return str(value)
+    return escaped(str(value))

@@ -1,7 +1,8 @@
-"""A screen of characters with styles; what does not fit is cut, what does not take one cell is a ``?``."""
+"""A screen of characters with styles: text is cut between words, what does not take one cell is a ``?``."""
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from enum import Enum, auto
 from itertools import groupby
@@ -30,6 +31,8 @@ _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 DOTS_ACROSS, DOTS_DOWN = 2, 4
 """Dots of a cell. A cell is about twice as high as it is wide, so that dots stand in squares."""
 
+_NUMBERS_AT_END = re.compile(r"(?:(?:^| +)[-+]?\d\S*)+$")
+
 
 class Canvas:
     """``rows`` × ``columns`` cells; ``is_utf8``: the terminal shows blocks and Braille, else ASCII alone."""
@@ -48,12 +51,16 @@ class Canvas:
     def put(
         self, row: int, column: int, text: str, style: Style = Style.PLAIN, width: int | None = None
     ) -> None:
-        """Write from there to the right, over what is there; no more than ``width`` cells."""
-        if not 0 <= row < self.rows:
+        """Write from there to the right, over what is there; no more than ``width`` cells.
+
+        Text that does not fit ends with an ellipsis behind its last whole word. That word is no number, for
+        its unit would be missing.
+        """
+        if not (0 <= row < self.rows and 0 <= column < self.columns):
             return
-        for offset, character in enumerate(text[:width]):
-            if 0 <= column + offset < self.columns:
-                self._cells[row][column + offset] = (self._shown(character), style)
+        free = self.columns - column
+        for offset, character in enumerate(self._cut(text, free if width is None else min(width, free))):
+            self._cells[row][column + offset] = (self._shown(character), style)
 
     def dot(self, x: int, y: int, character: str, style: Style = Style.PLAIN) -> None:
         """Set the dot in column x and row y of dots; ``character`` stands for its cell in ASCII."""
@@ -81,6 +88,13 @@ class Canvas:
     def text(self) -> str:
         """The characters alone, a line a row, without blanks at the ends."""
         return "\n".join("".join(cell[0] for cell in row).rstrip() for row in self._cells)
+
+    def _cut(self, text: str, width: int) -> str:
+        if len(text) <= width:
+            return text
+        ellipsis = "…" if self.is_utf8 else "..."
+        whole = text[: max(width - len(ellipsis), 0)].rpartition(" ")[0].rstrip()
+        return f"{_NUMBERS_AT_END.sub('', whole)} {ellipsis}".lstrip()[: max(width, 0)]
 
     def _shown(self, character: str) -> str:
         if character.isascii():

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from altd.terminal.documents import Reading, SelfCheckDocument, StatusDocument, TargetsDocument
+from altd.terminal.documents import Reading, SelfCheckDocument, Shown, StatusDocument, TargetsDocument
 from altd.terminal.target_picture import Place
 
 HOLD_S = 1.5
@@ -28,6 +28,11 @@ class Moment:
     status: StatusDocument | None
     check: SelfCheckDocument | None
     targets: TargetsDocument | None
+
+    @property
+    def numbers(self) -> tuple[Shown, ...]:
+        """Those of the reading; none without one."""
+        return () if self.reading is None else self.reading.numbers
 
 
 class Knowledge:

@@ -7,6 +7,9 @@ from textwrap import wrap
 from altd.reasons import Reason
 from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
 
+WIDTH = 79
+"""A line of 80 would make some terminals wrap."""
+
 _NOT_LIVE = {str(Reason.PLAYBACK), str(Reason.SIMULATED)}
 _SPANS = {
     "last_hour": "of the last hour",
@@ -37,16 +40,21 @@ def cause_text(cause: CauseDocument) -> str:
     return f"{cause.brief}{of}{just_now}{detail}: {cause.remedy}"
 
 
-def number_text(number: Shown, valid: bool) -> str:
-    """A quantity in one line of 68 characters at most."""
+def number_text(number: Shown, valid: bool, width: int = WIDTH) -> str:
+    """A quantity in one line; its sigmas and its other unit as far as all of each fits into ``width``."""
     if number.value is None:
         return f"{number.label:<7}{'not available' if valid else '-':>13}"
+    text = f"{number.label:<7}{number.value:>10.{number.decimals}f} {number.unit:<4}"
     sigma = "" if number.sigma is None else f"+/- {number.sigma:.{number.decimals}f}"
     now = "" if number.sigma_now is None else f"now {number.sigma_now:.{number.decimals}f}"
-    text = f"{number.label:<7}{number.value:>10.{number.decimals}f} {number.unit:<4}{sigma:<13}{now:<12}"
+    parts = [f"{sigma:<13}", f"{now:<12}"]
     if number.also is not None and number.also[0] is not None:
         value, unit, decimals = number.also
-        text += f"= {value:>9.{decimals}f} {unit}"
+        parts.append(f"= {value:>9.{decimals}f} {unit}")
+    for part in parts:
+        if len((text + part).rstrip()) > width:
+            break
+        text += part
     return text.rstrip()
 
 

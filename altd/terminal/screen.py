@@ -26,12 +26,13 @@ MIN_ROWS, MIN_COLUMNS = 16, 60
 """A smaller screen says so and shows the numbers alone."""
 
 _NUMBER_COLUMNS = 46
+_SCALE_COLUMNS = 12
 _MAX_STEP_S = 2.0
 _TREND_S = 60.0
 _MIN_CAUSE_ROWS = 3
 _MAX_WHY_ROWS = 6
 _STYLES = {"good": Style.GOOD, "failure": Style.BAD}
-_KEYS = "tab, arrows: {pages}   h: help   q: quit"
+_KEYS = "tab, arrows: {pages}  h: help  q: quit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,10 @@ def draw(knowledge: Knowledge, now_s: float, view: View, canvas: Canvas) -> View
     moment = knowledge.at(now_s)
     _head(canvas, moment)
     if canvas.rows < MIN_ROWS or canvas.columns < MIN_COLUMNS:
-        canvas.put(2, 0, f"make the window larger: {MIN_COLUMNS} x {MIN_ROWS} at least", Style.WARNING)
-        _numbers(canvas, moment, 3)
+        if not moment.lost:
+            canvas.put(2, 0, f"make the window larger: {MIN_COLUMNS} x {MIN_ROWS} at least", Style.WARNING)
+            for row, number in enumerate(moment.numbers, start=3):
+                _number(canvas, row, moment, number, canvas.columns)
         return view
     if view.help:
         _lines(canvas, list(_HELP), 0)
@@ -89,8 +92,10 @@ def _head(canvas: Canvas, moment: Moment) -> None:
         canvas.put(0, 0, "the unit's state is not known", Style.BAD)
     else:
         text = f"{status.serial}  {state_text(status.state.signal)} for {duration(status.state.for_s)}"
-        canvas.put(0, canvas.columns - len(status.version) - 5, f"altd {status.version}", Style.DIM)
-        canvas.put(0, 0, f"{text} ", _STYLES.get(status.state.signal, Style.WARNING))
+        canvas.put(0, 0, text, _STYLES.get(status.state.signal, Style.WARNING))
+        version = f"altd {status.version}"
+        if len(text) + 2 + len(version) <= canvas.columns:
+            canvas.put(0, canvas.columns - len(version), version, Style.DIM)
     canvas.put(1, 0, *_verdict(moment))
 
 
@@ -108,15 +113,14 @@ def _verdict(moment: Moment) -> tuple[str, Style]:
     return text, Style.GOOD if verdict == "VALID" else Style.WARNING
 
 
-def _numbers(canvas: Canvas, moment: Moment, row: int) -> None:
-    for offset, number in enumerate(moment.reading.numbers if moment.reading else ()):
-        text = number_text(number, moment.reading is not None and moment.reading.valid)
-        canvas.put(row + offset, 0, text, Style.BOLD if number.value is not None else Style.DIM)
+def _number(canvas: Canvas, row: int, moment: Moment, number: Shown, width: int) -> None:
+    text = number_text(number, moment.reading is not None and moment.reading.valid, width)
+    canvas.put(row, 0, text, Style.BOLD if number.value is not None else Style.DIM, width)
 
 
 def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
     """Both targets, the numbers with their trends, and as many causes as there is room for."""
-    numbers = moment.reading.numbers if moment.reading else ()
+    numbers = moment.numbers
     causes = _cause_lines(moment.status, canvas.columns)
     below = 1 + max(len(numbers), 4) + 1
     room = canvas.rows - 2 - 1 - below - 1
@@ -126,9 +130,7 @@ def _targets_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: f
     width = canvas.columns - _NUMBER_COLUMNS
     step_s = min(max(_TREND_S / width, 1.0), _MAX_STEP_S) if width > 0 else 1.0
     for offset, number in enumerate(numbers):
-        style = Style.BOLD if number.value is not None else Style.DIM
-        valid = moment.reading is not None and moment.reading.valid
-        canvas.put(row + offset, 0, number_text(replace(number, also=None), valid), style, _NUMBER_COLUMNS)
+        _number(canvas, row + offset, moment, replace(number, also=None), _NUMBER_COLUMNS)
         trend = knowledge.trend(number.key, now_s, width, step_s)
         draw_trend(canvas, row + offset, _NUMBER_COLUMNS, 1, trend, number.sigma)
     row += max(len(numbers), 4)
@@ -164,19 +166,16 @@ def _pictures(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float
 
 def _trends_page(canvas: Canvas, knowledge: Knowledge, moment: Moment, now_s: float, _: View) -> int:
     """Each number as large as there is room for, a column a second."""
-    numbers = moment.reading.numbers if moment.reading else ()
-    rows = (canvas.rows - 4) // max(len(numbers), 1) - 1
-    margin = 12
-    width = canvas.columns - margin
-    for place, number in enumerate(numbers):
+    rows = (canvas.rows - 4) // max(len(moment.numbers), 1) - 1
+    width = canvas.columns - _SCALE_COLUMNS
+    for place, number in enumerate(moment.numbers):
         row = 2 + place * (rows + 1)
-        valid = moment.reading is not None and moment.reading.valid
-        canvas.put(row, 0, number_text(number, valid), Style.BOLD)
+        _number(canvas, row, moment, number, canvas.columns)
         trend = knowledge.trend(number.key, now_s, width, 1.0)
         if rows > 0:
-            draw_trend(canvas, row + 1, margin, rows, trend, number.sigma)
+            draw_trend(canvas, row + 1, _SCALE_COLUMNS, rows, trend, number.sigma)
             _scale(canvas, row + 1, rows, number, limits_of(trend, number.sigma))
-    canvas.put(canvas.rows - 2, margin, f"trend of the last {width} s", Style.DIM)
+    canvas.put(canvas.rows - 2, _SCALE_COLUMNS, f"trend of the last {width} s", Style.DIM)
     return 0
 
 
@@ -184,9 +183,9 @@ def _scale(canvas: Canvas, row: int, rows: int, number: Shown, limits: tuple[flo
     if limits is None:
         return
     low, high = limits
-    canvas.put(row, 0, f"{high:>11.{number.decimals}f}", Style.DIM)
+    canvas.put(row, 0, f"{high:>11.{number.decimals}f}", Style.DIM, _SCALE_COLUMNS)
     if rows > 1:
-        canvas.put(row + rows - 1, 0, f"{low:>11.{number.decimals}f}", Style.DIM)
+        canvas.put(row + rows - 1, 0, f"{low:>11.{number.decimals}f}", Style.DIM, _SCALE_COLUMNS)
 
 
 def _causes_page(canvas: Canvas, _: Knowledge, moment: Moment, __: float, view: View) -> int:

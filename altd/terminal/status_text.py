@@ -8,6 +8,7 @@ from altd.records import counted
 from altd.status.health import duration
 from altd.terminal.documents import Reading, SelfCheckDocument, StatusDocument
 from altd.terminal.lines import (
+    WIDTH,
     availability_text,
     cause_text,
     hanging,
@@ -16,9 +17,6 @@ from altd.terminal.lines import (
     state_text,
     verdict_text,
 )
-
-WIDTH = 79
-"""A line of 80 would make some terminals wrap."""
 
 _INDENT = 13
 _MAX_NAME = 40

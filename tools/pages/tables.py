@@ -27,7 +27,7 @@ _HEAD = """\
 
 All formats have the same numbers. Names end in their unit. What is not known is absent: `null`, an empty
 field. In CSV `true` and `false` stand for truth, times are ISO 8601 with `Z`, and several codes in `status`
-have a space between them.
+have a space between them; a character that is not printable is an escape such as `\\x1b`.
 
     import pandas
     beams = pandas.read_csv("beams.csv", parse_dates=["time"])      # or read_parquet("beams.parquet")

@@ -83,8 +83,9 @@ daemon does not answer, all that was known goes after {HOLD_S:g} s, and the scre
 again by itself.
 
 It needs {MIN_COLUMNS} × {MIN_ROWS} characters, a terminal that can move its cursor (`vt100`, `linux`,
-`xterm`, `tmux` and the like), and shows more on a larger one. Blocks and Braille are drawn where the
-locale is UTF-8 and the terminal is no console of the kernel, else ASCII. The terminal is left as it was.
+`xterm`, `tmux` and the like), and shows more on a larger one. A smaller one has the numbers alone. A number
+that does not fit as a whole is left out, at any size. Blocks and Braille are drawn where the locale is UTF-8
+and the terminal is no console of the kernel, else ASCII. The terminal is left as it was.
 Exit status: 0 after `q`, 1 when the terminal went away, 2 where there is none that can be drawn on, 128
 and the number after a signal.
 

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 
 from altd import __version__
-from altd.calibration.file import calibration_checksum
+from altd.calibration.file import file_of
 from altd.calibration.report.beam_section import beam_section
 from altd.calibration.report.document import Banner, Block, Document, Heading, Table, Words
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
@@ -25,7 +25,7 @@ from altd.records import utc_text
 def report_on(source: Source) -> Document:
     """Compute, judge and arrange. Raises ValueError when the targets have no area in common."""
     prediction = predict(source.calibration)
-    checksum = calibration_checksum(source.calibration)
+    file = file_of(source.calibration)
     verdict = judge(source.calibration, source.evidence, prediction)
     blocks = [
         *_origin(source.calibration),
@@ -37,7 +37,7 @@ def report_on(source: Source) -> Document:
         *covariances(source),
         *pictures(source),
         *_left_out(source),
-        *_inputs(source, checksum),
+        *_inputs(source, file.sha256),
     ]
     serial = source.calibration.unit_serial
     made = source.calibration.created.strftime("%Y-%m-%d %H:%M UTC")
@@ -45,7 +45,7 @@ def report_on(source: Source) -> Document:
         f"Calibration of unit {serial}",
         f"{source.calibration.recording_note} · {made}",
         tuple(blocks),
-        checksum,
+        file.checksum,
         "SIMULATED" if source.calibration.simulated else "",
     )
 
@@ -154,25 +154,25 @@ def _recordings(source: Source) -> list[tuple[str, str]]:
     return facts
 
 
-def _inputs(source: Source, checksum: str) -> list[Block]:
+def _inputs(source: Source, file_sha256: str) -> list[Block]:
     calibration = source.calibration
     exposures = "; ".join(f"{seen.name} {sum(seen.exposures)}" for seen in source.evidence)
     facts = [
         ("Unit", calibration.unit_serial),
         *_recordings(source),
         ("Calibrated", utc_text(calibration.created)),
-        ("Checksum of the calibration", checksum),
+        ("SHA-256 of the calibration file", file_sha256),
         ("Command", source.command),
         ("Exposures used", exposures),
     ]
     for target in calibration.targets:
-        low, high = target.map.hull_mm.min(axis=0), target.map.hull_mm.max(axis=0)
+        low, high = target.valid_mm.min(axis=0), target.valid_mm.max(axis=0)
         facts.append(
             (
                 f"Target {target.name}",
                 f"z {target.z_mm:g} mm, picture {target.width} × {target.height} px, map {target.map.name}, "
                 f"spots located {_located(target)}, "
-                f"valid for x {low[0]:g} … {high[0]:g} mm, y {low[1]:g} … {high[1]:g} mm",
+                f"valid within x {low[0]:.1f} to {high[0]:.1f}, y {low[1]:.1f} to {high[1]:.1f} mm",
             )
         )
     facts.append(

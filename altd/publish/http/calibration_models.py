@@ -21,9 +21,9 @@ class CalibrationFileFacts(Answer):
 
     name: str
     sha256: str | None
-    """Of the file, as `sha256sum` gives it."""
+    """Of all bytes of the file, as `sha256sum` gives it; the report and the console show the same."""
     checksum: str | None
-    """The checksum that stands in the file, and in the report on it."""
+    """The checksum in the file, of its content alone, by which the report names its calibration."""
 
 
 class CalibratedCamera(Answer):
@@ -73,7 +73,7 @@ class CalibratedTarget(Answer):
     height: int
     map: str
     x_mm: Range
-    """From the lowest to the highest calibrated place."""
+    """From the lowest to the highest place in the area in which spots are valid."""
     y_mm: Range
     left_out_px: float | None
     """The rms by which a node misses the map that is fitted without it."""
@@ -108,10 +108,10 @@ class CalibrationSummary(Answer):
     recording: CalibrationRecording
     file: CalibrationFileFacts
     exposures: int
-    """That a measurement averages."""
+    """That `expected_sigma` is of: the default of `[measuring] window`, whatever the unit's own is."""
     expected_sigma: dict[str, float | None]
     """Of a measurement of so many exposures, by quantity, predicted from the calibration: 1 sigma, rms over
-    the calibrated area."""
+    the area that the nodes of all targets span. The report and the console show the same."""
     targets: list[CalibratedTarget]
     report: CalibrationReport
 

@@ -108,7 +108,7 @@ def _health(asked: Asked) -> str:
 
 
 def _calibration(asked: Asked) -> str:
-    return calibration_text(asked.health)
+    return calibration_text(asked.health, asked.quantities)
 
 
 def _version(asked: Asked) -> str:
@@ -201,7 +201,9 @@ COMMANDS = {
         Command("spots", "", "where the laser spots are, and what the cameras see", _spots),
         Command("health", "", "the parts of the unit, with what they say and count", _health),
         Command("selfcheck", "[now]", "what the last self-check said; now: check again", _self_check),
-        Command("calibration", "", "when and from what it was made, and where it holds", _calibration),
+        Command(
+            "calibration", "", "when and from what it was made, expected sigma, valid area", _calibration
+        ),
         Command("history", "[day|month]", "the means of the last hour, day or month", _history),
         Command("log", "", "what happened to the unit, the newest first", _log),
         Command("version", "", "the software's version and the unit's serial number", _version),

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from altd.publish.serial.words import NO_MEASUREMENT, component_lines, hanging
-from altd.records import Measurement
+from altd.records import Measurement, Quantities
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, Health
 from altd.status.target_area import TargetArea
@@ -37,16 +40,30 @@ def health_text(health: Health) -> str:
     return "\n".join(component_lines(list(health), whole=True)) or "nothing has started so far"
 
 
-def calibration_text(health: Health) -> str:
-    """When and from what it was made, what is to be done about it, and where it holds on each target."""
+def calibration_text(health: Health, quantities: Quantities) -> str:
+    """When and from what it was made, its file, what is to be done about it, what it is worth and where."""
     lines = [hanging("calibration", health.facts.get("calibration", "not known"), 13)]
     report = health.state()
     for shown in () if report is None else report.causes:
         kind = shown.cause.kind
         if kind in _ABOUT_CALIBRATION:
             lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {kind.remedy}", 4))
+    if summary := health.calibration.summary:
+        file = summary["file"]
+        lines.append(hanging("  file", f"{file['name']}, SHA-256 {file['sha256'] or 'not known'}", 13))
+        lines.append(hanging("  expected", _expected(summary, quantities), 13))
     lines += [hanging(f"  {target.name}", _where(target), 13) for target in health.targets]
     return "\n".join(lines)
+
+
+def _expected(summary: Mapping[str, Any], quantities: Quantities) -> str:
+    """The sigma of a measurement, with the decimals of the report and the page."""
+    sigmas = [
+        f"{quantity.label} {sigma:.4f} {quantity.unit.replace('°', 'deg')}"
+        for quantity in quantities.of_unit
+        if (sigma := summary["expected_sigma"].get(quantity.key)) is not None
+    ]
+    return f"sigma of {summary['exposures']} exposures: {', '.join(sigmas) or 'not known'}"
 
 
 def _where(target: TargetArea) -> str:

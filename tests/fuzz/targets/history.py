@@ -91,7 +91,7 @@ def _export(path: Path, into: Path) -> None:
     try:
         with opened(path) as reader:
             for one in reader.events_after(0, *span_us):
-                assert events.event_line(one).isprintable()
+                assert events.event_line(one)
     except BadInputError as error:
         one_line(error)
 

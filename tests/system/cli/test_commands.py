@@ -91,12 +91,6 @@ def test_a_start_time_in_the_recording_gives_utc(folder: Path, tmp_path: Path) -
     assert outcome.objects[0]["time"] == "2026-11-20T08:15:30.025Z"
 
 
-def test_check_config_says_good(folder: Path) -> None:
-    outcome = altd_here("check-config", folder / "altd.toml")
-    assert outcome.status == 0
-    assert "good: unit TEST-1, 2 targets" in outcome.out
-
-
 def test_record_keeps_what_the_cameras_deliver(folder: Path, tmp_path: Path) -> None:
     outcome = altd_here(
         "record", "--config", folder / "altd.toml", "-o", tmp_path / "kept", "--seconds", "0.5"

@@ -64,7 +64,7 @@ async def port(
     save_calibration(calibration(), tmp_path / "cal.json")
     loaded = load_calibration(tmp_path / "cal.json")
     files = ReadCalibrationFiles(tmp_path / "cal.json", loaded.file)
-    health.calibration.open(summary_of(loaded, loaded.target_names, 20, "cal.json"), files)
+    health.calibration.open(summary_of(loaded, loaded.target_names, "cal.json"), files)
     kept = store(tmp_path)
     kept.write(batch(START_S + 61, [sample(START_S + t, 0.1 * t, t) for t in range(60)], [event(1, START_S)]))
     kept.end(None)

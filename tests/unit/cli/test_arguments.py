@@ -100,7 +100,7 @@ CONFIGURED = ("run", "record -o {new} --seconds 1", "scan -o {new}", "lamps off"
 class TestWithoutAConfig:
     """``DEFAULT_CONFIG`` is where the service has its own; here the constant is another."""
 
-    @pytest.mark.parametrize("command", CONFIGURED)
+    @pytest.mark.parametrize("command", [*CONFIGURED, "doctor"])
     def test_the_service_s_own_is_taken_where_it_exists(
         self,
         command: str,
@@ -113,15 +113,6 @@ class TestWithoutAConfig:
         monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
         assert cli.main(command.format(new=tmp_path / "new").split()) == 2
         assert f"{installed}: line 2, column 1: unit.colour: there is no such key" in capsys.readouterr().err
-
-    def test_the_doctor_takes_it_too(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        installed = tmp_path / "altd.toml"
-        installed.write_text("[unit]\ncolour = 3\n")
-        monkeypatch.setattr(cli, "DEFAULT_CONFIG", installed)
-        assert cli.main(["doctor"]) == 2
-        assert "unit.colour" in capsys.readouterr().err
 
     @pytest.mark.parametrize("command", CONFIGURED)
     def test_where_there_is_none_either_that_is_said(

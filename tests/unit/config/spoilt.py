@@ -18,6 +18,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('serial = "TEST-1"', 'serial = «""', "unit.serial", '"" is too short; possible: text, 1 to 64'),
     (
         'serial = "TEST-1"',
+        r'serial = «"A\u001b[2J\u202e\nB"',
+        "unit.serial",
+        r"A\x1b[2J\u202e\nB has a character that is not printable",
+    ),
+    (
+        'serial = "TEST-1"',
         '«serail = "TEST-1"',
         "unit.serail",
         "no such key; possible: calibration, serial; did you",

@@ -10,7 +10,7 @@ from support.measurements import measurement
 
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.reasons import Reason
-from altd.runtime.service_manager import ServiceManager, state_folder
+from altd.runtime.service_manager import ServiceManager, notify, state_folder
 from altd.status.board import Board
 
 
@@ -47,6 +47,13 @@ async def test_ready_comes_with_the_first_word_and_life_signs_with_progress_only
     assert words(told) == ["STATUS=measuring\nWATCHDOG=1"] * 5
     await clock.advance(60)
     assert words(told) == []
+    told.close()
+
+
+def test_text_from_outside_adds_no_assignment(told: socket.socket) -> None:
+    """Each line is one (sd_notify(3)); a camera names itself in the detail of a reason."""
+    assert notify("STATUS=not measuring: wrong_camera (A\nSTOPPING=1)", "WATCHDOG=1")
+    assert words(told) == ["STATUS=not measuring: wrong_camera (A\\nSTOPPING=1)\nWATCHDOG=1"]
     told.close()
 
 

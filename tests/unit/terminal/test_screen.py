@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daemon_documents import CHECK, TARGETS, invalid, measurement, status
+from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invalid, measurement, status
 
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.terminal.canvas import Canvas, Style
@@ -48,6 +50,53 @@ def test_it_is_drawn_on_any_size(page: int, utf8: bool) -> None:
             assert len(lines) == rows
             assert max(map(len, lines)) <= columns
             assert utf8 or all(line.isascii() for line in lines)
+
+
+MEASURED = {
+    "-2345.678", "0.947", "4.894", "-2342.837", "-2348.519",
+    "871.246", "0.616", "5.649", "873.094", "869.398",
+    "47.1459", "0.0711", "0.0796", "47.3592", "46.9326", "498.456",
+    "-13.7184", "0.0617", "0.0955", "-13.5333", "-13.9035", "-244.177",
+    "41.37", "-23.56", "-36.48", "44.75",
+}  # fmt: skip
+"""Value, sigma, sigma of now, value plus and minus three sigma, in mm/m; the spots."""
+
+FURTHER = {"20", "0.5", "2", "3", "60", "99.99", "31", "0.08", "1", "0.1.0", "2026", "-11", "-02", "-20"} | {
+    "08", "10", "00.000"
+}  # fmt: skip
+"""Exposures, age, durations, the window's columns, availability, the dust, lines and components, times."""
+
+
+def numbers_on(text: str) -> set[str]:
+    text = text.replace("ALT-0007", "").replace("60 x 16 at", "60 x")
+    text = re.sub(r"trend of the last \d+ s$|lines 1 to \d+ of \d+: up, down$", "", text, flags=re.MULTILINE)
+    return set(re.findall(r"[-+]?\d[\d.]*(?<!\.)", text))
+
+
+@pytest.mark.parametrize("rows", range(6, 41))
+def test_a_number_is_whole_or_absent_on_any_size(rows: int) -> None:
+    place = {"front": {"x_mm": 41.37, "y_mm": -23.56}, "rear": {"x_mm": -36.48, "y_mm": 44.75}}
+    document = measurement(
+        x_mm=-2345.678, y_mm=871.246, yaw_deg=47.1459, pitch_deg=-13.7184, yaw_mm_per_m=498.456,
+        pitch_mm_per_m=-244.177,
+        sigma={"x_mm": 0.947, "y_mm": 0.616, "yaw_deg": 0.0711, "pitch_deg": 0.0617},
+        sigma_now={"x_mm": 4.894, "y_mm": 5.649, "yaw_deg": 0.0796, "pitch_deg": 0.0955},
+        **place,
+    )  # fmt: skip
+    knowledge = Knowledge()
+    knowledge.hear_about(self_check_of(CHECK), targets_of(TARGETS))
+    hear(knowledge, document, LAST_S)
+    knowledge.hear_status(status_of(status(SPOT_MISSING, DUSTY, signal="out_of_specification")), LAST_S)
+    for page, columns in itertools.product(range(len(PAGES)), range(20, 101)):
+        text = screen(knowledge, LAST_S, rows, columns, utf8=columns % 2 == 0, page=page)
+        assert not numbers_on(text) - MEASURED - FURTHER, text
+
+
+def test_a_part_of_a_number_is_no_other_number() -> None:
+    """Else the test above would not notice it."""
+    parts = {number[:end].rstrip(".") for number in MEASURED for end in range(1, len(number))}
+    parts |= {number[begin:].lstrip(".") for number in MEASURED for begin in range(1, len(number) - 1)}
+    assert not parts & (MEASURED | FURTHER)
 
 
 @pytest.mark.parametrize("page", range(len(PAGES)))

@@ -8,23 +8,23 @@ const ASK_MS = 60000;
 
 const plain = value => value === null || value === undefined ? UNKNOWN : String(value).replace("-", "−");
 const listed = (values, decimals) => values.map(value => fixed(value, decimals)).join(", ");
-const PX = 3, MM = 4;  // decimals, as altd calibrate prints them
+const PX = 3, MM = 4;  // decimals, as altd calibrate and its report print them
 
 function Facts({ calibration }) {
   const sigma = Object.entries(calibration.expected_sigma).map(([key, value]) => {
     const quantity = QUANTITIES.find(each => each.key === key);
-    return `${quantity?.label ?? key} ${fixed(value, (quantity?.decimals ?? MM) + 1)} ${quantity?.unit ?? ""}`;
+    return `${quantity?.label ?? key} ${fixed(value, MM)} ${quantity?.unit ?? ""}`;
   });
   const facts = [["made", utc(calibration.created)], ["from", calibration.recording.note], ["unit", calibration.unit],
-    [`expected sigma of ${counted(calibration.exposures, "exposure")}, rms over the area`, sigma.join("; ") || "not known"],
+    [`expected sigma of ${counted(calibration.exposures, "exposure")}, rms over the calibrated area`, sigma.join("; ") || "not known"],
     ["file", calibration.file.name], ["SHA-256 of the file", calibration.file.sha256]];
   return html`<dl class="facts">${facts.map(([name, value]) => html`<div key=${name}><dt>${name}</dt><dd>${value || UNKNOWN}</dd></div>`)}</dl>`;
 }
 
 const ROWS = [
   ["place, mm", target => plain(target.z_mm)],
-  ["calibrated from x, y, mm", target => [target.x_mm[0], target.y_mm[0]].map(plain).join(", ")],
-  ["calibrated to x, y, mm", target => [target.x_mm[1], target.y_mm[1]].map(plain).join(", ")],
+  ["valid from x, y, mm", target => listed([target.x_mm[0], target.y_mm[0]], 1)],
+  ["valid to x, y, mm", target => listed([target.x_mm[1], target.y_mm[1]], 1)],
   ["map", target => target.map],
   ["left out, px", target => fixed(target.left_out_px, PX)],
   ["residual mean, std, max, mm", ({ residuals }) => listed([residuals.mean_mm, residuals.std_mm, residuals.max_mm], MM)],

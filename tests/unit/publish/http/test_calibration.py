@@ -24,7 +24,7 @@ PATHS = ("/api/v1/calibration/file", "/api/v1/calibration/report")
 @pytest.fixture
 def files(health: Health) -> Files:
     files = Files()
-    health.calibration.open(summary_of(calibration(), ("front", "rear"), 20, "cal.json"), files)
+    health.calibration.open(summary_of(calibration(), ("front", "rear"), "cal.json"), files)
     return files
 
 

@@ -77,7 +77,7 @@ async def test_all_that_is_known_is_in_it(
 ) -> None:
     board.publish(at(START_S + 119.5, 2.0))
     health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
-    health.calibration.open(summary_of(calibration(), ("front",), 20, "cal.json"), Files())
+    health.calibration.open(summary_of(calibration(), ("front",), "cal.json"), Files())
     health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
     async with served_with(board, health, recorded) as unit:
         files = opened(answer := await unit.ask(PATH), tmp_path)
