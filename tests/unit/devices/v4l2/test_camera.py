@@ -20,10 +20,13 @@ def test_a_camera_that_is_not_there_is_not_found(tmp_path: Path) -> None:
         camera(tmp_path / "none").open()
 
 
-@pytest.mark.parametrize("device", ["/dev/null", "/dev", "/etc/hostname"])
-def test_what_is_no_camera_is_refused(device: str) -> None:
-    with pytest.raises(CameraRefusedError, match=f"^{device}: is no Video4Linux device"):
-        camera(Path(device)).open()
+@pytest.mark.parametrize("device", ["/dev/null", "/dev", "a file"])
+def test_what_is_no_camera_is_refused(device: str, tmp_path: Path) -> None:
+    path = tmp_path / device  # "/dev/null" and "/dev" stay themselves
+    if device == "a file":
+        path.touch()
+    with pytest.raises(CameraRefusedError, match=f"^{path}: is no Video4Linux device"):
+        camera(path).open()
 
 
 def test_a_camera_that_is_not_open_gives_no_frame_and_is_closed_without_harm() -> None:
