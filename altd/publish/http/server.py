@@ -212,10 +212,10 @@ class _Server(uvicorn.Server):
                 ssl_shutdown_timeout=SHUTDOWN_TIMEOUT_S,
             )
         except OSError:  # no TLS, none that we speak, or it left; ssl's errors are among these
+            secured = None
+        if secured is None or secured.is_closing():  # Python 3.11.2 returns None for a client that left at once
             self._component.count("handshakes_failed")
             connection.close()
-            return
-        if secured is None or secured.is_closing():
             return
         protocol.connection_made(secured)
 
