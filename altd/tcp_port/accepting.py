@@ -23,6 +23,9 @@ log = logging.getLogger("altd")
 BACKLOG = 128
 """Connections that the kernel keeps until they are accepted."""
 
+ACCEPT_INTERVAL_S = 0.001
+"""Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
+
 RETRY_INTERVAL_S = 1.0
 
 _NO_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
@@ -45,7 +48,7 @@ def listen(host: str, port: int) -> socket.socket:
 async def accept(
     listener: socket.socket, component: Component, admit: Callable[[socket.socket], Awaitable[None]]
 ) -> NoReturn:
-    """Hand one connection after the other to ``admit``, until cancelled; the loop has a turn between two.
+    """Hand one connection after the other to ``admit``, until cancelled, ``ACCEPT_INTERVAL_S`` apart.
 
     Raises OSError when the listening socket itself is gone.
     """
@@ -65,7 +68,7 @@ async def accept(
                 await admit(connection)
             except OSError:  # it left meanwhile
                 connection.close()
-        await asyncio.sleep(0)
+        await asyncio.sleep(ACCEPT_INTERVAL_S)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:

@@ -12,7 +12,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from altd.publish.http import errors
-from altd.publish.http.addresses import OwnNames, address_of, group_of, is_loopback
+from altd.publish.http.addresses import OwnNames
 from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
@@ -21,6 +21,7 @@ from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
+from altd.tcp_port.addresses import address_of, group_of, is_loopback
 
 MAX_TARGET_BYTES = 2048
 """Of a path with its query."""

@@ -11,11 +11,12 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.addresses import address_of, group_of, host_of, is_loopback
+from altd.publish.http.addresses import host_of
 from altd.publish.http.errors import refusal
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, Buckets
 from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
+from altd.tcp_port.addresses import address_of, group_of, is_loopback
 
 REQUEST_HEADER = "X-Altd-Request"
 """A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""

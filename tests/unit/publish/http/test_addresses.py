@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from altd.publish.http.addresses import Allowed, OwnNames, address_of, group_of
+from altd.publish.http.addresses import Allowed, OwnNames
+from altd.tcp_port.addresses import address_of, group_of
 
 
 @pytest.mark.parametrize(
