@@ -23,9 +23,6 @@ log = logging.getLogger("altd")
 BACKLOG = 128
 """Connections that the kernel keeps until they are accepted."""
 
-ACCEPT_INTERVAL_S = 0.001
-"""Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
-
 RETRY_INTERVAL_S = 1.0
 
 _NO_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
@@ -46,11 +43,14 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 async def accept(
-    listener: socket.socket, component: Component, admit: Callable[[socket.socket], Awaitable[None]]
+    listener: socket.socket,
+    component: Component,
+    admit: Callable[[socket.socket], Awaitable[None]],
+    interval_s: float = 0.0,
 ) -> NoReturn:
-    """Hand one connection after the other to ``admit``, until cancelled, ``ACCEPT_INTERVAL_S`` apart.
+    """Hand one connection after the other to ``admit``, until cancelled, ``interval_s`` apart.
 
-    Raises OSError when the listening socket itself is gone.
+    The loop has a turn between two of them. Raises OSError when the listening socket itself is gone.
     """
     loop = asyncio.get_running_loop()
     while True:
@@ -68,7 +68,7 @@ async def accept(
                 await admit(connection)
             except OSError:  # it left meanwhile
                 connection.close()
-        await asyncio.sleep(ACCEPT_INTERVAL_S)
+        await asyncio.sleep(interval_s)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import socket
 import struct
 from collections.abc import Callable
@@ -32,6 +33,9 @@ MAX_LENGTH = 254
 
 MAX_CLIENTS = 32
 """With more, one is closed (Messaging 4.2); ``places`` chooses it."""
+
+ACCEPT_INTERVAL_S = 0.001
+"""Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
 
 RESERVED_DESCRIPTORS = 4
 """Where the process may have few descriptors, so many are left to cameras and ports."""
@@ -74,7 +78,8 @@ class ModbusTcpPublisher:
             async with asyncio.TaskGroup() as clients:
                 ready()
                 self._component.set_state(State.OK, f"Modbus TCP on port {self.port}")
-                await accept(listener, self._component, lambda connection: self._admit(clients, connection))
+                admit = functools.partial(self._admit, clients)
+                await accept(listener, self._component, admit, ACCEPT_INTERVAL_S)
 
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
         """Serve a connection; where there are enough, another one makes room, or it is closed."""
