@@ -84,7 +84,7 @@ def test_a_controller_keeps_its_place(controller: Connection, others: list[Conne
 @pytest.mark.parametrize(
     ("present", "displaced"),
     [
-        ([connection("first"), *crowd(31, None)], "first"),
+        ([*crowd(31, None), connection("first", quiet_s=2.0)], "first"),
         ([*crowd(28, 3600.0), *(connection("many", 60.0 + i) for i in range(4))], "many"),
         ([*crowd(30, 3600.0), connection("quiet", 7200.0, quiet_s=QUIET_S + 1), connection("new")], "quiet"),
         (
@@ -108,11 +108,23 @@ def test_a_new_connection_has_time_to_ask_while_many_come() -> None:
     present.append(mine)
     for number in range(PLACES // 4):
         assert mine in present, number
-        newcomer = Connection(f"172.16.0.{number}", NOW_S, Asking())
-        displaced = connection_to_displace(present, newcomer, NOW_S)
+        now_s = NOW_S + (number + 1) * 1e-3
+        newcomer = Connection(f"172.16.0.{number}", now_s, Asking())
+        displaced = connection_to_displace(present, newcomer, now_s)
         assert displaced is not None
         present[present.index(displaced)] = newcomer
-        newcomer.ask(NOW_S)
+        newcomer.ask(now_s)
+
+
+def test_of_one_address_the_connection_that_has_asked_for_longest_stays() -> None:
+    """A controller and a hostile host behind the same router."""
+    controller = connection(CONTROLLER, 60.0)
+    hostile = [connection(CONTROLLER, 30.0, gap_s=0.1) for _ in range(31)]
+    for each in hostile:
+        each.of_address = controller.of_address
+    displaced = connection_to_displace([*hostile, controller], connection(CONTROLLER), NOW_S)
+    assert displaced is not None
+    assert displaced is not controller
 
 
 def test_a_controller_that_connects_for_each_poll_is_not_new_each_time() -> None:
