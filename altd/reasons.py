@@ -306,3 +306,7 @@ class Reason(StrEnum):
     def is_warning(self) -> bool:
         """Whether a measurement that carries this reason may still be valid."""
         return self.scope is Scope.WARNING
+
+
+NOT_LIVE = frozenset({Reason.PLAYBACK, Reason.SIMULATED})
+"""A measurement with one of these does not come from the unit's cameras."""

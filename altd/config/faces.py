@@ -47,19 +47,6 @@ Host = Annotated[str, AfterValidator(_address)]
 UnitId = Annotated[int, Field(ge=1, le=247)]
 
 
-class ModbusTcpSettings(Table):
-    """Modbus TCP server."""
-
-    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
-    port: TcpPort = 502
-    """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
-    unit_id: UnitId = 1
-    """Modbus unit identifier; 0 and 255 are answered too."""
-    allow_self_check: bool = False
-    """Let a controller ask for a self-check by a write (`modbus.md`); anybody on the network then can."""
-
-
 def _network(text: str) -> str:
     """A network, as its address and the length of its prefix."""
     possible = "possible: 10.0.0.0/8, 192.168.1.0/24, fd00::/8, a single address"
@@ -77,6 +64,25 @@ def _network(text: str) -> str:
 
 
 Network = Annotated[str, AfterValidator(_network)]
+
+
+class ModbusTcpSettings(Table):
+    """Modbus TCP server."""
+
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    port: TcpPort = 502
+    """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
+    unit_id: UnitId = 1
+    """Modbus unit identifier; 0 and 255 are answered too."""
+    allow_self_check: bool = False
+    """Let a controller ask for a self-check by a write (`modbus.md`); anybody on the network then can."""
+    reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
+    """Addresses or networks of controllers, as in `["192.168.1.10"]`: they always get a connection.
+
+    Clients from elsewhere never close one of theirs (`modbus.md`).
+    """
+
 
 _LABEL = r"[0-9a-z_]([0-9a-z_-]{0,61}[0-9a-z_])?"
 _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE | re.ASCII)

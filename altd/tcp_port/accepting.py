@@ -43,11 +43,14 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 async def accept(
-    listener: socket.socket, component: Component, admit: Callable[[socket.socket], Awaitable[None]]
+    listener: socket.socket,
+    component: Component,
+    admit: Callable[[socket.socket], Awaitable[None]],
+    interval_s: float = 0.0,
 ) -> NoReturn:
-    """Hand one connection after the other to ``admit``, until cancelled; the loop has a turn between two.
+    """Hand one connection after the other to ``admit``, until cancelled, ``interval_s`` apart.
 
-    Raises OSError when the listening socket itself is gone.
+    The loop has a turn between two of them. Raises OSError when the listening socket itself is gone.
     """
     loop = asyncio.get_running_loop()
     while True:
@@ -65,7 +68,7 @@ async def accept(
                 await admit(connection)
             except OSError:  # it left meanwhile
                 connection.close()
-        await asyncio.sleep(0)
+        await asyncio.sleep(interval_s)
 
 
 def is_among_last(connection: socket.socket, kept_descriptors: int) -> bool:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from textwrap import wrap
 
-from altd.reasons import Reason
+from altd.reasons import NOT_LIVE
 from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
 
 WIDTH = 79
 """A line of 80 would make some terminals wrap."""
 
-_NOT_LIVE = {str(Reason.PLAYBACK), str(Reason.SIMULATED)}
 _SPANS = {
     "last_hour": "of the last hour",
     "last_day": "of the last day",
@@ -29,7 +28,7 @@ def verdict_text(reading: Reading) -> str:
     """Whether the numbers may be used, as it is called out: ``VALID``, ``NOT LIVE``, ``NOT VALID``."""
     if not reading.valid:
         return "NOT VALID"
-    return "VALID" if _NOT_LIVE.isdisjoint(reading.status) else "NOT LIVE"
+    return "VALID" if NOT_LIVE.isdisjoint(reading.status) else "NOT LIVE"
 
 
 def cause_text(cause: CauseDocument) -> str:

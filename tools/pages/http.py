@@ -11,7 +11,7 @@ from altd.publish.http.application import MAX_TARGET_BYTES
 from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
 from altd.publish.http.downloads import MAX_DOWNLOADS
 from altd.publish.http.guard import REQUEST_HEADER
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, CONNECTIONS, REQUESTS, Rate
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, CONNECTIONS, MAX_FAMILIAR, REQUESTS, Rate
 from altd.publish.http.login import BODY_TIMEOUT_S, MAX_BODY_BYTES
 from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
@@ -178,11 +178,15 @@ ends at {MAX_PART_BYTES / 1e6:g} MB.
         static_configs: [targets: ["UNIT:8080"]]
 
 `/metrics` has each value as `altd_KEY` (`altd_x_mm`) with `altd_KEY_sigma` and `altd_KEY_sigma_now`, places
-on targets as `altd_target_x_mm` with the label `target`, and `altd_valid`, `altd_measurement_age_seconds`,
-`altd_status` (a sample for each reason), `altd_state`, `altd_cause`, `altd_availability_ratio`,
-`altd_self_check_verdict`, `altd_component_state`, what components count and measure of themselves, and
-`altd_build_info`. What is not known has no sample: no 0, no NaN and no old number. `altd_valid` is always
-there, and 0 where nothing was measured yet. Alarm on `altd_valid == 0 or absent(altd_valid)`.
+on targets as `altd_target_x_mm` with the label `target`, and `altd_valid`, `altd_live`,
+`altd_measurement_age_seconds`, `altd_status` (a sample for each reason), `altd_state`, `altd_cause`,
+`altd_availability_ratio`, `altd_self_check_verdict`, `altd_component_state`, what components count and
+measure of themselves, and `altd_build_info`. What is not known has no sample: no 0, no NaN and no old number.
+`altd_valid` and `altd_live` are always there, and 0 where nothing was measured yet. `altd_live` is 1 only
+while measurements come from the unit's cameras: playback and simulated data can be valid, but are not live.
+Alarm on both:
+
+    altd_valid == 0 or altd_live == 0 or absent(altd_valid)
 
 ## Is it alive, is it ready
 
@@ -293,7 +297,7 @@ requests.
 | requests of an address | {_rate(REQUESTS)}; then 429 with `Retry-After` |
 | TLS connections of an address | {_rate(CONNECTIONS)}; then closed |
 | wrong passwords of an address | {_rate(ATTEMPTS)}; then 429, also for right ones |
-| the same of all addresses | {_rate(ALL_ATTEMPTS)}; then 429 |
+| the same of all addresses that have not logged in | {_rate(ALL_ATTEMPTS)}; then 429 |
 | streams | {MAX_STREAMS} |
 | downloads (recordings, diagnostics, calibration files, reports) | {MAX_DOWNLOADS} |
 | time to send the request header | {REQUEST_TIMEOUT_S:g} s, then the connection is closed |
@@ -304,9 +308,14 @@ requests.
 | of a browser by WebSocket | {MAX_BYTES_AT_ONCE} bytes at once, {MAX_BYTES_PER_S} a second; then closed |
 | time without taking an answer | {SEND_TIMEOUT_S:g} s, then the connection is closed |
 
-An address of IPv6 counts with its whole network of 64 bits. A hostile host can take all {MAX_CONNECTIONS}
-connections, or all attempts, and keep others out for as long as it goes on; measuring and the other
-interfaces do not suffer. `allow` keeps it out.
+An address of IPv6 counts with its whole network of 64 bits. An address that has logged in keeps its own
+attempts, whatever others try: the unit remembers the last {MAX_FAMILIAR} until the daemon restarts. Clients
+behind one address (NAT, a proxy) share its attempts, so one of them can use up those of the others. Sessions
+and tokens are not affected.
+
+A hostile host can take all {MAX_CONNECTIONS} connections, or all attempts of addresses that have not logged
+in, and keep others out for as long as it goes on. Measurement and the other interfaces continue. `allow`
+keeps it out.
 """
 
 

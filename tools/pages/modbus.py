@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus import checked_block
 from altd.publish.modbus.commands import SELF_CHECK_ADDRESS, SELF_CHECK_NOW
+from altd.publish.modbus.places import FIRST_REQUEST_S, KEPT_SHARE, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -48,6 +49,7 @@ def page() -> str:
     float_end = FLOATS + 2 * len(FLOAT_BLOCK)
     read_floats = f"-1 -0 -B -t 3:float -r {FLOATS} -c {len(FLOAT_BLOCK)}"
     words = image(EXAMPLE)
+    kept = round(MAX_CLIENTS * KEPT_SHARE)
     return f"""\
 # Modbus: what the controller reads
 
@@ -65,9 +67,26 @@ Generated from the register table: `python -m tools.pages.modbus > docs/modbus.m
 
 Port, baud rate, parity, stop bits and unit id are those of a fresh `altd.toml`; it says what your unit has.
 
-When all {MAX_CLIENTS} connections are taken, a new one closes another: first one that never asked, then one
-of the address that most come from, then the one that has been quiet for longest. So a controller that asks
-keeps its connection, whatever another host opens.
+When all {MAX_CLIENTS} connections are taken, a new one closes another:
+
+- {kept} places belong to the clients that have asked for longest. They keep their connection, whatever other
+  addresses open and ask, as long as they ask at least once in {QUIET_S:g} s. An address counts with all its
+  connections, of which {MAX_KEPT_OF_ONE_ADDRESS} are kept. It keeps its time when it reconnects, until the
+  daemon restarts. An address of IPv6 counts with its whole network of 64 bits.
+- The other {MAX_CLIENTS - kept} places go to new connections in turn. A connection without a request for
+  {QUIET_S:g} s, or for its first {FIRST_REQUEST_S:g} s, goes first, then one of the address that has most,
+  then the oldest.
+
+A controller that is new, or new since a restart of the daemon, can lose its connection again and again while
+others that have asked for longer fill the {kept} places and more connect all the time. The unit cannot tell a
+controller from such a host behind the same address (NAT). Reserve the places of your controllers:
+
+    [modbus_tcp]
+    reserved = ["192.168.1.10"]
+
+Reserved addresses always get a connection, and no other address closes it. The other clients share what is
+left in the same way. If reserved addresses fill all {MAX_CLIENTS} places, other connections are refused, and
+one more of their own closes another.
 
 Everything is read only, but for [a self-check](#a-self-check). Function 4 (input registers) and function 3
 (holding registers) read the same registers; function 43/14 reads vendor, product and version, as a stream

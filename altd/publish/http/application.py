@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Awaitable, Callable, Iterable
 
 from starlette.applications import Starlette
@@ -12,7 +13,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from altd.publish.http import errors
-from altd.publish.http.addresses import OwnNames, address_of, group_of, is_loopback
+from altd.publish.http.addresses import OwnNames
 from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
@@ -21,9 +22,15 @@ from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
+from altd.tcp_port.addresses import address_of, group_of, is_loopback
+
+log = logging.getLogger("altd")
 
 MAX_TARGET_BYTES = 2048
 """Of a path with its query."""
+
+_SINGLE_HEADERS = (b"authorization", b"content-length", b"content-type", b"cookie", b"host", b"origin")
+"""Of two of them one program reads the first and another one the last."""
 
 
 def application_of(
@@ -42,7 +49,8 @@ def application_of(
     ]
     routes.append(Route("/page/{file:path}", answers.page_file, methods=["GET"]))
     routes.append(WebSocketRoute(PATH, answers.viewers.show))
-    routed = Starlette(routes=routes, exception_handlers={HTTPException: errors.of_routing})
+    handlers = {HTTPException: errors.of_routing, Exception: errors.of_defect}
+    routed = Starlette(routes=routes, exception_handlers=handlers)
     routed.router.redirect_slashes = False
     return _Gate(routed, component, requests, names)
 
@@ -76,7 +84,12 @@ class _Gate:
             answer: ASGIApp = too_many("too many requests", wait_s)
         else:
             answer = _malformed(scope) or self._misdirected(scope) or self._application
-        await answer(scope, receive, send)
+        try:
+            await answer(scope, receive, send)
+        except Exception:
+            if scope["type"] != "http":  # uvicorn ends a WebSocket
+                raise
+            log.exception("%s: a defect", self._component.name)
 
     def _misdirected(self, scope: Scope) -> Response | None:
         """Why it is not for this unit, by its ``Host``; None: it is, or it only asks whether it lives."""
@@ -99,7 +112,7 @@ def _malformed(scope: Scope) -> Response | None:
     """Why a request is none that we answer; None: it may be.
 
     No path of ours needs a percent sign: one that is written with it is read differently by what may stand
-    before us. Nor does a body have two lengths (RFC 9112, 6.1).
+    before us. A body has no two lengths (RFC 9112, 6.1), and a header of one value comes once.
     """
     raw_path: bytes = scope["raw_path"]
     if len(raw_path) + len(scope["query_string"]) > MAX_TARGET_BYTES:
@@ -109,4 +122,6 @@ def _malformed(scope: Scope) -> Response | None:
     names = [name for name, _ in scope["headers"]]
     if b"transfer-encoding" in names and b"content-length" in names:
         return refusal(400, "its body has two lengths")
+    if any(names.count(name) > 1 for name in _SINGLE_HEADERS):
+        return refusal(400, "a header that comes once comes twice")
     return None

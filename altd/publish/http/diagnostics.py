@@ -46,7 +46,7 @@ _US = 10**6
 _README = "README.txt"
 _NO_TIME = datetime.fromtimestamp(0, UTC)
 """Of a clock that does not know UTC."""
-_MIN_ZIP_YEAR = 1980
+_FIRST_ZIP_TIME, _LAST_ZIP_TIME = (1980, 1, 1, 0, 0, 0), (2107, 12, 31, 23, 59, 58)
 _SUMMARY_PARTS = {"": "mean", "sigma_": "sigma", "min_": "low", "max_": "high"}
 """As ``altd export`` calls them, and what they are of a ``SummaryValue``."""
 
@@ -217,7 +217,7 @@ def _readme(serial: str, now: datetime, said: Sequence[str], missing: Sequence[s
 
 def _zipped(files: Mapping[str, bytes], now: datetime) -> bytes:
     whole = io.BytesIO()
-    made = now.timetuple()[:6] if now.year >= _MIN_ZIP_YEAR else (_MIN_ZIP_YEAR, 1, 1, 0, 0, 0)
+    made = min(max(now.timetuple()[:6], _FIRST_ZIP_TIME), _LAST_ZIP_TIME)
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             entry = zipfile.ZipInfo(name, made)

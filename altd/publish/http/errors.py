@@ -20,6 +20,11 @@ def error_body(sentence: str) -> bytes:
     return json.dumps({"error": sentence}, separators=(",", ":")).encode()
 
 
+async def of_defect(_: Request, __: Exception) -> Response:
+    """500: whatever a handler fails on, among it a number that JSON does not have."""
+    return refusal(500, "a defect of the unit; its log says more")
+
+
 async def of_routing(_: Request, error: Exception) -> Response:
     """404 and 405, which starlette finds out."""
     assert isinstance(error, HTTPException)  # noqa: S101  it is registered for no other

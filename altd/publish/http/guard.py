@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import Protocol
 
@@ -11,11 +12,12 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.addresses import address_of, group_of, host_of, is_loopback
+from altd.publish.http.addresses import host_of
 from altd.publish.http.errors import refusal
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, Buckets
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, Buckets
 from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
+from altd.tcp_port.addresses import address_of, group_of, is_loopback
 
 REQUEST_HEADER = "X-Altd-Request"
 """A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""
@@ -24,7 +26,7 @@ THIS_COMPUTER = "this computer"
 """Who acts where the address alone says that he may."""
 
 _LOCAL_NAMES = ("localhost", "")
-_EVERYBODY = "everybody"
+_STRANGERS = "strangers"
 
 
 class Known(Protocol):
@@ -71,7 +73,9 @@ class Guard:
         self._is_local = is_local
         self._sessions = Sessions(clock)
         self._attempts = Buckets(ATTEMPTS, clock)
-        self._all_attempts = Buckets(ALL_ATTEMPTS, clock)
+        self._strangers_attempts = Buckets(ALL_ATTEMPTS, clock)
+        self._familiar = OrderedDict[str, None]()
+        """Addresses that have logged in; the one that did so last comes last."""
         self._verifying = asyncio.Lock()
 
     @property
@@ -164,14 +168,18 @@ class Guard:
         return self._sessions.name_of(secret, known.password_of)
 
     def _check_attempts(self, request: HTTPConnection) -> None:
-        wait_s = max(self._attempts.wait_s(_group(request)), self._all_attempts.wait_s(_EVERYBODY))
+        address = _group(request)
+        wait_s = self._attempts.wait_s(address)
+        if address not in self._familiar:
+            wait_s = max(wait_s, self._strangers_attempts.wait_s(_STRANGERS))
         if wait_s:
             self._note(request, "too many wrong attempts", "attempts_limited")
             raise Refused(too_many("too many wrong attempts", wait_s))
 
     def _count_attempt(self, request: HTTPConnection) -> None:
-        self._attempts.take(_group(request))
-        self._all_attempts.take(_EVERYBODY)
+        self._attempts.take(address := _group(request))
+        if address not in self._familiar:
+            self._strangers_attempts.take(_STRANGERS)
 
     def _note(self, request: HTTPConnection, what: str, code: str, name: str | None = None) -> None:
         """Note what somebody did, whose name is known, and from where; what repeats, the log counts."""
@@ -182,8 +190,13 @@ class Guard:
         self._events.note(EventKind.REQUEST, f"{what}, from {address}", name, None, detail)
 
     def _forgive(self, request: HTTPConnection) -> None:
-        self._attempts.give_back(_group(request))
-        self._all_attempts.give_back(_EVERYBODY)
+        self._attempts.give_back(address := _group(request))
+        if address not in self._familiar:
+            self._strangers_attempts.give_back(_STRANGERS)
+        self._familiar[address] = None
+        self._familiar.move_to_end(address)
+        if len(self._familiar) > MAX_FAMILIAR:
+            self._familiar.popitem(last=False)
 
 
 def too_many(sentence: str, wait_s: float) -> Response:
@@ -219,29 +232,27 @@ def secret_of(request: HTTPConnection) -> str | None:
     wanted = cookie_name(request)
     found = [
         value.strip()
-        for header in request.headers.getlist("Cookie")
-        for name, _, value in (part.partition("=") for part in header.split(";"))
+        for name, _, value in (part.partition("=") for part in request.headers.get("Cookie", "").split(";"))
         if name.strip() == wanted
     ]
     return found[0] if len(found) == 1 and found[0] else None
 
 
 def _token_of(request: HTTPConnection) -> str | None:
-    """The token of ``Authorization: Bearer`` (RFC 6750); None: there is none. Two are one that is wrong."""
-    headers = request.headers.getlist("Authorization")
-    if not headers:
+    """The token of ``Authorization: Bearer`` (RFC 6750); None: there is none. Another scheme: a wrong one."""
+    header = request.headers.get("Authorization")
+    if header is None:
         return None
-    scheme, _, token = headers[0].partition(" ")
-    return token.strip() if len(headers) == 1 and scheme.lower() == "bearer" else ""
+    scheme, _, token = header.partition(" ")
+    return token.strip() if scheme.lower() == "bearer" else ""
 
 
 def _check_is_no_other_page(request: HTTPConnection) -> None:
     """A page of elsewhere can neither send our header unasked nor hide where it is from."""
     if REQUEST_HEADER not in request.headers:
         raise Refused(refusal(403, f"the header {REQUEST_HEADER} is missing"))
-    origins = request.headers.getlist("Origin")
     own = f"{'https' if _is_tls(request) else 'http'}://{request.headers.get('Host', '')}"
-    if origins and origins != [own]:
+    if request.headers.get("Origin", own) != own:
         raise Refused(refusal(403, "a page that is not the unit's own asks"))
 
 

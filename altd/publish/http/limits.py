@@ -29,7 +29,10 @@ ATTEMPTS = Rate(burst=5, per_s=0.1)
 """Wrong passwords of one address."""
 
 ALL_ATTEMPTS = Rate(burst=20, per_s=0.2)
-"""The same of all addresses together: a password that is tried takes 0.2 s of a core."""
+"""The same of all addresses that have not logged in: a password that is tried takes 0.2 s of a core."""
+
+MAX_FAMILIAR = 16
+"""Addresses that have logged in, the last of them: each has its own attempts, whatever others try."""
 
 
 class Buckets:

@@ -72,5 +72,6 @@ COMMON_ERRORS = {
     405: "the path has no such method; `Allow` has those that it has",
     421: "the name in `Host` is none of the unit's",
     429: "too many requests; `Retry-After` says for how many seconds to wait",
+    500: "a defect of the unit; its log says more",
 }
 """What any path may answer."""

@@ -78,7 +78,7 @@ class Viewers:
     async def _serve(self, socket: WebSocket) -> None:
         await socket.accept()
         maker = self._desk.maker
-        views = json.dumps({"views": [view.as_object() for view in maker.views]})
+        views = json.dumps({"views": [view.as_object() for view in maker.views]}, allow_nan=False)
         await _within(socket.send_text(views))
         seen: dict[str, int] = {}
         while True:
@@ -127,7 +127,8 @@ def message(pictures: Sequence[Picture], asked_ns: int, now_ns: int) -> bytes:
                 }
                 for picture in pictures
             ],
-        }
+        },
+        allow_nan=False,
     ).encode()
     return b"".join([len(header).to_bytes(4, "big"), header, *(picture.jpeg for picture in pictures)])
 

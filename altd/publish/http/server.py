@@ -25,7 +25,7 @@ from uvicorn.protocols.utils import is_ssl
 
 from altd.config import HttpSettings
 from altd.publish.http import pictures
-from altd.publish.http.addresses import Allowed, address_of, group_of, is_loopback
+from altd.publish.http.addresses import Allowed
 from altd.publish.http.errors import error_body
 from altd.publish.http.limits import Buckets
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
@@ -33,6 +33,7 @@ from altd.publish.http.websocket import BoundedWebSocket
 from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp
+from altd.tcp_port.addresses import address_of, group_of, is_loopback
 
 MAX_CONNECTIONS = 64
 """More than these are closed at once: a flood must leave the daemon its file descriptors."""

@@ -7,22 +7,23 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import socket
 import struct
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from pymodbus.constants import ExcCodes
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.commands import WRITE_SINGLE_REGISTER, command_response
+from altd.publish.modbus.places import Addresses, Connection, connection_to_displace
 from altd.publish.modbus.responder import Responder
 from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, State
 from altd.status.self_check_desk import SelfCheckDesk
 from altd.tcp_port.accepting import accept, is_among_last, listen
+from altd.tcp_port.addresses import Networks, address_of, group_of
 
 MBAP = struct.Struct(">HHHB")
 """Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
@@ -31,7 +32,10 @@ MAX_LENGTH = 254
 """The largest length field: the unit and a protocol data unit of 253 bytes."""
 
 MAX_CLIENTS = 32
-"""With more, one is closed (Messaging 4.2): connections that a controller has forgotten make room for it."""
+"""With more, one is closed (Messaging 4.2); ``places`` chooses it."""
+
+ACCEPT_INTERVAL_S = 0.001
+"""Between two connections: a flood of them gets a part of the loop's time, and requests have the rest."""
 
 RESERVED_DESCRIPTORS = 4
 """Where the process may have few descriptors, so many are left to cameras and ports."""
@@ -41,27 +45,6 @@ _DIRECT = frozenset({0, 255})
 
 READ_AHEAD_BYTES = 1024
 """While more than twice as many bytes wait for their answers, nothing more is read from a client."""
-
-
-@dataclass(slots=True, eq=False)
-class _Client:
-    """One connection: whence it comes, when it asked last (None: never), and the task that serves it."""
-
-    address: str
-    since_s: float
-    asked_s: float | None = None
-    serving: asyncio.Task[None] | None = None
-
-
-def client_to_displace(clients: list[_Client]) -> _Client:
-    """Who makes room: who never asked, then who comes from where most do, then the longest quiet."""
-    crowd = Counter((client.asked_s is None, client.address) for client in clients)
-
-    def rank(client: _Client) -> tuple[bool, int, float]:
-        silent = client.asked_s is None
-        return not silent, -crowd[silent, client.address], client.asked_s or client.since_s
-
-    return min(clients, key=rank)
 
 
 class ModbusTcpPublisher:
@@ -79,7 +62,9 @@ class ModbusTcpPublisher:
         self._desk = desk if settings.allow_self_check else None
         self._responder = Responder(board, component, state)
         self._component = component
-        self._clients: list[_Client] = []
+        self._clients: dict[Connection, asyncio.Task[None]] = {}
+        self._addresses = Addresses()
+        self._reserved = Networks(settings.reserved)
         self._response_turn = asyncio.Lock()
         """One answer a turn of the loop, whoever asks: no crowd of clients holds the rest of the unit up."""
         self.port = settings.port
@@ -93,43 +78,43 @@ class ModbusTcpPublisher:
             async with asyncio.TaskGroup() as clients:
                 ready()
                 self._component.set_state(State.OK, f"Modbus TCP on port {self.port}")
-                await accept(listener, self._component, lambda connection: self._admit(clients, connection))
+                admit = functools.partial(self._admit, clients)
+                await accept(listener, self._component, admit, ACCEPT_INTERVAL_S)
 
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
-        """Serve a connection; where there are enough, one that is there already makes room."""
-        full = len(self._clients) >= MAX_CLIENTS or is_among_last(connection, RESERVED_DESCRIPTORS)
-        if full and not self._clients:
-            self._component.count("connections_refused")
-            connection.close()
-            return
-        if full:
-            self._displace(client_to_displace(self._clients))
+        """Serve a connection; where there are enough, another one makes room, or it is closed."""
         loop = asyncio.get_running_loop()
-        client = _Client(connection.getpeername()[0], loop.time())
+        client = self._client(connection.getpeername()[0], loop.time())
+        if len(self._clients) >= MAX_CLIENTS or is_among_last(connection, RESERVED_DESCRIPTORS):
+            displaced = connection_to_displace(list(self._clients), client, loop.time())
+            if displaced is None:
+                self._component.count("connections_refused")
+                connection.close()
+                return
+            self._component.count("clients_displaced")
+            self._clients.pop(displaced).cancel()
 
         def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            client.serving = tasks.create_task(self._serve(client, reader, writer), name="modbus tcp client")
-            client.serving.add_done_callback(lambda _: self._dismiss(client, writer))
-            self._clients.append(client)
+            serving = tasks.create_task(self._serve(client, reader, writer), name="modbus tcp client")
+            serving.add_done_callback(lambda _: self._dismiss(client, writer))
+            self._clients[client] = serving
             self._component.count("clients")
 
         streams = asyncio.StreamReaderProtocol(asyncio.StreamReader(READ_AHEAD_BYTES), begin)
         await loop.connect_accepted_socket(lambda: streams, connection)
 
-    def _displace(self, client: _Client) -> None:
-        self._clients.remove(client)
-        self._component.count("clients_displaced")
-        if client.serving is not None:
-            client.serving.cancel()
+    def _client(self, host: str, now_s: float) -> Connection:
+        address = address_of(host)
+        group = host if address is None else group_of(address)
+        return Connection(group, now_s, self._addresses.asking(group), address in self._reserved)
 
-    def _dismiss(self, client: _Client, writer: asyncio.StreamWriter) -> None:
-        if client in self._clients:
-            self._clients.remove(client)
+    def _dismiss(self, client: Connection, writer: asyncio.StreamWriter) -> None:
+        self._clients.pop(client, None)
         self._component.count("clients", -1)
         writer.transport.abort()
 
     async def _serve(
-        self, client: _Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self, client: Connection, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
         """Answer one client until it leaves or stops making sense."""
         clock = asyncio.get_running_loop().time
@@ -142,7 +127,7 @@ class ModbusTcpPublisher:
                 request = await reader.readexactly(length - 1)
                 async with self._response_turn:
                     answer = await self._answer(unit, request)
-                    client.asked_s = clock()
+                    client.ask(clock())
                     writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                     await asyncio.sleep(0)
                 await writer.drain()

@@ -172,6 +172,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "modbus_tcp.host",
         "name its interface",
     ),
+    ('reserved = ["192', 'reserved = [«"192.168.1.10:502", "192', "modbus_tcp.reserved.0", "is no network"),
     (
         '[http]\nhost = "0.0.0.0"',
         '[http]\nhost = «"240.0.0.1"',

@@ -46,6 +46,7 @@ offset_yaw_deg = 0.25
 host = "0.0.0.0"
 port = 502
 unit_id = 1
+reserved = ["192.168.1.10"]
 
 [http]
 host = "0.0.0.0"

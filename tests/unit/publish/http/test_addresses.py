@@ -1,10 +1,10 @@
-"""Addresses: who may connect, and whom limits count them as."""
+"""Which addresses may connect, and by which names the unit is asked."""
 
 from __future__ import annotations
 
 import pytest
 
-from altd.publish.http.addresses import Allowed, OwnNames, address_of, group_of
+from altd.publish.http.addresses import Allowed, OwnNames
 
 
 @pytest.mark.parametrize(
@@ -41,16 +41,6 @@ def test_a_wide_network_of_one_kind_lets_in_none_of_the_other() -> None:
     assert "::1:2" not in Allowed(["0.0.0.0/0"])
     assert "8.8.8.8" not in Allowed(["::/0"])
     assert "8.8.8.8" in Allowed(["0.0.0.0/0"])
-
-
-def test_a_host_with_a_network_of_its_own_counts_once() -> None:
-    groups = {
-        group_of(address) for host in ("2001:db8::1", "2001:db8::ffff:1") if (address := address_of(host))
-    }
-    assert groups == {"2001:db8::/64"}
-    mapped = address_of("::ffff:10.0.0.1")
-    assert mapped is not None
-    assert group_of(mapped) == "10.0.0.1"
 
 
 @pytest.mark.parametrize(

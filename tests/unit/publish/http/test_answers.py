@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import math
 import re
 import urllib.request
 import zlib
@@ -23,6 +24,7 @@ from altd.status.board import Board
 from altd.status.checked_json import PROOF_KEYS
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import as_object_now
+from altd.status.self_check_desk import SelfCheckReport
 
 from .conftest import Served
 from .documents import NEED_MORE
@@ -163,6 +165,19 @@ async def test_refusals_are_json(served: Served, method: str, path: str, status:
         answer = await unit.ask(path, method)
     assert answer.status == status
     assert set(answer.json) == {"error"}
+
+
+async def test_a_defect_is_answered_in_json_and_logged_as_one(
+    served: Served, health: Health, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Such as a number that JSON does not have."""
+    health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "moved_mm": math.nan}))
+    async with served() as unit:
+        answer = await unit.ask("/api/v1/self-check")
+        assert (await unit.ask("/healthz")).status == 200
+    assert (answer.status, answer.json) == (500, {"error": "a defect of the unit; its log says more"})
+    assert [(record.name, record.getMessage()) for record in caplog.records] == [("altd", "http: a defect")]
+    assert caplog.records[0].exc_info is not None
 
 
 @pytest.mark.parametrize(

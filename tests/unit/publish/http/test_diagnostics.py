@@ -6,7 +6,9 @@ import csv
 import json
 import subprocess
 import time
+import zipfile
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -162,12 +164,18 @@ async def test_names_that_are_no_names_break_nothing(board: Board, health: Healt
     assert b"a/../b" in opened(answer, tmp_path)["README.txt"].splitlines()[0]
 
 
-async def test_a_clock_that_was_never_set_is_no_obstacle(
-    board: Board, health: Health, clock: WallClock, tmp_path: Path
+@pytest.mark.parametrize(
+    ("year", "dated"), [(1969, 1980), (1970, 1980), (2026, 2026), (2107, 2107), (2108, 2107), (9998, 2107)]
+)
+async def test_a_clock_that_is_set_wrong_is_no_obstacle(
+    board: Board, health: Health, clock: WallClock, tmp_path: Path, year: int, dated: int
 ) -> None:
-    clock.offset_s -= START_S
+    """A zip archive has no dates before 1980 or after 2107."""
+    clock.offset_s += datetime(year, 7, 1, tzinfo=UTC).timestamp() - START_S
     async with served_with(board, health, None) as unit:
         assert set(opened(await unit.ask(PATH), tmp_path)) == ALWAYS
+    with zipfile.ZipFile(tmp_path / "got.zip") as archive:
+        assert {entry.date_time[0] for entry in archive.infolist()} == {dated}
 
 
 async def test_it_is_for_who_may_see_pictures(board: Board, health: Health, tmp_path: Path) -> None:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from starlette.requests import HTTPConnection
 from support.clock import FakeClock
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from altd.credentials.changing import change
 from altd.credentials.hashes import PasswordHash
-from altd.publish.http.limits import ATTEMPTS
+from altd.publish.http.guard import Guard, Refused
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR
 from altd.publish.http.sessions import IDLE_S
 from altd.status.health import Component, Health, State
 from altd.status.picture_desk import Picture, TargetView
@@ -134,6 +137,38 @@ async def test_a_page_of_elsewhere_may_not_use_a_browsers_session(
     assert len(checked) == 1
 
 
+TWICE = {
+    "Origin": ("http://alt-0007.plant:80", "http://evil.example"),
+    "Host": (OURS["Host"], "evil.example"),
+    "Authorization": (f"Bearer {TOKEN}", "Bearer another"),
+    "Cookie": ("a=b", "c=d"),
+    "Content-Type": ("application/json", "text/plain"),
+    "Content-Length": ("2", "3"),
+}
+
+
+@pytest.mark.parametrize("name", TWICE)
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("path", ["/api/v1/self-check", "/api/v1/pictures"])
+async def test_a_header_of_one_value_comes_once(
+    served: Served, credentials: Path, checked: list[int], name: str, order: int, path: str
+) -> None:
+    """Whichever of two would be read, and whoever asks: a program, or a browser for pictures."""
+    headers = [("Host", OURS["Host"]), ("X-Altd-Request", "1"), ("Authorization", f"Bearer {TOKEN}")]
+    if path.endswith("pictures"):
+        key = "dGhlIHNhbXBsZSBub25jZQ=="
+        headers += [("Upgrade", "websocket"), ("Connection", "Upgrade")]
+        headers += [("Sec-WebSocket-Version", "13"), ("Sec-WebSocket-Key", key)]
+    headers = [each for each in headers if each[0] != name] + [(name, text) for text in TWICE[name][::order]]
+    head = "".join(f"{each}: {text}\r\n" for each, text in headers)
+    method = "GET" if path.endswith("pictures") else "POST"
+    async with served(credentials=credentials) as unit:
+        answer = await unit.send(f"{method} {path} HTTP/1.1\r\n{head}\r\n{{}}".encode())
+    assert answer.startswith(b"HTTP/1.1 400 ")
+    assert list(json.loads(answer.partition(b"\r\n\r\n")[2])) == ["error"]
+    assert checked == []
+
+
 async def test_forwarded_addresses_are_not_believed(served: Served, health: Health) -> None:
     health.self_check.open(lambda: pytest.fail("it was asked for"))
     async with served(allow=["192.0.2.0/24"]) as unit:
@@ -158,6 +193,49 @@ async def test_wrong_attempts_are_limited_and_time_heals(
         assert (await log_in(unit)).status == 200, "who knows the password is not limited"
         assert (await unit.ask("/api/v1/status")).status == 200
     assert checked == [1]
+
+
+async def test_wrong_attempts_from_elsewhere_leave_those_of_who_has_logged_in(clock: FakeClock) -> None:
+    """A flood of guesses from ever new addresses, and from behind the same router as one of them."""
+    guard = Guard(lambda: _AnasPassword(), clock)
+    users = [f"10.0.0.{number}" for number in range(MAX_FAMILIAR)] + ["2001:db8:1:2::1"]
+    for user in users:
+        assert await tried(guard, user, PASSWORD) == 200
+    for round_ in range(3):
+        guesses = [await tried(guard, f"192.0.2.{number}", f"{round_}") for number in range(200)]
+        assert guesses.count(401) <= ALL_ATTEMPTS.burst
+        assert await tried(guard, "192.0.2.201", PASSWORD) == 429
+        assert await tried(guard, users[0], PASSWORD) == 429, "of so many addresses it was the first"
+        shared = [await tried(guard, users[1], f"{number}") for number in range(200)]
+        assert shared.count(401) == (ATTEMPTS.burst if round_ == 0 else 1)
+        assert await tried(guard, users[1], PASSWORD) == 429
+        for user in (*users[2:], "2001:db8:1:2::ffff"):
+            assert [await tried(guard, user, PASSWORD) for _ in range(5)] == [200] * 5
+        clock.now_ns += 10_000_000_000
+
+
+class _AnasPassword:
+    names = frozenset({"ana"})
+
+    def is_password(self, name: str, password: str) -> bool:
+        return (name, password) == ("ana", PASSWORD)
+
+    def password_of(self, name: str) -> object:
+        return name
+
+    def name_of_token(self, token: str) -> str | None:
+        return None
+
+
+async def tried(guard: Guard, address: str, password: str) -> int:
+    """The status of logging in from an address."""
+    headers = [(b"x-altd-request", b"1")]
+    scope = {"type": "http", "scheme": "http", "client": (address, 40_000), "headers": headers}
+    try:
+        await guard.log_in(HTTPConnection(scope), "ana", password)
+    except Refused as refused:
+        return refused.answer.status_code
+    return 200
 
 
 async def test_a_page_whose_session_is_over_does_not_keep_its_user_from_logging_in(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.clock import FakeClock
-from support.measurements import changed, measured
+from support.measurements import changed, measured, measurement
 
 from altd.publish.http.metrics import Metrics
 from altd.reasons import Reason
@@ -71,6 +72,30 @@ def test_the_numbers_are_those_of_the_json(
     assert one(found, "altd_valid") == 1.0
     assert one(found, "altd_measurement_age_seconds") == 0.52
     assert one(found, "altd_measurements_total") == 1.0
+
+
+@pytest.mark.parametrize(
+    ("reasons", "valid", "live"),
+    [
+        ((), 1.0, 1.0),
+        ((Reason.PLAYBACK,), 1.0, 0.0),
+        ((Reason.SIMULATED,), 1.0, 0.0),
+        ((Reason.COMPENSATED, Reason.SIMULATED), 1.0, 0.0),
+        ((Reason.COMPENSATED,), 1.0, 1.0),
+        ((Reason.UNSTEADY, Reason.PLAYBACK), 0.0, 0.0),
+        ((Reason.UNSTEADY,), 0.0, 1.0),
+    ],
+)
+def test_what_does_not_come_from_the_units_cameras_is_not_live(
+    board: Board, health: Health, clock: FakeClock, reasons: tuple[Reason, ...], valid: float, live: float
+) -> None:
+    assert one(read(board, health), "altd_live") == 0.0, "nothing was measured yet"
+    board.publish(measurement(160, clock.now_ns, *reasons))
+    found = read(board, health)
+    assert (one(found, "altd_valid"), one(found, "altd_live")) == (valid, live)
+    clock.now_ns += 5_000_000_000
+    stale = read(board, health)
+    assert (one(stale, "altd_valid"), one(stale, "altd_live")) == (0.0, live)
 
 
 def values(found: Samples) -> set[str]:

@@ -109,19 +109,43 @@ async def test_20_clients_at_once_are_all_served_beside_one_that_says_nothing(
     assert component.counters["requests"] == 200
 
 
-async def test_when_all_places_are_taken_the_longest_quiet_client_goes(
-    tcp: ModbusTcpPublisher, component: Component
+async def test_a_controller_keeps_its_connection_beside_64_addresses_that_ask_too(
+    tcp: ModbusTcpPublisher, component: Component, client: Client
 ) -> None:
+    """It asks so rarely that whoever has a place has asked after it."""
+    for _ in range(2):
+        assert await client.ask(ONE) == ONE_ANSWER
     async with contextlib.AsyncExitStack() as stack:
-        clients = [await stack.enter_async_context(connected(tcp)) for _ in range(MAX_CLIENTS)]
-        for busy in [*clients[:5], *clients[6:]]:
-            assert await busy.ask(ONE) == ONE_ANSWER
-        latecomer = await stack.enter_async_context(connected(tcp))
-        assert await latecomer.ask(ONE) == ONE_ANSWER
-        assert await clients[5].is_closed()
-        assert await clients[0].ask(ONE) == ONE_ANSWER
-        assert component.counters["clients"] == MAX_CLIENTS
-        assert component.counters["clients_displaced"] == 1
+        for number in range(64):
+            coming = await stack.enter_async_context(connected(tcp, f"127.0.1.{number + 1}"))
+            assert await coming.ask(ONE) == ONE_ANSWER
+            if number == 40:
+                assert await client.ask(ONE) == ONE_ANSWER
+        assert await client.ask(ONE) == ONE_ANSWER
+        assert component.counters["clients_displaced"] == 65 - MAX_CLIENTS
+
+
+@pytest.mark.parametrize("reserved", [(), ("127.0.3.0/24",)], ids=["open", "reserved"])
+async def test_a_reserved_controller_gets_in_where_others_have_asked_for_longer(
+    board: Board, component: Component, reserved: tuple[str, ...]
+) -> None:
+    """And stays, as no other new connection does."""
+    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, reserved=reserved)
+    publisher = ModbusTcpPublisher(settings, board, component)
+    async with serving(publisher), contextlib.AsyncExitStack() as stack:
+        for number in range(MAX_CLIENTS):
+            early = await stack.enter_async_context(connected(publisher, f"127.0.1.{number + 1}"))
+            for _ in range(3):
+                assert await early.ask(ONE) == ONE_ANSWER
+        controller = await stack.enter_async_context(connected(publisher, "127.0.3.1"))
+        assert await controller.ask(ONE) == ONE_ANSWER
+        for number in range(MAX_CLIENTS):
+            late = await stack.enter_async_context(connected(publisher, f"127.0.2.{number + 1}"))
+            assert await late.ask(ONE) == ONE_ANSWER
+        if reserved:
+            assert await controller.ask(ONE) == ONE_ANSWER
+        else:
+            assert await controller.is_closed()
 
 
 async def test_connections_that_never_ask_do_not_displace_who_does(
