@@ -62,7 +62,7 @@ class CheckExposer:
     async def expose(self) -> CheckFrames:
         """The frames of a check; however it ends, the LEDs are dark or about to be.
 
-        Starts over when a camera's exposure was set meanwhile, as it is after a start. Raises CheckFailedError.
+        Starts over when a camera's exposure was set meanwhile, as after a start. Raises CheckFailedError.
         """
         if complaint := self._lamps.complaint:  # nothing is lit: no exposure is to be left out for it
             raise CheckFailedError(f"the frame LEDs could not be switched: {complaint}")
