@@ -22,7 +22,7 @@ class FrameLamps:
     async def run(self, cameras: Iterable[Component] = ()) -> None:
         """Control the lamps until cancelled; then they are dark.
 
-        ``cameras`` are those whose outputs switch them: each has delivered, or failed, before they are opened.
+        ``cameras`` are those whose outputs switch them: they are opened once each has delivered or failed.
         """
         for camera in cameras:
             while camera.state is State.STARTING:
