@@ -121,7 +121,7 @@ class Pairer(Generic[Item]):
     By sequence: items of one frame set carry one number, and times no further apart than ``max_skew_ns``.
     By time: items whose times, each less its camera's lag, are no further apart than that belong together
     unless a lag is larger than ``max_lag_ns``; the numbers are those of the first camera that delivered, and
-    never go back. A camera that did not deliver at that time is silent; one that did, but nothing that fits,
+    only grow. A camera that did not deliver at that time is silent; one that did, but nothing that fits,
     is out of step.
 
     A number or a time that jumps spoils its own frame set and a few after it, whichever way it jumps: see
@@ -285,7 +285,7 @@ class Pairer(Generic[Item]):
         if last is not None and (number < last or camera not in self._ahead):
             number = last + 1
         self._ahead |= {of: waiting.sequence - number for of, waiting in group.items()}
-        return number
+        return number + (number == last)  # a camera left out an exposure and did not count it
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
         if camera in self._delivers_ns:

@@ -85,6 +85,20 @@ def test_by_time_the_numbers_go_on_when_a_camera_begins_later_than_the_other(of:
     assert [pair.sequence for pair in out] == list(range(late + 20))
 
 
+def test_by_time_no_number_comes_twice_when_cameras_leave_out_exposures_that_they_do_not_count() -> None:
+    p = pairer("time")
+    left_out = {"front": {5, 12}, "rear": {6, 11, 13}}
+    out = []
+    for n in range(30):
+        for camera, without in left_out.items():
+            if n not in without:
+                number = n - sum(left < n for left in without)
+                out += p.add(camera, number, n * PERIOD, "x")
+    numbers = [pair.sequence for pair in out]
+    assert numbers == sorted(set(numbers))
+    assert p.lost_pairs == 5
+
+
 def test_pairs_are_lost_by_one_frame_by_both_and_by_their_times() -> None:
     p = pairer()
     without = {3: ("front",), 5: ("front", "rear"), 6: ("front", "rear")}
