@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,6 @@ from hw_sim.unit import CAMERAS, Unit
 
 MEMORY_SETTLED_S = 10.0
 """By then the memory has settled; what it grows by from then on is a leak."""
-_COUNTED_WITHIN = 10
-"""Measurements, half a second: the daemon counts its cameras' frames four times a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +87,6 @@ class Figures:
         self._differences = {quantity: _Squares() for quantity in QUANTITIES}
         self._in_sigmas = {quantity: _Squares() for quantity in QUANTITIES}
         self._last_sequence = -1
-        self._lost_lately: deque[int] = deque(maxlen=_COUNTED_WITHIN)
         self.frame_sets = 0
         """Frame sets that led to a measurement on the board, valid or not."""
         self.valid = 0
@@ -111,7 +107,6 @@ class Figures:
             return  # silent cameras expose no frame set
         self._last_sequence = measurement.sequence
         self.frame_sets += 1 + skipped
-        self._lost_lately.append(self._lost_or_not_counted())
         if not measurement.valid:
             return
         self.valid += 1 + skipped
@@ -139,20 +134,8 @@ class Figures:
 
     @property
     def pairs_lost(self) -> int:
-        """Frame sets, counted by their sequence from 0 on, of which not both frames were measured.
-
-        A frame that is missing at one camera makes a pair that is lost; one missing at both is in both
-        counts, and only there is the frame set without a measurement on the board: taken off once. A frame
-        that is not counted yet seems to be missing, but not for long: the least of half a second counts.
-        """
-        return min(self._lost_lately, default=0)
-
-    def _lost_or_not_counted(self) -> int:
-        """A frame on its way is ahead of the board and would make the number negative for a moment."""
-        made = self._last_sequence + 1
-        arrived = [self._counters(f"camera {name}").get("frames", 0) for name in CAMERAS]
-        lost = sum(made - count for count in arrived) + self.frames_dropped
-        return max(lost - (made - self.frame_sets), 0)
+        """Frame sets of which not both frames were measured, as the pairing counts them."""
+        return self._daemon.chain.lost_pairs
 
     def note_memory(self) -> None:
         """Note the memory once it has settled; to be called now and then."""

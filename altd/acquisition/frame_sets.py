@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping, Sequence
 from typing import Self
 
@@ -18,6 +19,11 @@ from altd.status.health import Health, State
 
 FRAME_SET_TIMEOUT_S = 5.0
 """Without a frame set of all cameras for so long, something is wrong with one."""
+_CHECK_INTERVAL_S = 0.25
+_BUSY_REMEDY = (
+    "stop what has them (altd itself: sudo systemctl stop altd), or have altd keep its last seconds "
+    "(docs/kept-frames.md)"
+)
 
 
 class FrameSets:
@@ -83,8 +89,17 @@ class FrameSets:
         return next((failure for failure in failures if failure is not None), None)
 
     async def settled(self) -> list[Pair[Frame]]:
-        """The frame sets that are settled next, complete or not; maybe none, when a camera has ended."""
-        frames = await self._latest.take(wake_for_each=self._pairer.is_waiting)
+        """The frame sets that are settled next, complete or not; maybe none.
+
+        Raises CameraError for a camera that could not be opened at all for FRAME_SET_TIMEOUT_S; until then
+        nothing is settled.
+        """
+        frames: list[Frame] = []
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_CHECK_INTERVAL_S):
+                frames = await self._latest.take(wake_for_each=self._pairer.is_waiting)
+        if self._lacks_camera():
+            return []
         return [
             pair
             for frame in frames
@@ -126,10 +141,24 @@ class FrameSets:
             raise CameraError(self._complaint()) from None
         return complete
 
+    def _lacks_camera(self) -> bool:
+        """Whether a camera was never open; raises CameraError when that lasts."""
+        failed = [
+            component
+            for component in self._components.values()
+            if component.state is State.FAILED and not component.counters.get("frames")
+        ]
+        oldest_ns = self.clock.monotonic_ns() - FRAME_SET_TIMEOUT_S * 1e9
+        if any(component.since_ns < oldest_ns for component in failed):
+            raise CameraError(self._complaint())
+        return bool(failed)
+
     def _complaint(self) -> str:
         bad = [
-            f"camera {name}: {component.message or 'no frames'}"
+            f"camera {name}: {component.message.removesuffix('; trying again') or 'no frames'}"
             for name, component in self._components.items()
             if component.state != State.OK
         ]
+        if any(component.message.startswith("busy: ") for component in self._components.values()):
+            bad.append(_BUSY_REMEDY)
         return "; ".join(bad) or f"no exposure of all cameras together for {FRAME_SET_TIMEOUT_S:g} s"

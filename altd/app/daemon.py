@@ -37,6 +37,7 @@ from altd.app.upkeep import Upkeep
 from altd.config import (
     AnyCameraSettings,
     AnySerialPortSettings,
+    CameraLampsSettings,
     Config,
     LiveCameraSettings,
     ModbusRtuPortSettings,
@@ -240,10 +241,14 @@ class Daemon:
 
     async def _lights(self) -> None:
         """Keep lamps and indicators, until cancelled."""
+        lamps = self.config.lamps
+        switching = lamps.cameras if isinstance(lamps, CameraLampsSettings) else ()
         async with asyncio.TaskGroup() as tasks:
-            for name, lights in (("lamps", self.lamps), ("indicators", self._indicators)):
-                if lights is not None:
-                    tasks.create_task(lights.run(), name=name)
+            if self.lamps is not None:
+                cameras = [self.health.component(f"camera {name}") for name in switching]
+                tasks.create_task(self.lamps.run(cameras), name="lamps")
+            if self._indicators is not None:
+                tasks.create_task(self._indicators.run(), name="indicators")
 
     def _origin_faults(self) -> tuple[Fault, ...]:
         cameras = self._cameras.values()

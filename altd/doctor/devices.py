@@ -8,16 +8,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from altd.config import Config, V4l2CameraSettings
-from altd.doctor.finding import Finding, good, wrong
+from altd.doctor.finding import Finding, good, skipped, wrong
 from altd.doctor.machine import Account, Machine, group_name, user_name
+from altd.serial_port.find_ports import has_hardware
 
-SERIAL_NAMES = (
-    "/dev/serial/by-id/*",
-    "/dev/serial/by-path/*",
-    "/dev/ttyUSB*",
-    "/dev/ttyACM*",
-    "/dev/ttyAMA*",
-)
+_SERIAL_NODES = ("/dev/ttyUSB*", "/dev/ttyACM*", "/dev/ttyAMA*", "/dev/ttyS[0-9]*")
+SERIAL_NAMES = ("/dev/serial/by-id/*", "/dev/serial/by-path/*", *_SERIAL_NODES)
 CAMERA_NAMES = ("/dev/v4l/by-path/*", "/dev/v4l/by-id/*", "/dev/video*")
 _MAX_NAMES_SHOWN = 4
 _MAX_USB_SHARE = 0.6
@@ -104,16 +100,16 @@ def gpio_lines(config: Config) -> Iterator[Finding]:
 
 def found_devices(machine: Machine) -> Iterator[Finding]:
     """Without a config: may the devices that are there be opened."""
-    for pattern, what in (
-        ("/dev/tty[UA][SCM][BMA]*", "serial"),
-        ("/dev/video*", "camera"),
-        ("/dev/gpiochip*", "gpio"),
+    for patterns, what in (
+        (_SERIAL_NODES, "serial"),
+        (("/dev/video*",), "camera"),
+        (("/dev/gpiochip*",), "gpio"),
     ):
-        paths = machine.paths(pattern)
+        paths = [path for pattern in patterns for path in _paths(pattern, machine)]
         for path in paths:
             yield from _permission(f"{what} {path}", path, machine)
         if not paths:
-            yield good(what, "there is none to look at")
+            yield skipped(what, "there is none")
 
 
 def _device(subject: str, device: Path, names: tuple[str, ...], machine: Machine) -> Iterator[Finding]:
@@ -189,11 +185,16 @@ def _other_users(subject: str, node: str, status: os.stat_result, machine: Machi
 def _alternatives(names: tuple[str, ...], machine: Machine) -> str:
     """What there is instead: under the first of the patterns that fits anything."""
     for pattern in names:
-        found = machine.paths(pattern)
+        found = _paths(pattern, machine)
         if found:
             more = f" and {len(found) - _MAX_NAMES_SHOWN} more" if len(found) > _MAX_NAMES_SHOWN else ""
             return f"there is {', '.join(found[:_MAX_NAMES_SHOWN])}{more}"
     return "nor is there any other"
+
+
+def _paths(pattern: str, machine: Machine) -> list[str]:
+    """The devices of a pattern, without the serial ports that are names alone."""
+    return [path for path in machine.paths(pattern) if has_hardware(Path(path), machine.at("/sys/class/tty"))]
 
 
 def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:

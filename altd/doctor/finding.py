@@ -1,4 +1,4 @@
-"""What a check found: good, could be better, or wrong, and then what mends it."""
+"""What a check found: good, could be better, wrong, or nothing to check; and what mends it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ class Verdict(StrEnum):
     BETTER = "better"
     """It works, and could work better; or it could not be looked at."""
     WRONG = "WRONG"
+    SKIPPED = "skipped"
+    """There is nothing to check: no such device, or the settings do without it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,11 @@ def wrong(subject: str, text: str, remedy: str) -> Finding:
     return Finding(Verdict.WRONG, subject, text, remedy)
 
 
+def skipped(subject: str, text: str) -> Finding:
+    """There is nothing to check."""
+    return Finding(Verdict.SKIPPED, subject, text)
+
+
 def in_lines(findings: list[Finding]) -> list[str]:
     """The findings for a person, the remedy below each, and how many there are."""
     lines = []
@@ -47,9 +54,10 @@ def in_lines(findings: list[Finding]) -> list[str]:
         lines.append(f"{finding.verdict:<7} {finding.subject}: {finding.text}")
         if finding.remedy:
             lines.append(f"        mend: {finding.remedy}")
-    wrongs, betters, goods = (
+    wrongs, betters, goods, skips = (
         sum(finding.verdict is verdict for finding in findings)
-        for verdict in (Verdict.WRONG, Verdict.BETTER, Verdict.GOOD)
+        for verdict in (Verdict.WRONG, Verdict.BETTER, Verdict.GOOD, Verdict.SKIPPED)
     )
-    lines.append(f"{wrongs} wrong, {betters} could be better, {goods} good")
+    counts = f"{wrongs} wrong, {betters} could be better, {goods} good"
+    lines.append(f"{counts}, {skips} skipped" if skips else counts)
     return lines

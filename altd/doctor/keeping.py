@@ -15,7 +15,7 @@ from altd.app.history import FILE_NAME
 from altd.app.kept_frames import RECORDINGS
 from altd.app.local import SERVICE_SOCKET
 from altd.config import Config
-from altd.doctor.finding import Finding, better, good, wrong
+from altd.doctor.finding import Finding, better, good, skipped, wrong
 from altd.doctor.machine import Machine
 from altd.doctor.system import STATE
 from altd.history.opening import check_pages, open_to_read
@@ -29,7 +29,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
     """The folder and the room of the history, and whether its file is whole."""
     settings, subject = config.history, "history"
     if not settings.enabled:
-        yield good(subject, "off: [history] says so")
+        yield skipped(subject, "off: [history] says so")
         return
     path = settings.file or Path(STATE, FILE_NAME)
     if settings.file is None and machine.service() is None:
@@ -54,7 +54,7 @@ def recordings(config: Config, machine: Machine) -> Iterator[Finding]:
     """The folder and the room of recordings of the last seconds."""
     settings, subject = config.kept_frames, "kept frames"
     if not settings.memory_mb:
-        yield good(subject, "off: [kept_frames] memory_mb is 0")
+        yield skipped(subject, "off: [kept_frames] memory_mb is 0")
         return
     folder = settings.folder or Path(STATE, RECORDINGS)
     if settings.folder is None and machine.service() is None:

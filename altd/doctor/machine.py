@@ -128,6 +128,12 @@ class Machine:
                     return self._process(link)
         return None
 
+    def runs_daemon(self) -> bool:
+        """Whether a daemon of altd runs, of any user."""
+        return any(
+            "run" in words for words in map(self._words, self.paths("/proc/[0-9]*")) if _is_altd(words)
+        )
+
     def service(self) -> Service | None:
         """The systemd unit of altd, with what was added to it; None when it is not installed."""
         texts = [text for folder in _UNIT_FOLDERS if (text := self.text(f"{folder}/{_UNIT}"))][:1]
@@ -148,9 +154,16 @@ class Machine:
 
     def _process(self, link: Path) -> tuple[int, str]:
         number = int(link.parts[-3])
-        words = self.text(f"/proc/{number}/cmdline").split("\0")
-        ours = any(Path(word).name in ("altd", "altd.cli") for word in words[:4])
-        return number, "altd" if ours else self.text(f"/proc/{number}/comm") or "?"
+        folder = f"/proc/{number}"
+        return number, "altd" if _is_altd(self._words(folder)) else self.text(f"{folder}/comm") or "?"
+
+    def _words(self, folder: str) -> list[str]:
+        """The command line of a process."""
+        return self.text(f"{folder}/cmdline").split("\0")
+
+
+def _is_altd(words: list[str]) -> bool:
+    return any(Path(word).name in ("altd", "altd.cli") for word in words[:4])
 
 
 def group_name(gid: int) -> str:

@@ -1,4 +1,4 @@
-"""Checks of the network: the way to GigE Vision cameras, and the addresses that altd listens on."""
+"""Checks of the network: GigE Vision cameras and the way to them, and the addresses that altd listens on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.config import AravisCameraSettings, Config, HttpSettings
+from altd.devices.aravis import gvcp_client
+from altd.devices.aravis.gvcp import is_address
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 
@@ -17,6 +19,9 @@ MIN_JUMBO_BYTES = 8000
 """Bytes of a packet from which a frame's packets no longer cost a noticeable part of a core."""
 
 FRAMES_BUFFERED = 2
+_ANSWER_TIMEOUT_S = 0.25
+_MAX_TRIES = 2
+_DISCOVERY_TIMEOUT_S = 0.5
 _LISTEN_STATE = "0A"
 _IPV4_BYTES = 4
 _LOOPBACK_NET = 127
@@ -31,7 +36,7 @@ class _Route:
 
 
 def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The interfaces that the cameras of driver "aravis" hang on; a camera by another name may be on any."""
+    """The cameras of driver "aravis", and the interfaces that they are on; by a name a camera is on any."""
     cameras = {
         name: camera for name, camera in config.cameras.items() if isinstance(camera, AravisCameraSettings)
     }
@@ -45,6 +50,7 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
                 yield wrong(f"camera {name}", "no network interface is up", "ip -brief link")
         else:
             reached = yield from _way(f"camera {name} {address}", address, machine)
+        yield from _answer(f"camera {name} {camera.device}", str(camera.device), machine)
         for interface in reached:
             interfaces[interface] = max(interfaces.get(interface, 0), camera.packet_bytes)
     for interface, packet_bytes in interfaces.items():
@@ -98,6 +104,34 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
     elif "TLS" in lacking and "credentials" not in lacking:
         text = "passwords and tokens go over the network as they are, without TLS"
         yield better(subject, text, "docs/http.md   # [http] certificate and key")
+
+
+def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
+    """What the camera itself says; it is not disturbed."""
+    if is_address(device):
+        tries = (gvcp_client.discover_at(device, _ANSWER_TIMEOUT_S) for _ in range(_MAX_TRIES))
+        there = [camera for camera in tries if camera is not None][:1]
+    else:
+        found = gvcp_client.discover(_DISCOVERY_TIMEOUT_S)
+        there = [camera for camera in found if camera.is_called(device)]
+    if len(there) != 1:
+        text = f"{len(there)} cameras have this name" if there else "no GigE Vision camera answers"
+        remedy = "check its supply and cable; altd devices   # which cameras answer, and by which names"
+        yield wrong(subject, text, remedy)
+        return
+    (camera,) = there
+    about = f"{camera.vendor} {camera.model} at {camera.address} answers"
+    privilege = gvcp_client.control_privilege(camera.address, _ANSWER_TIMEOUT_S)
+    if privilege is None:
+        yield wrong(
+            subject, f"{about}, but does not tell its registers", "switch the camera off and on again"
+        )
+    elif privilege == 0 or machine.runs_daemon():
+        yield good(subject, f"{about}; altd has it" if privilege else about)
+    else:
+        yield wrong(
+            subject, f"{about}; another program has it", "end that program, on whichever computer it runs"
+        )
 
 
 def _way(

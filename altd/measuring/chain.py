@@ -144,6 +144,11 @@ class MeasuringChain:
         return self._pairer.late
 
     @property
+    def lost_pairs(self) -> int:
+        """Frame sets that lack a camera's frame, or all of them; it never falls."""
+        return self._pairer.lost_pairs
+
+    @property
     def awaits_partner(self) -> bool:
         """Whether a frame waits for that of another camera."""
         return self._pairer.is_waiting

@@ -120,8 +120,9 @@ class Pairer(Generic[Item]):
 
     By sequence: items of one frame set carry one number, and times no further apart than ``max_skew_ns``.
     By time: items whose times, each less its camera's lag, are no further apart than that belong together
-    unless a lag is larger than ``max_lag_ns``; the number is the first camera's. A camera from which nothing
-    came since is silent; one that delivers, but nothing that fits, is out of step.
+    unless a lag is larger than ``max_lag_ns``; the numbers are those of the first camera that delivered, and
+    only grow. A camera that did not deliver at that time is silent; one that did, but nothing that fits,
+    is out of step.
 
     A number or a time that jumps spoils its own frame set and a few after it, whichever way it jumps: see
     ``_is_late`` and ``_expire``.
@@ -139,15 +140,19 @@ class Pairer(Generic[Item]):
         self._max_skew_ns = max_skew_ns
         self._max_lag_ns = max_lag_ns
         self._waiting: dict[str, list[_Waiting[Item]]] = {camera: [] for camera in cameras}
-        self._last_ns: dict[str, int] = {}
+        self._delivers_ns: dict[str, tuple[int, int]] = {}
+        """By camera, the aligned times of its first and last frame without a break between them."""
         self._last_out: int | None = None
         self._last_out_ns = 0
         self._delivered = dict.fromkeys(cameras, 0)
         self._late_in_a_row = dict.fromkeys(cameras, 0)
         self._ahead: dict[str, int] = {}
-        """By time: how far each camera's numbers are ahead of the first one's, as far as it is known."""
+        """By time: how far each camera's numbers are ahead of the frame sets', as far as it is known."""
+        self._last_number: int | None = None
         self.late = 0
         """Items that came after their frame set was given up."""
+        self.lost_pairs = 0
+        """Frame sets that lack a camera's frame or, by the gaps between the numbers, all of them."""
 
     @property
     def is_waiting(self) -> bool:
@@ -164,7 +169,9 @@ class Pairer(Generic[Item]):
         if self._lags:
             self._lags.add(camera, t_ns)
         aligned_ns = t_ns - self.lags_ns.get(camera, 0)
-        self._last_ns[camera] = aligned_ns
+        since_ns, last_ns = self._delivers_ns.get(camera, (aligned_ns, aligned_ns))
+        is_broken = not 0 <= aligned_ns - last_ns <= _RESTART_GAP_NS
+        self._delivers_ns[camera] = aligned_ns if is_broken else since_ns, aligned_ns
         self._delivered[camera] += 1
         new = _Waiting(camera, sequence, t_ns, aligned_ns, self._delivered[camera], item)
         self._expire(new)
@@ -258,6 +265,9 @@ class Pairer(Generic[Item]):
         sequence = self._number_of(group)
         aligned = [waiting.aligned_ns for waiting in group.values()]
         skew_ns = max(aligned) - min(aligned)
+        gap = 0 if self._last_number is None else max(sequence - self._last_number - 1, 0)
+        self.lost_pairs += gap + (len(group) < len(self._cameras) or skew_ns > self._max_skew_ns)
+        self._last_number = sequence
         if skew_ns > self._max_skew_ns:
             return Pair(sequence, t_ns, skew_ns, {}, dict.fromkeys(self._cameras, Reason.OUT_OF_STEP), {})
         missing = {c: self._why_missing(c, min(aligned)) for c in self._cameras if c not in group}
@@ -266,16 +276,20 @@ class Pairer(Generic[Item]):
         return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns)
 
     def _number_of(self, group: Mapping[str, _Waiting[Item]]) -> int:
-        """The first camera's number, also where its frame is missing."""
-        camera = next(camera for camera in self._cameras if camera in group)
-        sequence = group[camera].sequence
+        """The number of a frame set; by time it goes on counting while cameras come and go."""
         if not self._lags:
-            return sequence
-        if camera == self._cameras[0]:
-            self._ahead |= {other: waiting.sequence - sequence for other, waiting in group.items()}
-        return sequence - self._ahead.get(camera, 0)
+            return next(iter(group.values())).sequence
+        camera = next((camera for camera in group if camera in self._ahead), next(iter(group)))
+        number = group[camera].sequence - self._ahead.get(camera, 0)
+        last = self._last_number
+        if last is not None and (number < last or camera not in self._ahead):
+            number = last + 1
+        self._ahead |= {of: waiting.sequence - number for of, waiting in group.items()}
+        return number + (number == last)  # a camera left out an exposure and did not count it
 
     def _why_missing(self, camera: str, t_ns: int) -> Reason:
-        last_ns = self._last_ns.get(camera)
-        alive = last_ns is not None and last_ns >= t_ns - self._max_skew_ns
-        return Reason.OUT_OF_STEP if alive else Reason.CAMERA_SILENT
+        if camera in self._delivers_ns:
+            since_ns, last_ns = self._delivers_ns[camera]
+            if since_ns - self._max_skew_ns <= t_ns <= last_ns + self._max_skew_ns:
+                return Reason.OUT_OF_STEP
+        return Reason.CAMERA_SILENT

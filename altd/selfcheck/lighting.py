@@ -42,7 +42,7 @@ def findings(
     for frame in frames:
         if repeated := freshness.repeated(frame):
             return (Finding(f"the camera stands still: {repeated}", spoils=True),)
-    if not _is_one_exposure(frames):
+    if not have_one_exposure(frames):
         return (Finding("the exposure was set anew during the check", spoils=True),)
     return tuple(
         finding
@@ -51,7 +51,8 @@ def findings(
     )
 
 
-def _is_one_exposure(frames: Sequence[Frame]) -> bool:
+def have_one_exposure(frames: Sequence[Frame]) -> bool:
+    """Whether all frames of one camera were taken with the same exposure time and gain."""
     first = frames[0]
     return all(
         _is_about(frame.exposure_ms, first.exposure_ms, _EXPOSURE_TOLERANCE * (first.exposure_ms or 0.0))

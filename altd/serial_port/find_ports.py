@@ -19,6 +19,14 @@ class FoundPort:
     about: str
 
 
+def has_hardware(device: Path, folder: Path = Path("/sys/class/tty")) -> bool:
+    """Whether there is a port behind its name: of on-board ones the kernel names more than exist (type 0)."""
+    try:
+        return (folder / device.name / "type").read_text().strip() != "0"
+    except OSError:
+        return True
+
+
 def find_ports() -> list[FoundPort]:
     """The serial ports of this machine by their devices' names; none is opened."""
     stable: dict[Path, Path] = {}
@@ -28,6 +36,8 @@ def find_ports() -> list[FoundPort]:
     found = []
     for port in sorted(list_ports.comports()):
         device = Path(port.device)
+        if not has_hardware(device):
+            continue
         about = port.description if port.description not in ("n/a", port.name) else "serial port"
         found.append(FoundPort(stable.get(device.resolve(), device), device, about))
     return found

@@ -74,7 +74,7 @@ class Sink:
 
 
 class LitCameras:
-    """Two cameras at 20 exposures a second, of 2 ms; a frame comes 5 ms after its middle."""
+    """Two cameras at 20 exposures a second; a frame comes 5 ms after its middle."""
 
     def __init__(self, clock: FakeClock, leds: Leds) -> None:
         self.clock = clock
@@ -82,6 +82,7 @@ class LitCameras:
         self.sequence = 0
         self.silent: set[str] = set()
         self.changing: set[int] = set()
+        self.exposure_ms = 2.0
 
     async def expose(self, sink: FrameSink, count: int = 1) -> None:
         """Let so many exposures pass, and hand their frames to a sink."""
@@ -93,7 +94,9 @@ class LitCameras:
                 if camera not in self.silent:
                     pixels = LIT if lit else DARK
                     changing = self.sequence in self.changing
-                    frame = Frame(camera, self.sequence, t_ns, pixels, exposure_ms=2.0, changing=changing)
+                    frame = Frame(
+                        camera, self.sequence, t_ns, pixels, exposure_ms=self.exposure_ms, changing=changing
+                    )
                     sink.put(frame, False)
             self.sequence += 1
             await settle()

@@ -9,6 +9,7 @@ from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.self_check.frames import MarkedFrames, Taken
 from altd.acquisition.self_check.light import LedLog, Light
 from altd.ports import Clock, LampsError
+from altd.selfcheck.lighting import have_one_exposure
 
 _PATIENCE = 3.0
 """A check may take so many times as long as its exposures and their switching."""
@@ -36,6 +37,14 @@ class CheckFrames:
     lit: Taken
     after: Taken
 
+    @property
+    def have_one_exposure(self) -> bool:
+        """Whether no camera's exposure was set between its frames."""
+        return all(
+            have_one_exposure((*frames, *self.lit[camera], *self.after[camera]))
+            for camera, frames in self.before.items()
+        )
+
 
 class CheckExposer:
     """Lights the LEDs for ``exposures`` exposures of every camera, ``fps`` a second."""
@@ -53,24 +62,27 @@ class CheckExposer:
     async def expose(self) -> CheckFrames:
         """The frames of a check; however it ends, the LEDs are dark or about to be.
 
-        Raises CheckFailedError.
+        Starts over when a camera's exposure was set meanwhile, as after a start. Raises CheckFailedError.
         """
         if complaint := self._lamps.complaint:  # nothing is lit: no exposure is to be left out for it
             raise CheckFailedError(f"the frame LEDs could not be switched: {complaint}")
         stage = _FIRST_STAGE
         try:
             async with asyncio.timeout(self._timeout_s):
-                before = await self._take(Light.OFF)
-                stage = "on"
-                await self._switch(True)
-                try:
-                    lit = await self._take(Light.ON)
-                except BaseException:
-                    self._give_up()
-                    raise
-                await self._switch(False)
-                stage = "off, after they were lit"
-                after = await self._take(Light.OFF)
+                while True:
+                    before = await self._take(Light.OFF)
+                    stage = "on"
+                    await self._switch(True)
+                    try:
+                        lit = await self._take(Light.ON)
+                    except BaseException:
+                        self._give_up()
+                        raise
+                    await self._switch(False)
+                    stage = "off, after they were lit"
+                    frames = CheckFrames(before, lit, await self._take(Light.OFF))
+                    if frames.have_one_exposure:
+                        return frames
         except LampsError as error:
             raise CheckFailedError(f"the frame LEDs could not be switched: {error}") from error
         except TimeoutError as error:
@@ -79,7 +91,6 @@ class CheckExposer:
                 f"with the LEDs {stage}",
                 has_begun=stage != _FIRST_STAGE,
             ) from error
-        return CheckFrames(before, lit, after)
 
     async def _take(self, light: Light) -> Taken:
         return await self._frames.take(light, self._exposures, self._clock.monotonic_ns())

@@ -150,11 +150,11 @@ class SelfChecks:
                 self._component.set_state(self._standing.state, self._standing.faults[0].detail)
 
     async def _lamps_open(self, lamps: FrameLamps) -> None:
-        """Give lamps the time that they take to open at the start."""
-        for _ in range(round(_LAMPS_WITHIN_S / _LAMPS_ASKED_EVERY_S)):
-            if not lamps.complaint:
-                return
+        """Wait for lamps that have not been tried yet, and a while for those that failed."""
+        polls_left = round(_LAMPS_WITHIN_S / _LAMPS_ASKED_EVERY_S)
+        while lamps.complaint and polls_left:
             await self._clock.sleep(_LAMPS_ASKED_EVERY_S)
+            polls_left -= not lamps.is_starting
 
     async def _checked(self, exposer: CheckExposer) -> Judged:
         frames = await exposer.expose()

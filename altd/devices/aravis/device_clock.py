@@ -28,6 +28,9 @@ _ENVELOPE_TIMEOUT_NS = 10_000_000_000
 _MAX_BACK_IN_A_ROW = 3
 _SETTLING_FRAMES = 10
 """The first of all may have come late themselves."""
+_FIRST_FRAMES, _FIRST_FALL_NS, _FIRST_TIMEOUT_NS = 5, 2_000_000, 1_000_000_000
+"""The envelope of a camera that was just opened is known once so many frames have not lowered it by more than
+that: a computer that is busy starting takes the first ones tens of milliseconds late."""
 _MIN_STEADY_FRAMES = 20
 """A clock that was implausible is used again when so many frames agree with it."""
 
@@ -53,11 +56,17 @@ class DeviceClock:
     lasted. A frame that comes too early has a stamp that is not true: it has the time of its arrival, and so
     have those that follow if they agree.
 
+    Before ``known`` the envelope is still falling, and the times of the first frames are too late by that.
+
     A clock that stands still or goes back for more than three frames is not plausible: then the receive time
     itself is the answer, until the clock has run well for a second.
     """
 
     def __init__(self) -> None:
+        self.known = False
+        """Whether enough frames have come to say where the clock lies."""
+        self._first: tuple[int, int, int] | None = None
+        """Until then: when the first frame was received, the smallest offset, the frames since that was."""
         self._buckets: deque[_Bucket] = deque(maxlen=_BUCKETS)
         self._last_device_ns: int | None = None
         self._steady = _MIN_STEADY_FRAMES
@@ -81,6 +90,8 @@ class DeviceClock:
         None where nobody knows it. Frames are to be given in the order in which they were received.
         """
         offset_ns = receive_ns - device_ns
+        if not self.known:
+            self._take_first(offset_ns, receive_ns)
         if device_ns <= 0 or (self._last_device_ns is not None and device_ns <= self._last_device_ns):
             return self._back(device_ns, receive_ns)
         self._in_a_row_back = 0
@@ -98,6 +109,13 @@ class DeviceClock:
         self._steady += not self.trusted
         self._add(offset_ns, receive_ns)
         return device_ns + self._envelope_ns() if self.trusted else receive_ns
+
+    def _take_first(self, offset_ns: int, receive_ns: int) -> None:
+        began_ns, smallest_ns, frames = self._first or (receive_ns, offset_ns, 0)
+        if offset_ns < smallest_ns - _FIRST_FALL_NS:
+            smallest_ns, frames = offset_ns, 0
+        self._first = began_ns, smallest_ns, frames + 1
+        self.known = frames + 1 > _FIRST_FRAMES or receive_ns - began_ns >= _FIRST_TIMEOUT_NS
 
     def _back(self, device_ns: int, receive_ns: int) -> int | None:
         """A stamp that is not later than the last: of a frame that was overtaken, or the clock stands."""

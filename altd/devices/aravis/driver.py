@@ -115,7 +115,10 @@ class AravisCamera:
         self._changed_ns = self._settled_ns = 0
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """The next whole frame. Those that lost packets are missing in ``sequence``."""
+        """The next whole frame. Those that lost packets are missing in ``sequence``.
+
+        The first ones of a camera that was just opened are not given: their times are not known yet.
+        """
         opened = self._open_camera()
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
         while True:
@@ -131,7 +134,9 @@ class AravisCamera:
                 self._frame_ns = time.monotonic_ns()
                 self._answering_since_ns = None
                 self._answers = True
-                return self._frame(opened, block)
+                t_ns = self._middle_ns(block, round((opened.exposure_ms or 0.0) * 1e6))
+                if self._clock.known:
+                    return self._frame(opened, block, t_ns)
             if not opened.device.controlled:
                 raise CameraLostError("control of the camera is lost")
             self._check_controlled(opened)
@@ -252,9 +257,8 @@ class AravisCamera:
         """Multiples of the period: all cameras of this computer are triggered at the same instants."""
         return (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
 
-    def _frame(self, opened: OpenCamera, block: Block) -> Frame:
+    def _frame(self, opened: OpenCamera, block: Block, t_ns: int | None) -> Frame:
         sequence = self._counter.number((block.frame_id - 1) % _MAX_BLOCK_ID + 1)
-        t_ns = self._middle_ns(block, round((opened.exposure_ms or 0.0) * 1e6))
         if t_ns is None:
             late = "frames are held up, or the camera's clock was set back"
             raise CameraMistimedError(sequence, f"exposure {sequence} came late: {late}")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
+from altd.acquisition import frame_sets as frame_sets_module
 from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
 from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.record import record
 from altd.config import ExposureSettings, Measuring
-from altd.ports import CameraEndedError, CameraError, ExposureRange, LampsError
+from altd.ports import CameraBusyError, CameraEndedError, CameraError, ExposureRange, LampsError
 from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
@@ -65,6 +67,33 @@ async def test_a_recording_says_which_targets_its_cameras_look_at(tmp_path: Path
     plan = RecordingPlan(60.0, UnitHeader(serial="A"), targets)
     await record(frame_sets(sources), tmp_path / "rec", plan)
     assert open_recording(tmp_path / "rec").header.targets == targets
+
+
+@pytest.mark.parametrize("busy", [("rear",), ("front", "rear")])
+async def test_a_camera_that_another_program_has_ends_the_recording_and_says_what_to_do(
+    busy: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> None:
+        raise CameraBusyError("another program uses it")
+
+    monkeypatch.setattr(frame_sets_module, "FRAME_SET_TIMEOUT_S", 0.3)
+    sources = [Source(name, 100_000, CameraEndedError("the end")) for name in ("front", "rear")]
+    for source in sources:
+        if source.name in busy:
+            monkeypatch.setattr(source, "open", refuse)
+    progress: list[tuple[int, int]] = []
+    work = record(
+        frame_sets(sources),
+        tmp_path / "rec",
+        RecordingPlan(60.0, UNIT),
+        lambda done, planned: progress.append((done, planned)),
+    )
+    with pytest.raises(CameraError, match="camera rear: busy: another program uses it; ") as error:
+        async with asyncio.timeout(10):
+            await work
+    assert "systemctl stop altd" in str(error.value)
+    assert "keep its last seconds" in str(error.value)
+    assert progress == []
 
 
 async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:

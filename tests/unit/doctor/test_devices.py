@@ -10,7 +10,7 @@ import pytest
 from altd.devices.gpio import find_chips
 from altd.devices.gpio.find_chips import GpioChip, GpioLine
 from altd.doctor import devices
-from altd.doctor.finding import Verdict
+from altd.doctor.finding import Verdict, in_lines
 from altd.doctor.machine import Account, group_name
 
 from .conftest import Configured, Tree, says
@@ -178,6 +178,25 @@ def test_without_a_config_the_devices_that_are_there_are_tried(tree: Tree, port:
     port.chmod(0o600)
     findings = list(devices.found_devices(tree.machine))
     assert says(findings, Verdict.WRONG, "somebody may not open it").subject == "serial /dev/ttyUSB0"
+
+
+def test_without_a_config_on_board_ports_are_tried_that_have_a_uart(tree: Tree, terminal: Path) -> None:
+    terminal.chmod(0o600)
+    for number, kind in ((0, 4), (1, 0), (2, None)):
+        tree.link(f"/dev/ttyS{number}", terminal)
+        if kind is not None:  # older kernels show it to root alone
+            tree.write(f"/sys/class/tty/ttyS{number}/type", kind)
+    findings = list(devices.found_devices(tree.machine))
+    tried = [finding.subject for finding in findings if finding.verdict is Verdict.WRONG]
+    assert tried == ["serial /dev/ttyS0", "serial /dev/ttyS2"]
+
+
+def test_where_no_device_is_nothing_is_called_good(tree: Tree) -> None:
+    findings = list(devices.found_devices(tree.machine))
+    assert [(finding.subject, finding.verdict) for finding in findings] == [
+        (what, Verdict.SKIPPED) for what in ("serial", "camera", "gpio")
+    ]
+    assert in_lines(findings)[-1] == "0 wrong, 0 could be better, 0 good, 3 skipped"
 
 
 def test_one_port_by_two_of_its_names(tree: Tree, configured: Configured, port: Path) -> None:

@@ -8,6 +8,8 @@ import socket
 import pytest
 
 from altd.config import Config
+from altd.devices.aravis import gvcp_client
+from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.doctor import network
 from altd.doctor.finding import Finding, Verdict
 from altd.doctor.machine import Account, Machine
@@ -18,7 +20,7 @@ ROUTES = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT
 
 
 @pytest.fixture
-def computer(tree: Tree) -> Tree:
+def computer(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> Tree:
     """A computer with one good network interface for a camera at 192.168.77.x, and one to the world."""
     tree.write(
         "/proc/net/route",
@@ -28,6 +30,9 @@ def computer(tree: Tree) -> Tree:
     )
     interface(tree, "eth0")
     interface(tree, "eth1")
+    monkeypatch.setattr(gvcp_client, "discover_at", lambda address, _: camera(address))
+    monkeypatch.setattr(gvcp_client, "discover", lambda _: [camera(name="Maker-1234")])
+    monkeypatch.setattr(gvcp_client, "control_privilege", lambda *_: 0)
     tree.write("/proc/sys/net/core/rmem_max", 4194304)
     tree.write("/proc/sys/net/ipv4/conf/all/rp_filter", 1)
     return tree
@@ -43,6 +48,10 @@ def gige(configured: Configured, device: str = "192.168.77.20", **fields: object
     return configured(cameras={"front": camera, "rear": camera})
 
 
+def camera(address: str = "192.168.77.20", name: str = "") -> DiscoveredCamera:
+    return DiscoveredCamera(address, "Maker", "M1", "1234", name)
+
+
 def found(config: Config, tree: Tree) -> list[Finding]:
     return list(dict.fromkeys(network.gige_cameras(config, tree.machine)))
 
@@ -50,6 +59,57 @@ def found(config: Config, tree: Tree) -> list[Finding]:
 def test_a_good_network(computer: Tree, configured: Configured) -> None:
     findings = network.gige_cameras(gige(configured), computer.machine)
     assert {finding.verdict for finding in findings} == {Verdict.GOOD}
+
+
+def test_a_camera_that_is_off_is_wrong(
+    computer: Tree, configured: Configured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    elsewhere = f"127.98.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
+    config = configured(
+        cameras={name: {"driver": "aravis", "device": elsewhere} for name in ("front", "rear")}
+    )
+    findings = found(config, computer)
+    wrong = [finding for finding in findings if finding.verdict is Verdict.WRONG]
+    assert [(finding.subject, finding.text) for finding in wrong] == [
+        (f"camera {name} {elsewhere}", "no GigE Vision camera answers") for name in ("front", "rear")
+    ]
+    assert "altd devices" in wrong[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("device", "there", "privilege", "process", "verdict", "words"),
+    [
+        ("192.168.77.20", [camera()], 0, "", Verdict.GOOD, "Maker M1 at 192.168.77.20 answers"),
+        ("front-eye", [camera(name="front-eye")], 0, "", Verdict.GOOD, "answers"),
+        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0run\0", Verdict.GOOD, "altd has it"),
+        ("192.168.77.20", [camera()], 2, "/opt/altd/bin/altd\0doctor\0", Verdict.WRONG, "another program"),
+        ("192.168.77.20", [camera()], 2, "/usr/bin/arv-viewer\0", Verdict.WRONG, "another program"),
+        ("192.168.77.20", [camera()], None, "", Verdict.WRONG, "does not tell"),
+        ("192.168.77.20", [], 0, "", Verdict.WRONG, "no GigE Vision camera answers"),
+        ("front-eye", [camera(name="other")], 0, "", Verdict.WRONG, "no GigE Vision camera answers"),
+        ("eye", [camera(name="eye"), camera("10.1.2.3", "eye")], 0, "", Verdict.WRONG, "2 cameras have this"),
+    ],
+)
+def test_what_a_camera_itself_says(
+    computer: Tree,
+    configured: Configured,
+    monkeypatch: pytest.MonkeyPatch,
+    device: str,
+    there: list[DiscoveredCamera],
+    privilege: int | None,
+    process: str,
+    verdict: Verdict,
+    words: str,
+) -> None:
+    monkeypatch.setattr(gvcp_client, "discover_at", lambda *_: there[0] if there else None)
+    monkeypatch.setattr(gvcp_client, "discover", lambda _: there)
+    monkeypatch.setattr(gvcp_client, "control_privilege", lambda *_: privilege)
+    computer.write("/proc/77/cmdline", process)
+    findings = [
+        one for one in found(gige(configured, device), computer) if one.subject.startswith("camera front")
+    ]
+    assert says(findings[-1:], verdict, words)
 
 
 def test_a_slow_link(computer: Tree, configured: Configured) -> None:

@@ -33,6 +33,8 @@ def test_items_of_one_sequence_become_one_exposure_whichever_comes_first() -> No
 
 def test_a_frame_whose_partner_was_lost_comes_out_before_the_next_whole_exposure() -> None:
     p = pairer()
+    for camera in ("front", "rear"):
+        p.add(camera, 0, -PERIOD, "x")
     p.add("front", 1, 0, "f1")
     p.add("front", 2, PERIOD, "f2")
     pairs = p.add("rear", 2, PERIOD, "r2")
@@ -51,6 +53,62 @@ def test_a_camera_that_stops_is_silent_from_its_first_missing_frame_on() -> None
     p.add("rear", 0, 0, "r")
     out = [pair for n in range(20) for pair in p.add("front", n, n * PERIOD, "f")]
     assert [pair.missing.get("rear") for pair in out] == [None] + [Reason.CAMERA_SILENT] * (len(out) - 1)
+
+
+@pytest.mark.parametrize("by", ["sequence", "time"])
+@pytest.mark.parametrize("pause", [range(2), range(7), range(20, 40)], ids=["2 late", "7 late", "returns"])
+@pytest.mark.parametrize("of", ["front", "rear"])
+def test_a_camera_that_begins_to_deliver_was_silent_before_not_out_of_step(
+    by: str, pause: range, of: str
+) -> None:
+    p = pairer(by)
+    out = []
+    for n in range(60):
+        for camera in ("front", "rear"):
+            if camera != of or n not in pause:
+                out += p.add(camera, n, n * PERIOD, n)
+    assert {reason for pair in out for reason in pair.missing.values()} == {Reason.CAMERA_SILENT}
+    assert p.lost_pairs == sum(bool(pair.missing) for pair in out) == len(pause)
+
+
+@pytest.mark.parametrize("of", ["front", "rear"])
+@pytest.mark.parametrize("late", [1, 2, 7, 500])
+def test_by_time_the_numbers_go_on_when_a_camera_begins_later_than_the_other(of: str, late: int) -> None:
+    p = pairer("time")
+    out = []
+    for n in range(late + 20):
+        for camera in ("front", "rear"):
+            if camera != of:
+                out += p.add(camera, n, n * PERIOD, n)
+            elif n >= late:
+                out += p.add(camera, n - late, n * PERIOD, n)
+    assert [pair.sequence for pair in out] == list(range(late + 20))
+
+
+def test_by_time_no_number_comes_twice_when_cameras_leave_out_exposures_that_they_do_not_count() -> None:
+    p = pairer("time")
+    left_out = {"front": {5, 12}, "rear": {6, 11, 13}}
+    out = []
+    for n in range(30):
+        for camera, without in left_out.items():
+            if n not in without:
+                number = n - sum(left < n for left in without)
+                out += p.add(camera, number, n * PERIOD, "x")
+    numbers = [pair.sequence for pair in out]
+    assert numbers == sorted(set(numbers))
+    assert p.lost_pairs == 5
+
+
+def test_pairs_are_lost_by_one_frame_by_both_and_by_their_times() -> None:
+    p = pairer()
+    without = {3: ("front",), 5: ("front", "rear"), 6: ("front", "rear")}
+    lost = []
+    for n in range(10):
+        for camera in ("front", "rear"):
+            if camera not in without.get(n, ()):
+                p.add(camera, n, n * PERIOD + 11 * MS * (camera == "rear" and n == 8), "x")
+        lost.append(p.lost_pairs)
+    assert lost == [0, 0, 0, 0, 1, 1, 1, 3, 4, 4]
 
 
 def test_equal_numbers_at_different_times_are_out_of_step() -> None:
@@ -127,8 +185,7 @@ def test_by_time_a_camera_that_is_started_anew_has_a_lag_of_its_own() -> None:
 
 def test_by_time_a_lag_beyond_what_is_allowed_is_out_of_step() -> None:
     pairs = free_running(pairer("time"), lambda n: 40.0, period_ms=100.0)
-    assert pairs
-    assert {reason for pair in pairs for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
+    assert {reason for pair in pairs[1:] for reason in pair.missing.values()} == {Reason.OUT_OF_STEP}
     assert not any(whole(pairs))
 
 

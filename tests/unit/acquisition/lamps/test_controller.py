@@ -8,7 +8,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 
 import pytest
-from support.clock import stop
+from support.clock import FakeClock, stop
 
 from altd.acquisition.lamps import controller
 from altd.acquisition.lamps.frame_leds import FrameLamps
@@ -181,6 +181,25 @@ async def test_a_driver_that_hangs_does_not_hold_the_loop_and_is_used_again_once
     await becomes(lambda: component.state is State.OK)
     await lamps.switch(True)
     assert leds.lit
+
+
+async def test_lamps_on_cameras_are_opened_after_each_of_them_has_delivered_or_failed(
+    leds: Leds, component: Component, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = FakeClock()
+    front, rear = Component("camera front", clock), Component("camera rear", clock)
+    lamps = FrameLamps(leds, component, clock)
+    task = asyncio.create_task(lamps.run([front, rear]))
+    await clock.advance(30)
+    front.set_state(State.OK)
+    await clock.advance(30)
+    assert (leds.opened, component.state, lamps.is_starting) == (0, State.STARTING, True)
+    rear.set_state(State.FAILED)
+    await clock.advance(1)
+    await becomes(lambda: component.state is State.OK)
+    assert (leds.opened, lamps.is_starting) == (1, False)
+    assert not caplog.records
+    await stop(task)
 
 
 async def test_a_driver_that_hangs_does_not_hold_the_end(

@@ -74,6 +74,18 @@ async def test_exposures_during_a_change_are_not_taken() -> None:
     assert not any(frame.changing for frame in frames)
 
 
+@pytest.mark.parametrize("exposures_before", [2, 5, 8], ids=["before the LEDs", "under them", "after them"])
+async def test_a_check_starts_over_when_the_exposure_is_set_meanwhile(exposures_before: int) -> None:
+    bench = Bench()
+    await bench.expose(exposures_before)
+    bench.cameras.exposure_ms = 1.4
+    await bench.expose(30)
+    found = await bench.task
+    frames = [f for of in (found.before, found.lit, found.after) for each in of.values() for f in each]
+    assert {frame.exposure_ms for frame in frames} == {1.4}
+    assert bench.leds.switched == [True, False] * 2
+
+
 async def test_a_camera_that_falls_silent_under_leds_ends_the_check_and_the_light() -> None:
     bench = Bench()
     await bench.expose(5)

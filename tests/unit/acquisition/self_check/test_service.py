@@ -65,11 +65,12 @@ class Running:
             parts, dict(zip(CAMERAS, CAMERAS, strict=True)), self.desk, component, self.clock
         )
         self.exposer = Exposer(self.clock, has_begun, found is not None)
+        self.lamps: Any = SimpleNamespace(complaint="", is_starting=False)
 
     async def __aenter__(self) -> Running:
         marked = {light: dict.fromkeys(CAMERAS, 0) for light in (Light.ON, Light.SWITCHED)}
-        lamps, frames = SimpleNamespace(complaint=""), SimpleNamespace(marked=marked)
-        self._task = asyncio.create_task(self.checks.run(self.exposer, lamps, frames))  # type: ignore[arg-type]
+        frames: Any = SimpleNamespace(marked=marked)
+        self._task = asyncio.create_task(self.checks.run(self.exposer, self.lamps, frames))  # type: ignore[arg-type]
         await settle()
         return self
 
@@ -89,6 +90,19 @@ class Running:
         measurement = self.checks.pass_on(measured())
         assert measurement is not None
         return measurement.valid, [str(fault) for fault in measurement.status]
+
+
+@pytest.mark.parametrize(("is_starting", "asked_s"), [(True, 60.0), (False, 3.0)])
+async def test_the_first_check_waits_for_lamps_that_start_and_not_for_those_that_failed(
+    is_starting: bool, asked_s: float
+) -> None:
+    running = Running(has_begun=True)
+    running.lamps = SimpleNamespace(complaint="not open", is_starting=is_starting)
+    async with running:
+        await running.clock.advance(59.95)
+        running.lamps.complaint = ""
+        await running.clock.advance(1.0)
+        assert running.exposer.asked_s[0] == pytest.approx(asked_s, abs=0.01)
 
 
 @pytest.mark.parametrize("cause", [Cause.REQUEST, Cause.SHOCK, None])

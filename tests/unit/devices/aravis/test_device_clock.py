@@ -41,6 +41,29 @@ class TestDeviceClock:
         assert max(settled) - min(settled) < 0.1 * MS
         assert np.std([received - true for true, received, _ in rows]) > 5 * MS
 
+    @pytest.mark.parametrize(
+        ("late_ms", "known_from"),
+        [
+            ([0.0] * 6, 5),
+            ([0.5, 0.0, 1.5, 0.0, 1.0, 0.3], 5),
+            ([28.4, 0.0, 12.0, 15.0, 8.0, 0.2, 3.0], 6),
+            ([26.4, 19.7, 15.7, 16.1, 7.8, 2.9, 12.6, 6.0, 13.0, 38.0, 28.0], 10),
+            ([60.0, 50.0, 40.0, 30.0, 20.0, 10.0, 0.0] + [0.0] * 5, 11),
+            ([100.0 - 4 * n for n in range(24)], 22),
+        ],
+        ids=["quiet", "jitter", "first late", "falling", "falling fast", "falling for a second"],
+    )
+    def test_is_known_once_frames_no_longer_come_less_late(
+        self, late_ms: list[float], known_from: int
+    ) -> None:
+        clock, known = DeviceClock(), []
+        for true, late in zip(exposures(2), late_ms, strict=False):
+            mapped = clock.host_ns(true - BOOTED, true + round(late * MS))
+            known.append(clock.known)
+            assert mapped is not None
+        assert known == [n >= known_from for n in range(len(late_ms))]
+        assert mapped - true <= (min(late_ms) + 2) * MS
+
     @pytest.mark.parametrize("ppm", [-100, 100])
     def test_follows_a_clock_that_drifts(self, ppm: int) -> None:
         clock = DeviceClock()
