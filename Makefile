@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
@@ -22,7 +22,13 @@ HOSTILE ?= 100000
 SPRAY_S ?= 600
 # Workers of the tests: more than cores, for some tests wait; those with limits of real time get a core each.
 cores := $(shell nproc)
-unit_tests := $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile --timeout 60 tests/unit
+side_by_side := --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile
+pytest := $(python) -m pytest
+# The tests of tests/system that `make test` runs too: the main line, from frames to numbers, and bad files.
+core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config history/test_crash.py \
+    mapping/test_monte_carlo.py measuring/test_chain_lies.py measuring/test_synchrony.py recording \
+    test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
+core := tests/unit $(core_system) -m 'not real_time and not alone and not own_network'
 
 # Pages of docs/ and the modules that write them.
 pages := \
@@ -40,7 +46,7 @@ pages := \
     licences:tools.licences.licence_page
 
 help:
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
 
 demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
 	@exec $(python) -m hw_sim demo
@@ -48,24 +54,32 @@ demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige
 
-unit: venv ## the quick tests, on all cores: two minutes on two
-	@exec $(unit_tests)
+unit: venv ## the tests within one process, on all cores: two minutes on two
+	@exec $(pytest) $(side_by_side) tests/unit
 
-test: programs venv kernel ## all tests: the quick ones, the others, one a core those with limits of real time, some alone
+test: venv ## the tests that need Python alone: five minutes on two cores, set-up included
+	@$(pytest) $(side_by_side) $(core)
+	echo "make test-all adds: real kernel drivers, Aravis, Chromium, systemd, foreign clients, real time, and the longer tests."
+
+test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
 	@trap 'exit 130' INT
 	failed=
 	part() { # NAME COMMAND...
 	    printf '\n== %s\n' "$$1"
 	    "$${@:2}" || failed+=" $$1"
 	}
-	part unit $(unit_tests)
-	part system $(python) -m pytest --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile -m 'not real_time and not alone' tests/system
-	part real-time $(python) -m pytest --numprocesses $(cores) --dist loadfile -m 'real_time and not alone' tests/system
-	part alone $(python) -m pytest -m alone tests/system
+	part core $(pytest) $(side_by_side) $(core)
+	part system $(pytest) $(side_by_side) -m 'not real_time and not alone' $(addprefix --ignore=,$(core_system)) tests/system
+	part real-time $(pytest) --numprocesses $(cores) --dist loadfile -m 'real_time and not alone' tests/system
+	part alone $(pytest) -m alone tests/system
 	[[ -z $$failed ]] || { echo "altd: tests failed:$$failed" >&2; exit 1; }
 
-fuzz: programs venv ## ever new inputs on every face and file format; FUZZ_S=60 for a minute each, TARGET=name for one
-	@PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
+test-workshop: programs venv ## the tests of benchmarks, studies and tools, to be run when one of these changes
+	@exec $(pytest) $(side_by_side) tests/workshop
+
+fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
+	@$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit
+	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
 check: venv ## style, types, layers, licences, generated pages, width of pages
 	@$(python) -m ruff check
