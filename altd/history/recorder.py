@@ -118,6 +118,8 @@ class HistoryRecorder:
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
             self._tell(f"a defect: {type(error).__name__}: {error}")
             return True
+        finally:
+            del writing, batch  # an error that came in it refers to this frame
         self._backoff_s = WRITE_INTERVAL_S
         if took_s >= SLOW_S + 2 * WRITE_INTERVAL_S:
             self._tell(f"the disk is slow: the last second took {took_s:.1f} s to write")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import shutil
 import threading
 import time
@@ -125,6 +126,25 @@ async def test_a_clock_that_is_set_is_an_event_and_begins_an_epoch(tmp_path: Pat
         told = [event.text for event in reader.events(0, 2**62, ["clock"])]
     assert len(told) == 2
     assert all(text.startswith("the time of day was set by ") for text in told)
+
+
+async def test_what_a_full_disk_refuses_is_let_go_without_the_garbage_collector(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> Written:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "write", refuse)
+    async with Recording(tmp_path) as recording:
+        gc.collect()
+        gc.disable()
+        try:
+            await recording.pass_time(60.0, rate=5)
+            held = [each for each in gc.get_objects() if isinstance(each, Batch)]
+        finally:
+            gc.enable()
+        assert recording.component.state is State.DEGRADED
+        assert len(held) <= 1, "that which is under way"
 
 
 async def test_a_disk_that_goes_and_comes_back_costs_history_only(tmp_path: Path) -> None:
