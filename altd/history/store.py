@@ -315,7 +315,7 @@ class _OpenStore:
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             (self.epochs.number, t_us, *about, text, held_back),
         )
-        self.retention.events += 1
+        self.retention.events[str(about[1])] += 1
 
 
 class _transaction:  # noqa: N801  used as a statement

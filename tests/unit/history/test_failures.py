@@ -318,9 +318,9 @@ def test_where_its_permissions_cannot_be_changed_an_event_says_so(
     (tmp_path / "history.db").touch(0o644)
     monkeypatch.setattr(Path, "chmod", refuse)
     writing = store(tmp_path)
-    (notice,) = writing.write(batch(START_S + 1)).notices
+    texts = [notice.text for notice in writing.write(batch(START_S + 1)).notices]
     writing.end(None)
-    assert notice.text.startswith("others may read the history")
+    assert texts[1].startswith("others may read the history")
 
 
 def test_a_batch_that_was_refused_is_taken_whole_the_next_time(tmp_path: Path) -> None:
