@@ -315,7 +315,8 @@ def test_where_its_permissions_cannot_be_changed_an_event_says_so(
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
-    (tmp_path / "history.db").touch(0o644)
+    (tmp_path / "history.db").touch()
+    (tmp_path / "history.db").chmod(0o644)
     monkeypatch.setattr(Path, "chmod", refuse)
     writing = store(tmp_path)
     texts = [notice.text for notice in writing.write(batch(START_S + 1)).notices]
