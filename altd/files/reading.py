@@ -22,18 +22,19 @@ _KINDS = {
 }
 
 
-def read_file(path: Path, largest_bytes: int) -> bytes:
+def read_file(path: Path, largest_bytes: int, folder: int | None = None) -> bytes:
     """The content of a regular file, not more than ``largest_bytes``.
 
-    Raises BadInputError, also when the file changed while it was read: then it is neither the old one nor the
-    new one.
+    With ``folder``, the descriptor of an open one, ``path`` is a name in it, and a link is no file. Raises
+    BadInputError, also when the file changed while it was read: then it is neither the old one nor the new
+    one.
     """
-    return b"".join(read_pieces(path, largest_bytes))
+    return b"".join(read_pieces(path, largest_bytes, folder))
 
 
-def read_pieces(path: Path, largest_bytes: int) -> Iterator[bytes]:
+def read_pieces(path: Path, largest_bytes: int, folder: int | None = None) -> Iterator[bytes]:
     """The same piece by piece; that the file changed meanwhile is said after the last one."""
-    with _opened(path) as descriptor:
+    with _opened(path, folder) as descriptor:
         before = os.fstat(descriptor)
         if before.st_size > largest_bytes:
             raise BadInputError(path, f"is {before.st_size} bytes long, more than {largest_bytes}")
@@ -69,11 +70,12 @@ def kind_of(mode: int) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[int]:
+def _opened(path: Path, folder: int | None = None) -> Iterator[int]:
     """A descriptor of a regular file. Anything else is not even opened: a device may act on it."""
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
     try:
-        _check_regular(path, path.stat().st_mode)
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        _check_regular(path, os.stat(path, dir_fd=folder, follow_symlinks=folder is None).st_mode)
+        descriptor = os.open(path, flags if folder is None else flags | os.O_NOFOLLOW, dir_fd=folder)
         try:
             _check_regular(path, os.fstat(descriptor).st_mode)  # it may be another file by now
             yield descriptor

@@ -7,7 +7,7 @@ import os
 import sqlite3
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import quote
@@ -31,6 +31,9 @@ MAX_FILES_ASIDE = 3
 
 DAMAGED, FOREIGN = "damaged", "of-another-unit"
 """What was moved aside, in its name."""
+
+_MODE = 0o600
+"""Of the file and what SQLite keeps beside it, whatever the umask: it names who asked for what."""
 
 _BUSY_TIMEOUT_S = 0.2
 _MAX_VALUE_BYTES = 1 << 20
@@ -70,7 +73,8 @@ def open_to_write(path: Path) -> sqlite3.Connection:
     check_folder(path)
     if os.path.lexists(path):
         _check_regular(path)
-    connection = _connected(path, "rwc")
+    _make_private(path)
+    connection = _connected(path, "rw")
     try:
         version = version_of(connection)
         if version == 0:
@@ -87,6 +91,21 @@ def open_to_write(path: Path) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def is_private(path: Path) -> bool:
+    """Whether its owner alone may read and write a history."""
+    return not stat.S_IMODE(path.stat().st_mode) & ~_MODE
+
+
+def _make_private(path: Path) -> None:
+    """For its owner alone: what is there, and the file itself, which is made where it is not."""
+    with suppress(FileExistsError):
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, _MODE))
+    for each in (path, *(path.with_name(path.name + ending) for ending in _BESIDE)):
+        if each.exists() and not is_private(each):
+            with suppress(PermissionError):  # of another owner, or of a file system without permissions
+                each.chmod(_MODE)
 
 
 def check_pages(connection: sqlite3.Connection) -> None:

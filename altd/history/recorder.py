@@ -54,7 +54,9 @@ class HistoryRecorder:
         self._component = component
         self._clock = clock
         self._items: deque[Item] = deque()
+        self._events_written = 0
         self._events_taken = 0
+        self._events_lost = 0
         self._offset_us: int | None = None
         self._writing: asyncio.Task[Written] | None = None
         self._written: Batch | None = None
@@ -115,9 +117,15 @@ class HistoryRecorder:
             return True
         except Exception as error:  # whatever is wrong with it, it must not end the measurement
             log.exception("history: a defect")
+            self._events_written = self._events_taken
             self._retry_ns = now_ns + round(_MAX_BACKOFF_S * 1e9)
             self._tell(f"a defect: {type(error).__name__}: {error}")
             return True
+        finally:
+            del writing, batch  # an error that came in it refers to this frame
+        self._events_written = self._events_taken
+        if self._events_lost:
+            self._component.count("events_lost", self._events_lost)
         self._backoff_s = WRITE_INTERVAL_S
         if took_s >= SLOW_S + 2 * WRITE_INTERVAL_S:
             self._tell(f"the disk is slow: the last second took {took_s:.1f} s to write")
@@ -130,18 +138,14 @@ class HistoryRecorder:
 
     def _next_batch(self, now_ns: int) -> Batch:
         items, self._items = self._items, deque()
-        events = self._log.after(self._events_taken)
-        if events:
-            if missing := events[0].number - self._events_taken - 1:
-                self._component.count("events_lost", missing)
-            self._events_taken = events[-1].number
+        events = self._log.after(self._events_written)
+        self._events_taken = events[-1].number if events else self._events_written
+        self._events_lost = self._events_taken - self._events_written - len(events)
         return Batch(now_ns, self._wall_us(), items, [event for event in events if not event.is_recorded])
 
     def _put_back(self, batch: Batch | None) -> None:
         if batch is None:
             return
-        if batch.events:
-            self._events_taken = batch.events[0].number - 1
         self._items.extendleft(reversed(batch.items))
         self._limit()
 

@@ -7,15 +7,20 @@ push out what was measured since nor stay for ever.
 from __future__ import annotations
 
 import sqlite3
+from collections import Counter
 from dataclasses import dataclass
 
 from altd.history.schema import HOURS, MINUTES, ROWS_PER_SPAN, SECONDS, SUMMARIES, SummaryTable
+from altd.status.event_log import ASKED
 
 MEASUREMENTS_S = 3600
 MAX_MEASUREMENTS = 400_000
 """An hour of 110 a second; of more a second it is less than an hour."""
 
 MAX_EVENTS = 100_000
+MAX_ASKED_EVENTS = 10_000
+"""Of each kind that anybody on the network can bring about."""
+
 _ROWS_AT_ONCE = 2000
 _EVENTS_AT_ONCE = 1000
 _MIN_SECONDS = 3600
@@ -43,16 +48,23 @@ class Retention:
         sums = ", ".join(f"coalesce(sum({table.name}), 0)" for table in SUMMARIES)
         counts = connection.execute(f"SELECT {sums} FROM epochs").fetchone()  # noqa: S608
         self.rows = {table.name: int(count) for table, count in zip(SUMMARIES, counts, strict=True)}
-        (self.events,) = connection.execute("SELECT count(*) FROM events").fetchone()
+        self.events = Counter[str](
+            dict(connection.execute("SELECT kind, count(*) FROM events GROUP BY kind"))
+        )
+        """How many events there are, by kind."""
 
     def apply(self, epoch: int, epoch_age_s: float, now_us: int) -> list[Deleted]:
         """Delete what is due, within the transaction of a batch; returns what is not of age."""
         self._delete_measurements(epoch, epoch_age_s, now_us)
         if SECONDS.max_rows is not None and self.rows[SECONDS.name] > SECONDS.max_rows:
             self._delete_oldest(SECONDS, self.rows[SECONDS.name] - SECONDS.max_rows)
-        deleted = []
-        if self.events > MAX_EVENTS:
-            deleted.append(self._delete_events())
+        deleted: list[Deleted] = []
+        too_many = [kind for kind in sorted(ASKED) if self.events[kind] > MAX_ASKED_EVENTS]
+        deleted += [
+            Deleted(f"{kind} events", self._delete_events("WHERE kind = ?", kind)) for kind in too_many
+        ]
+        if self.events.total() > MAX_EVENTS:
+            deleted.append(Deleted("events", self._delete_events()))
         if self.used_bytes() > self._max_bytes:
             deleted += self._delete_for_room()
         return deleted
@@ -114,10 +126,11 @@ class Retention:
         self.rows[table.name] -= counted
         return gone
 
-    def _delete_events(self) -> Deleted:
+    def _delete_events(self, where: str = "", *values: str) -> int:
         gone = self._connection.execute(
-            "DELETE FROM events WHERE id IN (SELECT id FROM events ORDER BY severity, id LIMIT ?)",
-            (_EVENTS_AT_ONCE,),
-        ).rowcount
-        self.events -= gone
-        return Deleted("events", gone)
+            f"DELETE FROM events WHERE id IN (SELECT id FROM events {where} ORDER BY severity, id LIMIT ?) "  # noqa: S608
+            "RETURNING kind",
+            (*values, _EVENTS_AT_ONCE),
+        ).fetchall()
+        self.events.subtract(kind for (kind,) in gone)
+        return len(gone)

@@ -92,6 +92,10 @@ class DamagedFileError(UnusableFileError):
     """A file that was a history, or may have been, and cannot be read any more."""
 
 
+class TouchedFileError(UnusableFileError):
+    """A history that somebody else replaced, deleted or wrote into while it was open."""
+
+
 class NewerFileError(UnusableFileError):
     """A history of a newer program."""
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import sqlite3
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,12 +17,20 @@ from altd.history.columns_in_file import prepare_columns
 from altd.history.epochs import Epochs
 from altd.history.facts import changed_facts, check_unit
 from altd.history.lock import WriteLock
-from altd.history.opening import check_folder, check_pages, damage_told, open_to_write, set_aside
+from altd.history.opening import (
+    check_folder,
+    check_pages,
+    damage_told,
+    is_private,
+    open_to_write,
+    set_aside,
+)
 from altd.history.reasons import Reasons
 from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,
     SUMMARIES,
+    TouchedFileError,
     UnusableFileError,
     column_name,
 )
@@ -60,12 +70,15 @@ class Store:
         try:
             if self._open is None:
                 self._open = self._opened(batch)
-            self._open.write(batch)
+            used_bytes = self._open.write(batch)
             notices, self._untold = [*self._untold, *self._open.take_notices()], []
-            return Written(notices, self._open.retention.used_bytes(), self._open.log_bytes())
+            return Written(notices, used_bytes, self._open.log_bytes())
         except (OSError, sqlite3.Error, UnusableFileError) as error:
             self._close_file()
             self._set_aside(error)
+            if isinstance(error, TouchedFileError):
+                self._was_open = False  # its pages are looked at before it is believed again
+                self._unwritten.append(Notice(EventKind.HISTORY, f"the history {error}"))
             raise
         except BaseException:  # a defect: what is summed up so far is not believed either
             self._close_file()
@@ -90,7 +103,7 @@ class Store:
     def _opened(self, batch: Batch) -> _OpenStore:
         check_folder(self.path)
         self._lock = WriteLock(self.path)
-        is_new = not self.path.exists()
+        is_new = not self.path.exists() or not self.path.stat().st_size
         with damage_told():
             connection = open_to_write(self.path)
         try:
@@ -130,7 +143,7 @@ class _OpenStore:
         self._connection = connection
         self._path = path
         self._about = about
-        self._identity = _identity(path)
+        self._touched = _touched(path)
         self._notices: list[Notice] = []
         self._told: set[str] = set()
         self.epochs = Epochs(connection)
@@ -166,10 +179,11 @@ class _OpenStore:
             self.epochs.begin("start" if is_restart else "reopened", first_us, batch.monotonic_ns)
             for notice in self._notices:
                 self._add_notice(notice, first_us)
+        self._touched = _touched(self._path)
         self._new_spans()
 
-    def write(self, batch: Batch) -> None:
-        """Write a batch in one transaction."""
+    def write(self, batch: Batch) -> int:
+        """Write a batch in one transaction; returns the bytes of the pages that are in use."""
         self._check_place()
         with _transaction(self._connection):
             for item in batch.items:
@@ -188,6 +202,9 @@ class _OpenStore:
                     self._notices.append(Notice(EventKind.HISTORY, text, {"rows": deleted.rows}))
                     self._add_notice(self._notices[-1], batch.wall_us)
         self.retention.give_back()
+        used_bytes = self.retention.used_bytes()
+        self._touched = _touched(self._path)  # the last statement may have put the log into the file
+        return used_bytes
 
     def end(self, wall_us: int) -> None:
         """Mark the epoch as ended."""
@@ -214,9 +231,11 @@ class _OpenStore:
             return
 
     def _check_place(self) -> None:
-        """The file that is open still has its name, and its write-ahead log is not held by a reader."""
-        if _identity(self._path) != self._identity:
-            raise UnusableFileError("the file was replaced or deleted while it was open")
+        """The files are as the last batch left them, and a reader does not hold the write-ahead log."""
+        if _touched(self._path) != self._touched:
+            with suppress(sqlite3.Error):  # a file that was moved is whole, and its log gets into no other
+                self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+            raise TouchedFileError("was replaced, deleted or written by another program while it was open")
         if self.log_bytes() > MAX_LOG_BYTES:
             busy, _, _ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             if busy:
@@ -296,7 +315,7 @@ class _OpenStore:
             "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
             (self.epochs.number, t_us, *about, text, held_back),
         )
-        self.retention.events += 1
+        self.retention.events[str(about[1])] += 1
 
 
 class _transaction:  # noqa: N801  used as a statement
@@ -324,12 +343,28 @@ def _detail_text(detail: Mapping[str, object]) -> str | None:
 
 
 def _begun(path: Path, is_new: bool) -> list[Notice]:
-    return [Notice(EventKind.HISTORY, "a new history was begun", {"file": str(path)})] if is_new else []
+    texts = ["a new history was begun"] if is_new else []
+    if not is_private(path):
+        texts.append("others may read the history, or write it: its permissions cannot be changed")
+    return [Notice(EventKind.HISTORY, text, {"file": str(path)}) for text in texts]
 
 
-def _identity(path: Path) -> tuple[int, int]:
-    found = path.stat()
-    return found.st_dev, found.st_ino
+def _touched(path: Path) -> tuple[object, ...]:
+    """What changes when a file of a history is replaced, deleted or written.
+
+    The index of the log is mapped into memory, also by who reads: there only which file it is.
+    """
+    files = (_stat(path), _stat(path.with_name(f"{path.name}-wal")))
+    index = _stat(path.with_name(f"{path.name}-shm"))
+    kept = [each and (each.st_dev, each.st_ino, each.st_size, each.st_mtime_ns) for each in files]
+    return (*kept, index and (index.st_dev, index.st_ino))
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None
 
 
 def _us_of(time: datetime) -> int:

@@ -33,7 +33,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
         except OSError as error:
             number = error.errno or errno.EINVAL
             raise OSError(number, f"{path}: {error.strerror or os.strerror(number)}") from error
-        made = path.lstat()
+        made = identity_at(path)
         try:
             path.chmod(MODE)  # before it listens: until then nobody can connect, whatever the umask
             listener.listen(BACKLOG)
@@ -41,8 +41,17 @@ def listening(path: Path) -> Iterator[socket.socket]:
             yield listener
         finally:
             with contextlib.suppress(OSError):
-                if (now := path.lstat()).st_ino == made.st_ino and now.st_dev == made.st_dev:
+                if identity_at(path) == made:
                     path.unlink()
+
+
+def identity_at(path: Path) -> tuple[int, int] | None:
+    """What tells the file at a path from any other while it is in use; None: there is none."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _make_room(path: Path) -> None:

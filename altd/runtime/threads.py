@@ -1,7 +1,8 @@
 """Blocking calls in threads; what comes of them is settled in the event loop.
 
 A call that never comes back holds its thread and nobody else: neither the loop nor the end of the process,
-which a thread of ``asyncio.to_thread`` would hold.
+which a thread of ``asyncio.to_thread`` would hold. Nothing here keeps what a call had in hand, not even after
+it has failed: frames take megabytes, and the garbage collector may not look for hours.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import queue
 import threading
+import traceback
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -40,11 +42,14 @@ class DeviceThread:
         """
         result: asyncio.Future[Result] = asyncio.get_running_loop().create_future()
         result.add_done_callback(self._came_back)
-        async with asyncio.timeout(within_s):
-            await self._idle.wait()
-            self._idle.clear()
-            self._calls.put(partial(self._call, result, partial(function, *arguments)))
-            return await asyncio.shield(result)
+        try:
+            async with asyncio.timeout(within_s):
+                await self._idle.wait()
+                self._idle.clear()
+                self._calls.put(partial(_settle, result, partial(function, *arguments), self._end_soon))
+                return await asyncio.shield(result)
+        finally:
+            del result, function, arguments  # an error that passes here refers to them, and they to it
 
     async def end(self, last: Callable[[], None], within_s: float) -> bool:
         """Call ``last`` after what is under way and end; False when the thread does not come back in time."""
@@ -62,23 +67,43 @@ class DeviceThread:
     def _run(self) -> None:
         while (call := self._calls.get()) is not None:
             call()
+            del call  # and what it has in hand, before the next one comes
 
-    def _call(self, result: asyncio.Future[Result], call: Callable[[], Result]) -> None:
-        if not _settle(result, call):
-            self._calls.put(None)
+    def _end_soon(self) -> None:
+        self._calls.put(None)
 
 
-def _settle(result: asyncio.Future[Result], call: Callable[[], Result]) -> bool:
-    """Make a call in this thread and give its result to the loop; False when the loop is closed.
+def _settle(
+    result: asyncio.Future[Result], call: Callable[[], Result], left: Callable[[], None] = lambda: None
+) -> None:
+    """Make a call in this thread and give its result to the loop; ``left`` is called when that is closed.
 
     A result that was cancelled meanwhile stays so.
     """
     try:
-        settle = partial(result.set_result, call())
+        give = partial(result.set_result, call())
     except BaseException as error:
-        settle = partial(result.set_exception, error)
+        give = partial(result.set_exception, _without_locals(error))
     try:
-        result.get_loop().call_soon_threadsafe(lambda: result.done() or settle())
+        result.get_loop().call_soon_threadsafe(_unless_done, result, give)
     except RuntimeError:  # the process is going down
-        return False
-    return True
+        left()
+    finally:
+        del result, call, give  # an error refers to the frames that it passed, and to this, which called them
+
+
+def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> None:
+    if not result.done():
+        give()
+
+
+def _without_locals(error: BaseException) -> BaseException:
+    """The error with the lines of its traceback, and without what the calls in it had in hand."""
+    chain, known = [error], {id(error)}
+    while chain:
+        link = chain.pop()
+        traceback.clear_frames(link.__traceback__)
+        behind = [each for each in (link.__cause__, link.__context__) if each and id(each) not in known]
+        known.update(map(id, behind))
+        chain += behind
+    return error

@@ -41,6 +41,8 @@ async def opened(settings: SerialPortSettings, limit: int, *, fresh: bool) -> As
     except asyncio.CancelledError:
         opening.add_done_callback(_close_unwanted)
         raise
+    finally:
+        del opening  # an error that came in it refers to this frame
     port = Port(device, limit, fresh)
     try:
         yield port

@@ -15,11 +15,17 @@ from altd.ports import Clock
 MAX_EVENTS = 1000
 """In memory; older ones are in the history alone."""
 
+MAX_ASKED_EVENTS = 250
+"""In memory beside them, of the kinds that anybody on the network can bring about."""
+
 MAX_OF_ONE_IN_WINDOW = 10
 """Events of one kind about one thing that are noted in ``WINDOW_S``; the others are counted."""
 
 MAX_IN_WINDOW = 200
 """Events of any kind in that time."""
+
+MAX_ASKED_IN_WINDOW = 50
+"""Beside them, of the kinds that anybody on the network can bring about."""
 
 WINDOW_S = 60.0
 MAX_TEXT_CHARACTERS = 500
@@ -58,6 +64,11 @@ class EventKind(StrEnum):
         kind._value_ = code
         kind.severity, kind.meaning = severity, meaning
         return kind
+
+
+ASKED = frozenset({EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK})
+"""What anybody on the network can bring about, again and again. It has bounds of its own, here and in the
+history: however often it comes, it takes the place of no state and no cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +115,14 @@ class EventLog:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._asked: deque[Event] = deque(maxlen=MAX_ASKED_EVENTS)
+        self._others: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._count = 0
         self._windows: dict[_Key, _Window] = {}
-        self._all = _Window(clock.monotonic_ns())
+        self._begun_ns = clock.monotonic_ns()
+        self._room: dict[bool, int] = {}
+        """How many more are noted in this time of what is asked for, and of the rest."""
+        self._make_room(self._begun_ns)
         self._changed = asyncio.Event()
 
     def note(
@@ -144,9 +159,10 @@ class EventLog:
 
     def _limit(self, event: Event) -> None:
         window = self._window_of((event.kind, event.of, event.detail.get("code")), event.t_ns)
-        if window.noted < MAX_OF_ONE_IN_WINDOW and self._all.noted < MAX_IN_WINDOW:
+        is_asked = event.kind in ASKED
+        if window.noted < MAX_OF_ONE_IN_WINDOW and self._room[is_asked]:
             window.noted += 1
-            self._all.noted += 1
+            self._room[is_asked] -= 1
             self._keep(event, window)
         else:
             window.held_back += 1
@@ -154,8 +170,8 @@ class EventLog:
 
     def release(self, now_ns: int) -> None:
         """Note what was held back where its time is over; called regularly, so that the last one comes."""
-        if now_ns - self._all.begun_ns >= WINDOW_S * 1e9:
-            self._all = _Window(now_ns)
+        if now_ns - self._begun_ns >= WINDOW_S * 1e9:
+            self._make_room(now_ns)
         for key, window in list(self._windows.items()):
             if now_ns - window.begun_ns < WINDOW_S * 1e9:
                 continue
@@ -174,8 +190,10 @@ class EventLog:
 
     def after(self, number: int) -> list[Event]:
         """The events with a larger number that are still in memory, oldest first."""
-        missing = self._count - number
-        return list(self._events)[-missing:] if missing > 0 else []
+        if number >= self._count:
+            return []
+        events = sorted((*self._asked, *self._others), key=lambda event: event.number)
+        return [event for event in events if event.number > number]
 
     async def noted_after(self, number: int) -> int:
         """How many events were noted, once it is more than ``number``."""
@@ -183,14 +201,22 @@ class EventLog:
             await self._changed.wait()
         return self._count
 
+    def _make_room(self, now_ns: int) -> None:
+        self._begun_ns = now_ns
+        self._room = {True: MAX_ASKED_IN_WINDOW, False: MAX_IN_WINDOW}
+
     def _window_of(self, key: _Key, now_ns: int) -> _Window:
-        if key not in self._windows and len(self._windows) >= MAX_IN_WINDOW:
-            key = (key[0], None, None)  # names without end cost no memory without end
+        if key not in self._windows:
+            is_asked = key[0] in ASKED
+            alike = sum((kind in ASKED) is is_asked for kind, _, _ in self._windows)
+            if alike >= (MAX_ASKED_IN_WINDOW if is_asked else MAX_IN_WINDOW):
+                key = (key[0], None, None)  # names without end cost no memory without end
         return self._windows.setdefault(key, _Window(now_ns))
 
     def _keep(self, event: Event, window: _Window) -> None:
         self._count += 1
         held_back, window.held_back = window.held_back, 0
-        self._events.append(replace(event, number=self._count, held_back=held_back))
+        events = self._asked if event.kind in ASKED else self._others
+        events.append(replace(event, number=self._count, held_back=held_back))
         self._changed.set()
         self._changed = asyncio.Event()

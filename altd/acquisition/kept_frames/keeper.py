@@ -40,7 +40,7 @@ _READ_TIMEOUT_S = 10.0
 """A file is read in milliseconds."""
 _END_TIMEOUT_S = 1.0
 _MAX_WAITING = 4
-"""Recordings that are asked for or under way at a time."""
+"""Recordings that are asked for or under way at a time; only the one under way holds frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,10 +164,9 @@ class FrameKeeper:
     async def _keep(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
         if self._waiting >= _MAX_WAITING:
             raise NotKeptError(f"{self._waiting} recordings are being written already")
-        frames = self._source.ring.between(since_ns, until_ns)  # now: the ring goes on
         self._waiting += 1
         try:
-            kept = await self._on_disk(partial(self._write, why, frames))
+            kept = await self._on_disk(partial(self._write, why, since_ns, until_ns))
             self._recordings = await self._on_disk(self._store.recordings)
         except NotKeptError as error:
             self._component.count("not_kept")
@@ -182,8 +181,15 @@ class FrameKeeper:
         self.note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
         return kept
 
-    def _write(self, why: str, frames: deque[Frame]) -> KeptRecording:
-        """In a thread: pair the frames and write them."""
+    def _write(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:
+        """In the disk's thread: pair the frames and write them.
+
+        They are taken from the ring only here, so that no two recordings hold frames at a time.
+        """
+        ring = self._source.ring
+        frames = ring.between(since_ns, until_ns)
+        if not frames and ring.between(until_ns + 1, self._clock.monotonic_ns()):
+            raise NotKeptError("the disk was busy for so long that the frames are gone from memory")
         if not frames:
             raise NoExposureError("no frame came in the last seconds")
         start = self._clock.utc(frames[0].t_ns)

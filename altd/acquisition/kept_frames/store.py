@@ -9,13 +9,13 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from altd.errors import BadInputError
+from altd.errors import BadInputError, one_line
 from altd.files.documents import parse_json
 from altd.files.reading import read_file
 from altd.files.writing import replace_file
@@ -25,12 +25,20 @@ from altd.status.recording_desk import KeptRecording, NoExposureError, NotKeptEr
 
 _ABOUT_FILE = "kept.json"
 _MAX_ABOUT_BYTES = 4096
+_DAMAGED = f"unknown: {_ABOUT_FILE} is damaged"
 _UNDER_WAY = ".under-way-"
 _NAME = re.compile(r"[0-9A-Za-z_-]{1,120}")
 MIN_FREE_BYTES = 200 << 20
 """Left free on the disk, for the history and whatever else the unit writes."""
+_FILE = re.compile(r"(?:[0-9A-Za-z_-]{1,64}/)?[0-9A-Za-z_-][0-9A-Za-z_.-]{0,63}")
+"""A file of a recording; whatever else lies in its folder is none of it."""
+_MAX_FILE_BYTES = 64 << 20
+_MAX_WHY_CHARACTERS = 200
+_MAX_SECONDS = 1e6
+_MAX_NUMBER = 10**9
 _MAX_SAME_NAME = 100
 _BLOCK_BYTES = 4096
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
 """Of a file system without locks: there two daemons do not see each other."""
 
@@ -49,6 +57,9 @@ class RecordingStore:
     A recording is written beside the others and gets its name when it is whole; until then who writes it
     holds the lock of its folder (flock(2)), which ends with the process. Each has a number, by which the
     oldest is told: a clock that nobody set names the newest by a day of long ago.
+
+    What lies there is not trusted. A recording is a folder with a ``kept.json``; one that cannot be believed
+    costs what it says, not the recording. What a recording takes is counted, and no link is followed.
     """
 
     def __init__(self, folder: Path, max_bytes: int) -> None:
@@ -72,34 +83,37 @@ class RecordingStore:
     def folder_of(self, name: str) -> Path:
         """Where a recording lies; raises NotKeptError when there is none of that name."""
         path = self._folder / name
-        if not _NAME.fullmatch(name) or not (path / _ABOUT_FILE).is_file():
+        if not _NAME.fullmatch(name) or path.is_symlink() or not os.path.lexists(path / _ABOUT_FILE):
             raise NotKeptError("there is no such recording")
         return path
 
     def files(self, name: str) -> list[str]:
         """The files of a recording, by their paths in it, the header last; raises NotKeptError."""
         folder = self.folder_of(name)
-        files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-        names = (path.relative_to(folder).as_posix() for path in files)
-        return sorted(names, key=lambda name: (name == HEADER_FILE, name))
+        found = (entry.path for entry in _entries(folder) if entry.is_file(follow_symlinks=False))
+        names = (Path(path).relative_to(folder).as_posix() for path in found)
+        return sorted(filter(_FILE.fullmatch, names), key=lambda name: (name == HEADER_FILE, name))
 
     def content(self, name: str, file: str) -> bytes | None:
         """One of ``files``; None: it is gone."""
+        path = Path(name, file)
+        if not (_NAME.fullmatch(name) and _FILE.fullmatch(file)):
+            return None
         try:
-            return (self._folder / name / file).read_bytes()
-        except OSError:
+            with _entered(self._folder, path.parent) as folder:
+                return read_file(Path(path.name), _MAX_FILE_BYTES, folder)
+        except (BadInputError, OSError):
             return None
 
     def mark(self, name: str, is_marked: bool) -> KeptRecording:
         """Mark a recording, or take its mark away."""
         path = self.folder_of(name)
-        found = self._read(path)
-        if found is None:
-            raise NotKeptError(f"{path / _ABOUT_FILE} is damaged")
+        if (found := self._read(name)) is None:
+            raise NotKeptError("the recording cannot be read")
         number, kept = found[0], replace(found[1], is_marked=is_marked)
         try:
             _write_about(path, number, kept)
-        except OSError as error:
+        except (BadInputError, OSError) as error:
             raise self._refused(error) from error
         return kept
 
@@ -110,7 +124,7 @@ class RecordingStore:
 
         Raises NotKeptError where there is no room or the disk refuses, and then there is nothing of it.
         """
-        under_way = self._folder / f"{_UNDER_WAY}{secrets.token_hex(8)}"
+        under_way = self._under_way()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._remove_unfinished()
@@ -122,15 +136,15 @@ class RecordingStore:
                     raise NoExposureError("there is no exposure of all cameras in the last seconds")
                 kept = KeptRecording(
                     self._new_name(why, start),
-                    why,
+                    one_line(why)[:_MAX_WHY_CHARACTERS],
                     "" if start is None else utc_text(start),
                     written.seconds,
                     written.exposures,
                     _bytes_of(under_way) + _BLOCK_BYTES,
                     is_marked=False,
                 )
-                number = 1 + max((number for number, _ in self._numbered()), default=0)
-                _write_about(under_way, number, kept)
+                newest = max((number for number, _ in self._numbered()), default=0)
+                _write_about(under_way, min(newest + 1, _MAX_NUMBER), kept)
                 under_way.rename(self._folder / kept.name)
         except (BadInputError, OSError) as error:
             raise self._refused(error) from error
@@ -145,62 +159,106 @@ class RecordingStore:
                 shutil.rmtree(left, ignore_errors=True)
 
     def _make_room(self, max_bytes: int) -> None:
-        """Remove the oldest recordings that nobody marked until there is room."""
-        there = list(self.recordings())
+        """Remove the oldest recordings that nobody marked until there is room; none where that is in vain."""
+        there = self.recordings()
         free = shutil.disk_usage(self._folder).free - MIN_FREE_BYTES
-        taken = sum(kept.bytes for kept in there)
-        while taken + max_bytes > self._max_bytes or free < max_bytes:
-            oldest = next((kept for kept in reversed(there) if not kept.is_marked), None)
-            if oldest is None:
-                held = f"recordings that are marked take {taken >> 20} MB of {self._max_bytes >> 20} MB"
-                raise NotKeptError("the disk is nearly full" if free < max_bytes else held)
-            shutil.rmtree(self._folder / oldest.name)
-            there.remove(oldest)
-            taken -= oldest.bytes
-            free += oldest.bytes
+        lacking = max(sum(kept.bytes for kept in there) + max_bytes - self._max_bytes, max_bytes - free)
+        going = []
+        for oldest in (kept for kept in reversed(there) if not kept.is_marked):
+            if lacking > 0:
+                going.append(oldest.name)
+                lacking -= oldest.bytes
+        if lacking > 0:
+            marked = sum(kept.bytes for kept in there if kept.is_marked)
+            held = f"marked recordings take {marked >> 20} of {self._max_bytes >> 20} MB"
+            needed = f"there is no room for up to {max_bytes >> 20} MB"
+            raise NotKeptError("the disk is nearly full" if free < max_bytes else f"{needed}: {held}")
+        for name in going:
+            left = self._under_way()  # a power cut meanwhile leaves nothing that is not counted
+            (self._folder / name).rename(left)
+            shutil.rmtree(left)
+
+    def _under_way(self) -> Path:
+        return self._folder / f"{_UNDER_WAY}{secrets.token_hex(8)}"
 
     def _new_name(self, why: str, start: datetime | None) -> str:
         day = "unknown-time" if start is None else f"{start:%Y%m%dT%H%M%SZ}"
         base = f"{day}-{re.sub('[^0-9A-Za-z_]+', '-', why)}"[:100]
         names = (base, *(f"{base}-{number}" for number in range(2, _MAX_SAME_NAME)))
         for name in names:
-            if not (self._folder / name).exists():
+            if not os.path.lexists(self._folder / name):
                 return name
         raise NotKeptError(f"there are {_MAX_SAME_NAME} recordings of the name {base}")
 
     def _numbered(self) -> list[tuple[int, KeptRecording]]:
         """What there is, each with its number."""
-        found = (self._read(path) for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
+        found = (self._read(path.name) for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
         return [each for each in found if each is not None]
 
-    def _read(self, path: Path) -> tuple[int, KeptRecording] | None:
-        """Number and facts of a recording; 0 of one that was kept before there were numbers."""
+    def _read(self, name: str) -> tuple[int, KeptRecording] | None:
+        """Number and facts of a recording; None: there is none. 0 where the file has no number."""
+        about: object = None
         try:
-            about = parse_json(read_file(path / _ABOUT_FILE, _MAX_ABOUT_BYTES))
-            if not isinstance(about, dict):
-                return None
-            kept = KeptRecording(
-                path.name,
-                str(about["why"]),
-                str(about["start"] or ""),
-                float(about["seconds"]),
-                int(about["exposures"]),
-                int(about["bytes"]),
-                about["marked"] is True,
-            )
-            return int(about.get("number", 0)), kept
-        except (BadInputError, OSError, KeyError, TypeError, ValueError, OverflowError):
+            with _entered(self._folder, Path(name)) as folder:
+                os.stat(_ABOUT_FILE, dir_fd=folder, follow_symlinks=False)
+                with suppress(BadInputError, ValueError):
+                    about = parse_json(read_file(Path(_ABOUT_FILE), _MAX_ABOUT_BYTES, folder))
+            taken = _bytes_of(self._folder / name)
+        except OSError:
             return None
+        facts = about if isinstance(about, dict) else {}
+        number, why, start, seconds, exposures = _believed(facts) or (0, _DAMAGED, "", 0.0, 0)
+        kept = KeptRecording(name, why, start, seconds, exposures, taken, facts.get("marked") is True)
+        return number, kept
 
     def _refused(self, error: BadInputError | OSError) -> NotKeptError:
         why = f"{self._folder}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
         return NotKeptError(why)
 
 
+def _believed(facts: Mapping[str, object]) -> tuple[int, str, str, float, int] | None:
+    """Number, why, start, seconds and exposures of a ``kept.json``; None where one of them cannot be."""
+    number, why, start = facts.get("number", 0), facts.get("why"), facts.get("start") or ""
+    seconds, exposures = facts.get("seconds"), facts.get("exposures")
+    if not (isinstance(why, str) and len(why) <= _MAX_WHY_CHARACTERS and one_line(why) == why):
+        return None
+    if not (isinstance(start, str) and (not start or _is_utc(start))):
+        return None
+    if any(isinstance(each, bool) for each in (number, seconds, exposures)):
+        return None
+    if not (isinstance(number, int) and isinstance(exposures, int) and isinstance(seconds, int | float)):
+        return None
+    if not (0 <= number <= _MAX_NUMBER and 0 <= exposures <= _MAX_NUMBER and 0 <= seconds <= _MAX_SECONDS):
+        return None  # NaN, too
+    return number, why, start, float(seconds), exposures
+
+
+def _is_utc(text: str) -> bool:
+    """Whether it is a time as ``utc_text`` writes it."""
+    try:
+        return utc_text(datetime.fromisoformat(text)) == text
+    except (ValueError, OverflowError):
+        return False
+
+
+@contextmanager
+def _entered(folder: Path, below: Path) -> Iterator[int]:
+    """The descriptor of a folder below ``folder``; raises OSError, also where a link is on the way to it."""
+    descriptor = os.open(folder, _FOLDER)
+    try:
+        for name in below.parts:
+            inner = os.open(name, _FOLDER | os.O_NOFOLLOW, dir_fd=descriptor)
+            os.close(descriptor)
+            descriptor = inner
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Hold a folder's lock; raises OSError, BlockingIOError while another holds it."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    descriptor = os.open(folder, _FOLDER | os.O_NOFOLLOW)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -219,5 +277,16 @@ def _write_about(path: Path, number: int, kept: KeptRecording) -> None:
 
 def _bytes_of(folder: Path) -> int:
     """What a folder takes on the disk, in whole blocks: some file systems count them only later."""
-    sizes = [path.stat().st_size for path in folder.rglob("*")]
+    sizes = (entry.stat(follow_symlinks=False).st_size for entry in _entries(folder))
     return sum(_BLOCK_BYTES * -(-size // _BLOCK_BYTES) for size in sizes)
+
+
+def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
+    """All that is in a folder and below, nothing behind a link; what cannot be looked at is left out."""
+    folders = [str(folder)]
+    while folders:
+        with suppress(OSError), os.scandir(folders.pop()) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(entry.path)
+                yield entry

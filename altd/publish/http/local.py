@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 from collections.abc import Callable
 from pathlib import Path
 
 from altd.config import HttpSettings
 from altd.history.history import History
-from altd.local_socket.listening import listening
+from altd.local_socket.listening import identity_at, listening
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Component, Health
+
+_LOOK_INTERVAL_S = 1.0
+"""Without its file nobody can connect: so often it is looked for."""
 
 
 class LocalPublisher(HttpPublisher):
@@ -30,6 +35,15 @@ class LocalPublisher(HttpPublisher):
         self._path = path
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled; raises OSError when the socket cannot be had."""
+        """Serve until cancelled; raises OSError when the socket cannot be had, or has lost its file."""
         with listening(self._path) as listener:
-            await self.serve(listener, "for this computer alone", ready)
+            made = identity_at(self._path)
+            serving = asyncio.ensure_future(self.serve(listener, "for this computer alone", ready))
+            try:
+                while not (await asyncio.wait({serving}, timeout=_LOOK_INTERVAL_S))[0]:
+                    if identity_at(self._path) != made:
+                        raise OSError(errno.ENOENT, "the file of the socket was deleted or replaced")
+                await serving
+            finally:
+                serving.cancel()
+                await asyncio.gather(serving, return_exceptions=True)

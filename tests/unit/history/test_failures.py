@@ -188,7 +188,7 @@ def test_a_folder_that_is_deleted_is_told_and_one_that_comes_back_is_used(tmp_pa
     writing = store(folder)
     writing.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
     shutil.rmtree(folder)
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(UnusableFileError, match="was replaced, deleted or written"):
         writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
     with pytest.raises(UnusableFileError, match=r"the folder .* does not exist"):
         writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
@@ -198,19 +198,130 @@ def test_a_folder_that_is_deleted_is_told_and_one_that_comes_back_is_used(tmp_pa
     assert sequences(folder / "history.db") == [3]
 
 
-def test_a_file_that_is_replaced_is_not_written_to_under_another_name(tmp_path: Path) -> None:
-    path = tmp_path / "history.db"
-    writing = store(tmp_path)
-    writing.write(batch(START_S + 1, [sample(START_S, sequence=1)]))
-    path.rename(tmp_path / "moved.db")
-    path.touch()
-    with pytest.raises(UnusableFileError, match="was replaced or deleted while it was open"):
-        writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
-    for ending in ("-wal", "-shm"):  # of the file that was moved
-        (tmp_path / f"history.db{ending}").unlink(missing_ok=True)
-    writing.write(batch(START_S + 2, [sample(START_S + 1, sequence=2)]))
+def files_of(path: Path) -> list[Path]:
+    return sorted(path.parent.glob(f"{path.name}*"))
+
+
+def overwrite(path: Path) -> None:
+    with path.open("r+b") as file:
+        file.write(b"garbage!" * 200)
+
+
+DAMAGE = {
+    "it is moved": lambda path: path.rename(path.with_name("moved.db")),
+    "it is moved, and an empty one put there": lambda path: (
+        path.rename(path.with_name("moved.db")),
+        path.touch(),
+    ),
+    "it is deleted": Path.unlink,
+    "all of it is deleted": lambda path: [each.unlink() for each in files_of(path)],
+    "it is truncated": lambda path: os.truncate(path, 0),
+    "it is cut in two": lambda path: os.truncate(path, path.stat().st_size // 2),
+    "it is overwritten": lambda path: path.write_bytes(b"x" * path.stat().st_size),
+    "its head is overwritten": overwrite,
+    "its log is deleted": lambda path: path.with_name("history.db-wal").unlink(),
+    "its log is truncated": lambda path: os.truncate(path.with_name("history.db-wal"), 0),
+    "its index is deleted": lambda path: path.with_name("history.db-shm").unlink(),
+}
+DAMAGES = "it is cut in two", "it is overwritten", "its head is overwritten"
+
+
+@pytest.mark.parametrize("how", DAMAGE)
+def test_what_is_done_to_a_file_while_it_is_open_is_said_and_the_history_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    monkeypatch.setattr(opening, "WAL_PAGES", 8)  # most pages are in the file, as those of a long history
+    path, writing = tmp_path / "history.db", store(tmp_path)
+    write_seconds(writing, START_S, [10.0] * 10)
+    DAMAGE[how](path)
+    next_one = batch(START_S + 12, [sample(START_S + 11, sequence=999)])
+    with pytest.raises(UnusableFileError, match="was replaced, deleted or written by another program while"):
+        writing.write(next_one)
+    if how in DAMAGES:
+        with pytest.raises((UnusableFileError, sqlite3.DatabaseError), match=r"malformed|not a database"):
+            writing.write(next_one)
+        assert len(list(tmp_path.glob("history.db.damaged-*"))) >= 1
+    told = writing.write(next_one).notices
+    writing.write(batch(START_S + 13, [sample(START_S + 12, sequence=1000)]))
+    assert sequences(path)[-2:] == [999, 1000]
+    assert any("by another program while it was open" in notice.text for notice in told)
     writing.end(None)
-    assert sequences(path) == [2]
+    with sqlite3.connect(path) as whole:
+        assert whole.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    whole.close()
+    if "moved" in how:
+        assert len(sequences(tmp_path / "moved.db")) == 200
+    if how in ("its log is deleted", "its index is deleted"):
+        assert len(sequences(path)) == 202
+
+
+def test_an_older_copy_that_is_put_back_gets_nothing_of_the_log_of_the_newer_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, older = tmp_path / "history.db", store(tmp_path)
+    write_seconds(older, START_S, [10.0] * 10)
+    older.end(None)
+    shutil.copy(path, tmp_path / "copy.db")
+    monkeypatch.setattr(opening, "WAL_PAGES", 50)
+    newer = store(tmp_path)
+    write_seconds(newer, START_S + 20, [10.0] * 10)
+    (tmp_path / "copy.db").rename(path)
+    with pytest.raises(UnusableFileError, match="was replaced"):
+        newer.write(batch(START_S + 32))
+    newer.write(batch(START_S + 32, [sample(START_S + 31, sequence=999)]))
+    newer.end(None)
+    assert sequences(path) == [*range(200), 999]
+
+
+def test_a_program_that_only_reads_disturbs_nothing(tmp_path: Path) -> None:
+    path, writing = tmp_path / "history.db", store(tmp_path)
+    for number in range(5):
+        writing.write(batch(START_S + number + 1, [sample(START_S + number, sequence=number)]))
+        assert sequences(path)[-1] == number
+        with sqlite3.connect(path) as foreign, sqlite3.connect(tmp_path / "copy.db") as copy:
+            foreign.backup(copy)
+        foreign.close()
+        copy.close()
+    writing.end(None)
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o077])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_its_owner_alone_may_read_it_whatever_the_umask_and_whoever_made_it(
+    tmp_path: Path, umask: int, is_there: bool
+) -> None:
+    path, before = tmp_path / "history.db", os.umask(umask)
+    try:
+        if is_there:
+            by_hand = sqlite3.connect(path)
+            by_hand.execute("PRAGMA journal_mode = WAL")
+            for each in files_of(path):
+                each.chmod(0o666 & ~umask)
+        writing = store(tmp_path)
+        writing.write(batch(START_S + 1, [sample(START_S)]))
+        assert {each.name: each.stat().st_mode & 0o777 for each in files_of(path)} == dict.fromkeys(
+            ("history.db", "history.db-shm", "history.db-wal", "history.db.lock"), 0o600
+        )
+        writing.end(None)
+        if is_there:
+            by_hand.close()
+    finally:
+        os.umask(before)
+
+
+def test_where_its_permissions_cannot_be_changed_an_event_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    (tmp_path / "history.db").touch()
+    (tmp_path / "history.db").chmod(0o644)
+    monkeypatch.setattr(Path, "chmod", refuse)
+    writing = store(tmp_path)
+    texts = [notice.text for notice in writing.write(batch(START_S + 1)).notices]
+    writing.end(None)
+    assert texts[1].startswith("others may read the history")
 
 
 def test_a_batch_that_was_refused_is_taken_whole_the_next_time(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import shutil
 import threading
 import time
@@ -23,6 +24,7 @@ from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
 from altd.history.schema import SECONDS
 from altd.history.store import Store
 from altd.instruments.beam.quantities import QUANTITIES
+from altd.status import event_log
 from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Component, Health, State
@@ -125,6 +127,47 @@ async def test_a_clock_that_is_set_is_an_event_and_begins_an_epoch(tmp_path: Pat
         told = [event.text for event in reader.events(0, 2**62, ["clock"])]
     assert len(told) == 2
     assert all(text.startswith("the time of day was set by ") for text in told)
+
+
+async def test_events_that_are_lost_while_the_disk_is_full_are_counted_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_log, "MAX_EVENTS", 5)
+    monkeypatch.setattr(event_log, "MAX_ASKED_EVENTS", 2)
+    async with Recording(tmp_path) as recording:
+        await recording.until(lambda: recording.component.state is State.OK)
+        with monkeypatch.context() as full:
+            full.setattr(Store, "write", refuse)
+            for number in range(10):
+                for kind in (EventKind.REQUEST, EventKind.STATE):
+                    recording.log.note(kind, f"{number}", f"{number}")
+            await recording.until(lambda: recording.component.state is State.DEGRADED)
+            await recording.pass_time(60.0)
+        await recording.until(lambda: recording.component.state is State.OK)
+        assert recording.component.counters["events_lost"] == 13
+    with Reader(recording.path) as reader:
+        stored = [one.text for one in reader.events(0, 2**62, ["request", "state"])]
+    assert stored == ["9", "9", "8", "8", "7", "6", "5"]
+
+
+def refuse(*_: object) -> Written:
+    raise OSError(28, "No space left on device")
+
+
+async def test_what_a_full_disk_refuses_is_let_go_without_the_garbage_collector(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Store, "write", refuse)
+    async with Recording(tmp_path) as recording:
+        gc.collect()
+        gc.disable()
+        try:
+            await recording.pass_time(60.0, rate=5)
+            held = [each for each in gc.get_objects() if isinstance(each, Batch)]
+        finally:
+            gc.enable()
+        assert recording.component.state is State.DEGRADED
+        assert len(held) <= 1, "that which is under way"
 
 
 async def test_a_disk_that_goes_and_comes_back_costs_history_only(tmp_path: Path) -> None:

@@ -133,3 +133,26 @@ def test_of_the_events_the_oldest_of_the_least_severe_go(
         left = sorted(int(one.text) for one in reader.events(0, 2**62, ["cause_came"]))
     assert left == [*range(10), *range(29, 40)]
     assert "for want of room the oldest events are deleted" in [notice.text for notice in notices]
+
+
+@pytest.mark.parametrize("kind", [EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK])
+def test_what_is_asked_for_without_end_pushes_out_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: EventKind
+) -> None:
+    monkeypatch.setattr(retention, "MAX_EVENTS", 60)
+    monkeypatch.setattr(retention, "MAX_ASKED_EVENTS", 20)
+    monkeypatch.setattr(retention, "_EVENTS_AT_ONCE", 5)
+    notices = []
+    for begin in range(0, 100, 50):
+        writing = store(tmp_path)
+        for number in range(begin, begin + 50):
+            asked = [event(number, START_S + number, kind, severity=1, text=f"{number}")]
+            others = [event(number, START_S + number, text=f"{number}")] if number < 30 else []
+            notices += writing.write(batch(START_S + number, [], [*others, *asked])).notices
+        writing.end(None)
+    with read(tmp_path) as reader:
+        assert [int(one.text) for one in reader.events(0, 2**62, ["state"])] == [*range(29, -1, -1)]
+        left = [int(one.text) for one in reader.events(0, 2**62, [kind])]
+    assert left == [*range(99, 99 - len(left), -1)]
+    assert 15 <= len(left) <= 20
+    assert f"for want of room the oldest {kind} events are deleted" in [notice.text for notice in notices]

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import threading
 import time
+import traceback
+import weakref
+from functools import partial
 
 import pytest
 
@@ -29,6 +33,60 @@ class Gate:
         self.entered.set()
         self.may_end.wait(10)
         return "through"
+
+
+class Hand:
+    """What a call has in hand: it is heavy."""
+
+
+@pytest.mark.parametrize("end", ["returns", "raises", "times out", "is cancelled"])
+@pytest.mark.parametrize("by", ["device", "call"])
+async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(by: str, end: str) -> None:
+    thread, gate, watched = DeviceThread("device"), Gate(), weakref.WeakSet[Hand]()
+    if end in ("returns", "raises"):
+        gate.may_end.set()
+
+    def work(_: Hand) -> None:
+        gate()
+        if end != "returns":
+            try:
+                raise_it()
+            except ZeroDivisionError as error:
+                raise LookupError from error
+
+    async def ask() -> None:
+        hand = Hand()
+        watched.add(hand)
+        within_s = 0.05 if end == "times out" else 10.0
+        with contextlib.suppress(LookupError, TimeoutError):
+            if by == "device":
+                await thread.call(work, hand, within_s=within_s)
+            else:
+                async with asyncio.timeout(within_s):
+                    await call_in_thread(partial(work, hand), "worker")
+
+    gc.disable()
+    try:
+        asked = asyncio.create_task(ask())
+        if end == "is cancelled":
+            assert await asyncio.to_thread(gate.entered.wait, 10)
+            asked.cancel()
+        await asyncio.wait({asked})
+        del asked
+        gate.may_end.set()
+        assert await thread.end(lambda: None, 10.0)
+        for worker in [each for each in threading.enumerate() if each.name == "worker"]:
+            await asyncio.to_thread(worker.join, 10)
+        await asyncio.sleep(0)  # what the thread gave the loop
+        assert not watched
+    finally:
+        gc.enable()
+
+
+async def test_an_error_keeps_the_lines_at_which_it_was_raised() -> None:
+    with pytest.raises(ZeroDivisionError) as raised:
+        await call_in_thread(raise_it, "worker")
+    assert [entry.name for entry in traceback.extract_tb(raised.value.__traceback__)][-1] == "raise_it"
 
 
 async def test_a_call_in_a_thread_gives_its_result_or_what_it_raises() -> None:

@@ -13,7 +13,14 @@ from support.status_fixtures import board, clock, health
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.board import Board
-from altd.status.event_log import MAX_EVENTS, MAX_IN_WINDOW, MAX_OF_ONE_IN_WINDOW, EventKind, EventLog
+from altd.status.event_log import (
+    MAX_ASKED_EVENTS,
+    MAX_ASKED_IN_WINDOW,
+    MAX_EVENTS,
+    MAX_OF_ONE_IN_WINDOW,
+    EventKind,
+    EventLog,
+)
 from altd.status.health import Health
 from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
 from altd.status.state import UnitState
@@ -34,7 +41,7 @@ def texts(log: EventLog) -> list[str]:
 def test_a_reader_has_a_cursor_and_learns_what_it_missed(log: EventLog, clock: FakeClock) -> None:
     for number in range(MAX_EVENTS + 5):
         clock.now_ns += 10 * 10**9
-        log.note(EventKind.REQUEST, f"{number}")
+        log.note(EventKind.STATE, f"{number}")
     left = log.after(0)
     assert log.count == MAX_EVENTS + 5
     assert (len(left), left[0].number, left[-1].number) == (MAX_EVENTS, 6, MAX_EVENTS + 5)
@@ -73,11 +80,29 @@ def test_other_causes_are_not_held_back_with_it(log: EventLog) -> None:
 def test_names_without_end_cost_a_bounded_number(log: EventLog, clock: FakeClock) -> None:
     for number in range(10_000):
         log.note(EventKind.REQUEST, "asked", f"http 10.0.{number >> 8}.{number & 255}")
-    assert log.count == MAX_IN_WINDOW
+    assert log.count == MAX_ASKED_IN_WINDOW
     clock.now_ns += 61 * 10**9
     log.note(EventKind.STATE, "good")
     assert texts(log)[-1] == "good"
     assert sum(event.held_back + 1 for event in log.after(0)) == 10_001
+
+
+@pytest.mark.parametrize("kind", [EventKind.REQUEST, EventKind.RECORDING, EventKind.SELF_CHECK])
+def test_what_is_asked_for_without_end_takes_the_place_of_no_fault(
+    log: EventLog, clock: FakeClock, kind: EventKind
+) -> None:
+    for minute in range(100):
+        for number in range(300):
+            log.note(kind, "asked", f"http 10.0.{minute}.{number}")
+        for number in range(5):
+            log.note(EventKind.CAUSE_CAME, f"{minute} {number}", f"{number}", 2, {"code": "camera_silent"})
+        clock.now_ns += 61 * 10**9
+    events = log.after(0)
+    came = [event.text for event in events if event.kind is EventKind.CAUSE_CAME]
+    assert came == [f"{minute} {number}" for minute in range(100) for number in range(5)]
+    assert len(events) - len(came) == MAX_ASKED_EVENTS
+    assert [event.number for event in events] == sorted(event.number for event in events)
+    assert log.after(events[-6].number) == events[-5:]
 
 
 def test_control_letters_are_written_as_escapes(log: EventLog) -> None:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import threading
-from collections.abc import AsyncIterator
+import weakref
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.clock import FakeClock, stop
 from support.frames import Blob, frame, light
 
-from altd.acquisition.exposures_writer import RecordingPlan
+from altd.acquisition.exposures_writer import ExposuresWriter, RecordingPlan
 from altd.acquisition.kept_frames import keeper as keeper_module
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.kept_frames.store import RecordingStore
 from altd.config import KeptFrames, Measuring
+from altd.measuring.pairing import Pair
 from altd.reasons import Reason
 from altd.recording.header import UnitHeader
 from altd.recording.reader import open_recording
@@ -80,6 +84,23 @@ class Unit:
             for camera in CAMERAS:
                 self.ring.put(Frame(camera, number, number * PERIOD_NS, PIXELS, **marks), False)  # type: ignore[arg-type]
 
+    async def expose_watched(self, exposures: int) -> list[weakref.ref[np.ndarray]]:
+        """The same, with pixels of their own, which are watched."""
+        watched = []
+        for _ in range(exposures):
+            await self.clock.advance(PERIOD_NS * 1e-9)
+            number = self.clock.now_ns // PERIOD_NS
+            for camera in CAMERAS:
+                pixels = PIXELS.copy()
+                watched.append(weakref.ref(pixels))
+                self.ring.put(Frame(camera, number, number * PERIOD_NS, pixels), False)
+        return watched
+
+    async def is_idle(self) -> None:
+        """The disk's thread has come back."""
+        assert self.keeper._disk is not None  # noqa: SLF001
+        await self.keeper._disk.call(lambda: None, within_s=20)  # noqa: SLF001
+
     async def written(self, count: int) -> KeptRecording:
         """The newest recording, once there are so many."""
         async with asyncio.timeout(20):
@@ -91,6 +112,41 @@ class Unit:
         await self.expose(100)
         await asyncio.sleep(0.05)
         assert len(self.keeper.recordings) == count
+
+
+class Disk:
+    """Takes an exposure, and answers once it may."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, error: Exception | None = None) -> None:
+        self.is_written, self.goes_on = threading.Event(), threading.Event()
+        write = ExposuresWriter.write
+
+        def held(writer: ExposuresWriter, pair: Pair[Frame]) -> None:
+            self.is_written.set()
+            assert self.goes_on.wait(20)
+            if error is not None:
+                raise error
+            write(writer, pair)
+
+        patch.setattr(ExposuresWriter, "write", held)
+
+
+ENDS = {
+    "refused": NotKeptError,
+    "failed": NotKeptError,
+    "timed out": NotKeptError,
+    "cancelled": asyncio.CancelledError,
+    "kept": KeptRecording,
+}
+
+
+@contextlib.contextmanager
+def no_garbage_collector() -> Iterator[None]:
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
 
 
 @contextlib.asynccontextmanager
@@ -288,6 +344,55 @@ async def test_whatever_fails_is_said_and_the_next_is_kept(
                 await unit.keeper.keep("asked")
         assert (unit.component.state, unit.component.counters) == (State.DEGRADED, {"not_kept": 1})
         assert (await unit.keeper.keep("asked")).exposures > 0
+
+
+@pytest.mark.parametrize("how", ["refused", "failed", "timed out", "cancelled", "kept"])
+async def test_frames_are_let_go_without_the_garbage_collector_however_a_recording_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    disk = Disk(monkeypatch, error=OSError(28, "No space left on device") if how == "failed" else None)
+    async with running(Unit(tmp_path)) as unit:
+        if how == "refused":
+            monkeypatch.setattr(unit.store, "_max_bytes", 1)
+        if how == "timed out":
+            monkeypatch.setattr(keeper_module, "_DISK_TIMEOUT_S", 0.05)
+        if how in ("refused", "failed", "kept"):
+            disk.goes_on.set()
+        with no_garbage_collector():
+            frames = await unit.expose_watched(20)
+            asked = asyncio.create_task(unit.keeper.keep("asked"))
+            if how == "cancelled":
+                assert await asyncio.to_thread(disk.is_written.wait, 10)
+                asked.cancel()
+            (end,) = await asyncio.gather(asked, return_exceptions=True)
+            assert isinstance(end, ENDS[how]), end
+            del end, asked
+            disk.goes_on.set()
+            await unit.is_idle()
+            await unit.expose(100)
+            assert not [each for each in frames if each() is not None]
+
+
+async def test_recordings_that_wait_for_one_another_hold_no_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    async with running(Unit(tmp_path)) as unit:
+        with no_garbage_collector():
+            await unit.expose(20)
+            first = asyncio.create_task(unit.keeper.keep("first"))
+            assert await asyncio.to_thread(disk.is_written.wait, 10)
+            frames = await unit.expose_watched(20)
+            second = asyncio.create_task(unit.keeper.keep("second"))
+            await unit.expose(60)
+            third = asyncio.create_task(unit.keeper.keep("third"))
+            await unit.expose(60)
+            assert not [each for each in frames if each() is not None]
+        disk.goes_on.set()
+        assert (await first).exposures == 20
+        with pytest.raises(NotKeptError, match="the frames are gone from memory"):
+            await second
+        assert (await third).exposures == 21, "the second that the memory still holds of its two"
 
 
 async def test_the_frames_are_let_go_once_they_are_written(tmp_path: Path) -> None:

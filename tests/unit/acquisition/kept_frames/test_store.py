@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import shutil
+import socket
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
@@ -56,13 +59,72 @@ def test_a_recording_is_found_by_its_time_and_its_cause(tmp_path: Path) -> None:
     assert (shelf.store.folder_of(kept.name) / "frame").stat().st_size == 10 * KIB
 
 
-def test_a_link_to_elsewhere_is_none_of_its_files(tmp_path: Path) -> None:
+class Elsewhere:
+    """What links lead to; nothing of it may be read, counted or removed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "front").mkdir(parents=True)
+        for name in ("secret", "front/secret"):
+            (folder / name).write_bytes(b"s" * 100 * KIB)
+        self._before = self.content()
+
+    def content(self) -> dict[str, bytes]:
+        return {str(path): path.read_bytes() for path in self.folder.rglob("*") if path.is_file()}
+
+    def is_untouched(self) -> bool:
+        return self.content() == self._before
+
+
+@pytest.mark.parametrize("kind", ["a file", "a folder", "nothing", "a pipe", "a socket"])
+def test_what_is_no_file_of_a_recording_is_neither_read_nor_counted_nor_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    elsewhere, shelf = Elsewhere(tmp_path / "elsewhere"), Shelf(tmp_path / "recordings", 50 * KIB)
+    kept = shelf.add()
+    odd = shelf.folder / kept.name / "odd"
+    with socket.socket(socket.AF_UNIX) as bound:
+        if kind == "a pipe":
+            os.mkfifo(odd)
+        elif kind == "a socket":
+            monkeypatch.chdir(odd.parent)  # the name of a socket is short
+            bound.bind(odd.name)
+        else:
+            names = {"a file": "secret", "a folder": "front", "nothing": "none"}
+            odd.symlink_to(elsewhere.folder / names[kind])
+    (listed,) = shelf.store.recordings()
+    assert listed.bytes <= kept.bytes + 4 * KIB
+    assert shelf.store.files(kept.name) == ["frame", "kept.json"]
+    for file in ("odd", "odd/secret"):
+        assert shelf.store.content(kept.name, file) is None
+    shelf.add(20 * KIB)
+    shelf.add(20 * KIB)
+    assert kept.name not in shelf.names()
+    assert elsewhere.is_untouched()
+
+
+@pytest.mark.parametrize("file", ["/etc/passwd", "../frame", "..", ".", "", "a/b/c", "frame/", "fr\0me"])
+def test_no_file_s_name_leads_out_of_its_recording(tmp_path: Path, file: str) -> None:
     shelf = Shelf(tmp_path)
     kept = shelf.add()
-    (tmp_path / kept.name / "elsewhere").symlink_to("/etc/passwd")
-    assert shelf.store.files(kept.name) == ["frame", "kept.json"]
-    assert shelf.store.content(kept.name, "frame") == (tmp_path / kept.name / "frame").read_bytes()
+    assert shelf.store.content(kept.name, "frame") == b"x" * 10 * KIB
+    assert shelf.store.content(kept.name, file) is None
     assert shelf.store.content(kept.name, "gone") is None
+
+
+def test_a_link_to_a_recording_is_none(tmp_path: Path) -> None:
+    elsewhere, shelf = Elsewhere(tmp_path / "elsewhere"), Shelf(tmp_path / "recordings", 60 * KIB)
+    there = Shelf(elsewhere.folder).add()
+    untouched = elsewhere.content()
+    (shelf.folder / "linked").symlink_to(elsewhere.folder / there.name)
+    assert shelf.store.recordings() == ()
+    for call in (shelf.store.files, lambda name: shelf.store.mark(name, is_marked=True)):
+        with pytest.raises(NotKeptError, match="there is no such recording"):
+            call("linked")
+    assert shelf.store.content("linked", "frame") is None
+    for _ in range(5):
+        shelf.add(20 * KIB)
+    assert elsewhere.content() == untouched
 
 
 def test_two_of_one_second_have_two_names(tmp_path: Path) -> None:
@@ -122,7 +184,7 @@ def test_where_marked_ones_take_all_the_room_nothing_is_removed_and_it_is_said(t
     for _ in range(2):
         shelf.store.mark(shelf.add(20 * KIB).name, is_marked=True)
     before = shelf.names()
-    with pytest.raises(NotKeptError, match="recordings that are marked take 0 MB of 0 MB"):
+    with pytest.raises(NotKeptError, match="no room for up to 0 MB: marked recordings take 0 of 0 MB"):
         shelf.add(30 * KIB)
     assert shelf.names() == before
     shelf.store.mark(before[0], is_marked=False)
@@ -220,6 +282,9 @@ def test_no_name_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
             call(name)
 
 
+ABOUT = {"why": "a", "start": None, "seconds": 1.5, "exposures": 3, "bytes": 1, "marked": False, "number": 7}
+
+
 @pytest.mark.parametrize(
     "about",
     [
@@ -227,18 +292,114 @@ def test_no_name_leads_out_of_the_folder(tmp_path: Path, name: str) -> None:
         b"{",
         b"[]",
         b"{}",
-        b'{"why": 1}',
-        b'{"why":"a","start":"","seconds":"x","exposures":1,"bytes":1}',
         b"\xff",
+        b"[" * 4000,
+        *(
+            json.dumps({**ABOUT, **facts}).encode()
+            for facts in (
+                {"why": 1},
+                {"why": "a" * 1000},
+                {"why": "a\x1b[2J"},
+                {"why": "\ud800"},
+                {"start": "yesterday"},
+                {"start": 5},
+                {"start": "2026-11-20T01:23:46+01:00"},
+                {"seconds": "x"},
+                {"seconds": math.nan},
+                {"seconds": math.inf},
+                {"seconds": -1},
+                {"seconds": True},
+                {"exposures": -1},
+                {"exposures": 1.5},
+                {"exposures": 10**30},
+                {"number": -1},
+                {"number": 10**30},
+                {"number": math.nan},
+            )
+        ),
     ],
 )
-def test_a_damaged_one_is_passed_over_and_never_removed(tmp_path: Path, about: bytes) -> None:
-    shelf = Shelf(tmp_path, max_bytes=60 * KIB)
-    damaged = shelf.add()
+def test_one_that_cannot_be_believed_is_listed_and_counted_and_goes_first(
+    tmp_path: Path, about: bytes
+) -> None:
+    shelf = Shelf(tmp_path, max_bytes=70 * KIB)
+    older, damaged = shelf.add(), shelf.add()
     (tmp_path / damaged.name / "kept.json").write_bytes(about)
-    last = [shelf.add(20 * KIB) for _ in range(4)][-1]
-    assert shelf.names()[0] == last.name
-    assert (tmp_path / damaged.name / "frame").exists()
+    kept = shelf.store.recordings()[-1]
+    facts = {"name": damaged.name, "why": "unknown: kept.json is damaged", "start": None, "seconds": 0.0}
+    assert kept.as_object() == {**facts, "exposures": 0, "bytes": kept.bytes, "marked": False}
+    assert 12 * KIB <= kept.bytes <= damaged.bytes
+    assert shelf.store.content(kept.name, "frame") == b"x" * 10 * KIB
+    shelf.add(20 * KIB)
+    last = shelf.add(20 * KIB)
+    assert damaged.name not in shelf.names()
+    assert {older.name, last.name} <= set(shelf.names())
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_a_description_that_is_no_file_is_not_read(tmp_path: Path, kind: str) -> None:
+    shelf = Shelf(tmp_path / "recordings")
+    kept = shelf.add()
+    about = shelf.folder / kept.name / "kept.json"
+    shutil.move(about, tmp_path / "about.json")
+    {"link": lambda: about.symlink_to(tmp_path / "about.json"), "folder": about.mkdir}.get(
+        kind, lambda: os.mkfifo(about)
+    )()
+    (listed,) = shelf.store.recordings()
+    assert listed.why == "unknown: kept.json is damaged"
+    with pytest.raises(NotKeptError, match=r"kept.json: is a"):
+        shelf.store.mark(kept.name, is_marked=True)
+
+
+@pytest.mark.parametrize("said", [-1e15, math.nan, 10**15, "x", None])
+def test_what_a_recording_takes_is_counted_and_not_believed(tmp_path: Path, said: object) -> None:
+    shelf = Shelf(tmp_path, max_bytes=100 * KIB)
+    kept = shelf.add(60 * KIB)
+    about = tmp_path / kept.name / "kept.json"
+    about.write_text(json.dumps({**json.loads(about.read_text()), "bytes": said}))
+    assert shelf.store.recordings() == (kept,)
+    last = shelf.add(60 * KIB)
+    assert shelf.names() == [last.name]
+
+
+def test_the_mark_of_one_that_is_damaged_counts_and_can_be_taken_away(tmp_path: Path) -> None:
+    shelf = Shelf(tmp_path, max_bytes=100 * KIB)
+    marked = shelf.add(60 * KIB)
+    (tmp_path / marked.name / "kept.json").write_text('{"seconds": NaN, "marked": true}')
+    with pytest.raises(NotKeptError, match="marked recordings take"):
+        shelf.add(60 * KIB)
+    assert not shelf.store.mark(marked.name, is_marked=False).is_marked
+    assert shelf.names() == [marked.name]
+    last = shelf.add(60 * KIB)
+    assert shelf.names() == [last.name]
+
+
+def test_nothing_is_removed_where_that_makes_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shelf = Shelf(tmp_path)
+    kept = shelf.add()
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=0))
+    with pytest.raises(NotKeptError, match="the disk is nearly full"):
+        shelf.add()
+    assert shelf.names() == [kept.name]
+
+
+def test_what_a_power_cut_left_of_one_that_was_removed_does_not_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cut(left: Path, ignore_errors: bool = False) -> None:
+        if not ignore_errors:
+            (left / "kept.json").unlink()
+            raise OSError(5, "the power is cut")
+
+    shelf = Shelf(tmp_path, max_bytes=100 * KIB)
+    shelf.add(60 * KIB)
+    with monkeypatch.context() as broken:
+        broken.setattr(shutil, "rmtree", cut)
+        with pytest.raises(NotKeptError, match="the power is cut"):
+            shelf.add(60 * KIB)
+    assert shelf.names() == []
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_written_about_a_recording_are_plain_facts(tmp_path: Path) -> None:

@@ -6,17 +6,19 @@ import asyncio
 import contextlib
 import errno
 import socket
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import pytest
+from support.clock import FakeClock, stop
 from support.serving import serving
 
 from altd.local_socket.asking import ask
-from altd.publish.http import server
+from altd.publish.http import local, server
 from altd.publish.http.local import LocalPublisher
 from altd.publish.http.paths import PATHS
 from altd.records import Measurement
+from altd.runtime.supervision import keep_running
 from altd.status.board import Board
 from altd.status.health import Health, State
 from altd.status.self_check_desk import SelfCheckReport
@@ -91,6 +93,42 @@ async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
         assert caught.value.errno == errno.EADDRINUSE
         assert (await said(path, "/api/status"))[0] == 200
     assert not path.exists()
+
+
+@pytest.mark.parametrize("by", ["nothing", "a socket", "a file", "a folder"])
+async def test_one_whose_file_is_deleted_or_replaced_says_so_and_serves_again(
+    tmp_path: Path, board: Board, health: Health, monkeypatch: pytest.MonkeyPatch, by: str
+) -> None:
+    monkeypatch.setattr(local, "_LOOK_INTERVAL_S", 0.01)
+    path, component, clock = tmp_path / "s", health.component("local"), FakeClock()
+    face = asyncio.create_task(
+        keep_running("local", LocalPublisher(path, board, health, component), component, clock)
+    )
+    await until(lambda: component.state is State.OK)
+    path.unlink()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as dead:
+        dead.bind(str(tmp_path / "dead"))
+    {"a socket": lambda: (tmp_path / "dead").rename(path), "a file": path.touch, "a folder": path.mkdir}.get(
+        by, lambda: None
+    )()
+    await until(lambda: component.state is State.FAILED)
+    assert component.message.startswith("the file of the socket was deleted or replaced; next try in")
+    if by in ("a file", "a folder"):
+        await clock.advance(1.0)
+        assert "there is a file that is no socket" in component.message
+        assert path.exists()
+        path.unlink() if by == "a file" else path.rmdir()
+    await clock.advance(1.0)
+    await until(lambda: component.state is State.OK)
+    assert (await said(path, "/api/v1/session"))[0] == 200
+    await stop(face)
+    assert not path.exists()
+
+
+async def until(true: Callable[[], bool]) -> None:
+    async with asyncio.timeout(20):
+        while not true():  # noqa: ASYNC110  a real file, not this clock
+            await asyncio.sleep(0.002)
 
 
 async def test_who_never_reads_is_cut_off_as_on_the_network(
