@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
 from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
@@ -130,20 +132,30 @@ async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Pa
     assert len({row.sequence for row in recording.rows}) == exposures > 10
 
 
+@pytest.fixture
+async def clock() -> AsyncIterator[FakeClock]:
+    """That of the loop and of the threads of two cameras."""
+    clock = FakeClock.of_loop(threads=2)
+    yield clock
+    clock.end()
+
+
 class LitSource:
     """A camera that exposes every 10 ms; each frame shows whether the lamps were lit while it was exposed."""
 
     origin = Origin.CAMERA
     playback = False
     identity: CameraIdentity | None = None
-    waits = True
+    waits = False
 
-    def __init__(self, name: str, lamps: ListedLamps, frames: int = 10_000) -> None:
+    def __init__(self, name: str, lamps: ListedLamps, clock: FakeClock, frames: int = 10_000) -> None:
         self.name = name
         self._lamps = lamps
+        self._clock = clock
+        self._closed = threading.Event()
         self._number = 0
         self._frames = frames
-        self._start_ns = time.monotonic_ns() // 10_000_000 * 10_000_000
+        self._start_ns = clock.now_ns
 
     def open(self) -> None: ...
 
@@ -152,7 +164,8 @@ class LitSource:
         if self._number > self._frames:
             raise CameraEndedError("the end")
         t_ns = self._start_ns + self._number * 10_000_000
-        time.sleep(max((t_ns + 4_000_000 - time.monotonic_ns()) * 1e-9, 0.0))  # the exposure takes 8 ms
+        # the exposure takes 8 ms
+        self._clock.wait(self._closed, (t_ns + 4_000_000 - self._clock.now_ns) * 1e-9)
         pixels = np.full((24, 32), self._lamps.level(t_ns - 4_000_000, t_ns + 4_000_000), np.uint8)
         return Frame(self.name, self._number, t_ns, pixels)
 
@@ -162,7 +175,8 @@ class LitSource:
 class ListedLamps:
     """Lamps that remember when they were switched, and fail at the given switching."""
 
-    def __init__(self, fails_at: int | None = None) -> None:
+    def __init__(self, clock: FakeClock, fails_at: int | None = None) -> None:
+        self._clock = clock
         self.switched: list[tuple[int, bool]] = [(0, False)]
         self.is_open = False
         self._fails_at = fails_at
@@ -173,10 +187,10 @@ class ListedLamps:
     def switch(self, on: bool) -> None:
         if len(self.switched) == self._fails_at:
             raise LampsError("line 3 is taken away")
-        self.switched.append((time.monotonic_ns(), on))
+        self.switched.append((self._clock.now_ns, on))
 
     def close(self) -> None:
-        self.switched.append((time.monotonic_ns(), False))
+        self.switched.append((self._clock.now_ns, False))
         self.is_open = False
 
     def level(self, begin_ns: int, end_ns: int) -> int:
@@ -187,14 +201,18 @@ class ListedLamps:
         return 200 if before else 0
 
 
-async def switched(path: Path, lamps: ListedLamps, frames: int = 10_000) -> int:
-    sources = [LitSource(name, lamps, frames) for name in ("front", "rear")]
-    return await record(frame_sets(sources), path, RecordingPlan(1.0, UNIT, kind="self-check"), lamps=lamps)
+async def switched(path: Path, clock: FakeClock, lamps: ListedLamps, frames: int = 10_000) -> int:
+    sources = [LitSource(name, lamps, clock, frames) for name in ("front", "rear")]
+    sets = FrameSets(sources, Measuring(), Health(clock))
+    plan = RecordingPlan(1.0, UNIT, kind="self-check")
+    return await clock.run(record(sets, path, plan, lamps=lamps))
 
 
-async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(tmp_path: Path) -> None:
-    lamps = ListedLamps()
-    exposures = await switched(tmp_path / "rec", lamps)
+async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(
+    tmp_path: Path, clock: FakeClock
+) -> None:
+    lamps = ListedLamps(clock)
+    exposures = await switched(tmp_path / "rec", clock, lamps)
     opened = open_recording(tmp_path / "rec")
     levels = [(row.leds_on, int(opened.frame(row).pixels.min())) for row in opened.rows.of("rear")]
     assert len(levels) == exposures >= 4
@@ -203,17 +221,19 @@ async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(t
     assert not lamps.switched[-1][1]
 
 
-async def test_a_self_check_whose_lamps_are_lost_says_so_and_keeps_what_it_has(tmp_path: Path) -> None:
-    lamps = ListedLamps(fails_at=4)
+async def test_a_self_check_whose_lamps_are_lost_says_so_and_keeps_what_it_has(
+    tmp_path: Path, clock: FakeClock
+) -> None:
+    lamps = ListedLamps(clock, fails_at=4)
     with pytest.raises(LampsError, match="line 3 is taken away"):
-        await switched(tmp_path / "rec", lamps)
+        await switched(tmp_path / "rec", clock, lamps)
     assert not lamps.is_open
     assert len(open_recording(tmp_path / "rec").rows) == 6
 
 
-async def test_a_self_check_whose_camera_ends_says_so(tmp_path: Path) -> None:
-    lamps = ListedLamps()
+async def test_a_self_check_whose_camera_ends_says_so(tmp_path: Path, clock: FakeClock) -> None:
+    lamps = ListedLamps(clock)
     with pytest.raises(CameraError):
-        await switched(tmp_path / "rec", lamps, frames=30)
+        await switched(tmp_path / "rec", clock, lamps, frames=30)
     assert not lamps.is_open
     assert not lamps.switched[-1][1]
