@@ -86,10 +86,10 @@ class LedCamera:
     def open(self) -> None: ...
 
     def next_frame(self, timeout_s: float) -> Frame:
+        pixels = next(self._pictures[self._lamps.lit])  # as they were when the exposure began
         self._clock.wait(self._closed, PERIOD_S)
         self._number += 1
-        pixels = next(self._pictures[self._lamps.lit])
-        return Frame(self.name, self._number, self._clock.monotonic_ns(), pixels)
+        return Frame(self.name, self._number, self._clock.monotonic_ns() - round(0.5e9 * PERIOD_S), pixels)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None: ...
 

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +19,11 @@ from altd.ports import CameraEndedError, CameraError, ExposureRange, LampsError
 from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
-from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 PIXELS = frame(light(Blob(300, 200))).pixels
+FOLLOW_NS = 30_000_000
+"""How long after the lamps' line their light is switched."""
 UNIT = UnitHeader(serial="A", target_distance_mm=280.0)
 
 
@@ -34,6 +34,7 @@ class Source:
     playback = False
     identity: CameraIdentity | None = None
     waits = True
+    clock: FakeClock
 
     def __init__(self, name: str, frames: int, end: Exception) -> None:
         self.name = name
@@ -46,26 +47,34 @@ class Source:
         if not self.left:
             raise self.end
         self.left -= 1
-        time.sleep(0.001)
+        self.clock.wait(threading.Event(), 0.05)
         return Frame(self.name, 100 - self.left, (100 - self.left) * 50_000_000, PIXELS)
 
     def close(self) -> None: ...
 
 
-def frame_sets(sources: Sequence[Source], exposure: Mapping[str, ExposureControl] | None = None) -> FrameSets:
-    return FrameSets(sources, Measuring(), Health(SystemClock()), exposure)
+async def recorded(
+    sources: Sequence[Source],
+    path: Path,
+    plan: RecordingPlan,
+    exposure: Mapping[str, ExposureControl] | None = None,
+) -> int:
+    clock = FakeClock.of_loop(threads=len(sources))
+    for source in sources:
+        source.clock = clock
+    return await clock.run(record(FrameSets(sources, Measuring(), Health(clock), exposure), path, plan))
 
 
 async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
     sources = [Source(name, 5, end) for name in ("front", "rear")]
-    return await record(frame_sets(sources), path, RecordingPlan(60.0, UNIT, kind=kind))
+    return await recorded(sources, path, RecordingPlan(60.0, UNIT, kind=kind))
 
 
 async def test_a_recording_says_which_targets_its_cameras_look_at(tmp_path: Path) -> None:
     targets = (TargetHeader(name="exit", z_mm=10.0, camera="left"),)
     sources = [Source(name, 2, CameraEndedError("the end")) for name in ("left", "spare")]
     plan = RecordingPlan(60.0, UnitHeader(serial="A"), targets)
-    await record(frame_sets(sources), tmp_path / "rec", plan)
+    await recorded(sources, tmp_path / "rec", plan)
     assert open_recording(tmp_path / "rec").header.targets == targets
 
 
@@ -104,7 +113,7 @@ class SettableSource(Source):
 async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
     exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
-    kept = await record(frame_sets(sources, exposure), tmp_path / "rec", RecordingPlan(60.0, UNIT))
+    kept = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT), exposure)
     assert [source.asked for source in sources] == [[3.0], []]
     assert kept == 12 - MAX_MARKED_FRAMES
 
@@ -127,7 +136,7 @@ class LyingSource(Source):
 
 async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Path) -> None:
     sources = [LyingSource(name, 20, CameraEndedError("the end")) for name in ("front", "rear")]
-    exposures = await record(frame_sets(sources), tmp_path / "rec", RecordingPlan(60.0, UNIT))
+    exposures = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT))
     recording = open_recording(tmp_path / "rec")
     assert len({row.sequence for row in recording.rows}) == exposures > 10
 
@@ -187,7 +196,7 @@ class ListedLamps:
     def switch(self, on: bool) -> None:
         if len(self.switched) == self._fails_at:
             raise LampsError("line 3 is taken away")
-        self.switched.append((self._clock.now_ns, on))
+        self.switched.append((self._clock.now_ns + FOLLOW_NS, on))
 
     def close(self) -> None:
         self.switched.append((self._clock.now_ns, False))
