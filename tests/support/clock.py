@@ -14,7 +14,10 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any, Self, TypeVar
 
+import pytest
+
 from altd.ports import Stop
+from altd.runtime.threads import DeviceThread
 
 Result = TypeVar("Result")
 START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
@@ -35,6 +38,7 @@ class FakeClock:
         self._idle: set[threading.Event] = set()
         self._seen: set[threading.Thread] = set()
         self._calls: set[asyncio.Future[Any]] = set()
+        self._devices: list[DeviceThread] = []
         self._ended = threading.Event()
 
     @classmethod
@@ -135,9 +139,21 @@ class FakeClock:
             due_ns, woken = self._arrived.get()
             self._call(due_ns, partial(self._wake, woken))
 
+    def watch_devices(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Time passes only while no call of a device that is begun from now on is under way, unless held."""
+        begin = DeviceThread.__init__
+
+        def begin_and_note(device: DeviceThread, name: str) -> None:
+            begin(device, name)
+            self._devices.append(device)
+
+        monkeypatch.setattr(DeviceThread, "__init__", begin_and_note)
+
     @property
     def _has_threads_waiting(self) -> bool:
-        return len(self._idle) + sum(not thread.is_alive() for thread in self._seen) >= self.threads
+        busy = sum(not device._idle.is_set() for device in self._devices)  # noqa: SLF001
+        ended = sum(not thread.is_alive() for thread in self._seen)
+        return len(self._idle) + ended >= self.threads + busy
 
     async def stop(self, task: asyncio.Task[None]) -> None:
         """Cancel a task, and let pass what time it takes to be gone, whatever the threads do."""
