@@ -86,10 +86,14 @@ class FakeClock:
 
     def hold(self, until: threading.Event) -> None:
         """Hold a thread until ``release``; time passes meanwhile."""
-        self._seen.add(threading.current_thread())
-        self._idle.add(until)
+        self.rest(until)
         while not (until.wait(0.005) or self._ended.is_set()):
             pass
+
+    def rest(self, until: threading.Event) -> None:
+        """A thread is about to wait for something else, until ``release``."""
+        self._seen.add(threading.current_thread())
+        self._idle.add(until)
 
     def release(self, held: threading.Event) -> None:
         self._idle.discard(held)
