@@ -204,14 +204,13 @@ async def driven_led_unit(
     running = LedUnit(Daemon(settings, calibration, cameras, clock, lamps=leds), unit, leds, seen)
     with pytest.MonkeyPatch.context() as patch:
         clock.watch_devices(patch)
-        passing = asyncio.create_task(_let_pass(clock))
-        try:
-            async with _running(running, prepare):
+        async with _running(running, prepare):
+            passing = asyncio.create_task(_let_pass(clock))
+            try:
                 yield running
-                clock.threads = 0
-        finally:
-            await stop(passing)
-            clock.end()
+            finally:
+                await stop(passing)
+                clock.end()  # the end of the daemon waits for threads, in real time
 
 
 @contextlib.asynccontextmanager
