@@ -160,8 +160,7 @@ class FakeClock:
         return len(self._idle) + ended >= self.threads + busy
 
     async def stop(self, task: asyncio.Task[None]) -> None:
-        """Cancel a task, and let pass what time it takes to be gone, whatever the threads do."""
-        self.threads = 0
+        """Cancel a task, and let pass what time it takes to be gone."""
         task.cancel()
         while not task.done():
             await self.advance(0.01)
