@@ -319,6 +319,16 @@ class Thermometer(Protocol):
         """
 
 
+class Stop(Protocol):
+    """An event of ``threading`` that tells a thread to end."""
+
+    def wait(self, timeout: float) -> bool:
+        """Block until it is set, or for ``timeout`` seconds; returns whether it is set."""
+
+    def is_set(self) -> bool:
+        """Whether it is set."""
+
+
 class Clock(Protocol):
     """Time, so that a test can run an hour in a second."""
 
@@ -330,3 +340,6 @@ class Clock(Protocol):
 
     async def sleep(self, seconds: float) -> None:
         """Let ``seconds`` pass on this clock."""
+
+    def wait(self, stop: Stop, seconds: float) -> None:
+        """Block a thread until ``seconds`` have passed on this clock, or until ``stop`` is set."""

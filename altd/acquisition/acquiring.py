@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
@@ -128,7 +127,7 @@ class _Acquirer:
             self._call_in_loop(self._report.ended, self.deliveries, str(error))
 
     def _acquire_for_ever(self) -> None:
-        backoff_s, failed_s, logged = _MIN_BACKOFF_S, time.monotonic(), set[str]()
+        backoff_s, failed_ns, logged = _MIN_BACKOFF_S, self._clock.monotonic_ns(), set[str]()
         while not self.stop.is_set():
             self._has_delivered = False
             try:
@@ -138,8 +137,8 @@ class _Acquirer:
                 raise
             except CameraError as error:
                 sentence = _sentence_of(error)
-                now_s = time.monotonic()
-                if now_s - failed_s > _LOG_REPEAT_S and self._has_delivered:
+                well_s = (self._clock.monotonic_ns() - failed_ns) * 1e-9
+                if well_s > _LOG_REPEAT_S and self._has_delivered:
                     logged.clear()
                 if sentence not in logged:
                     logged.add(sentence)
@@ -149,8 +148,8 @@ class _Acquirer:
                 self._camera.close()
             if self._has_delivered:
                 backoff_s = _MIN_BACKOFF_S
-            failed_s = time.monotonic()
-            self.stop.wait(backoff_s)
+            failed_ns = self._clock.monotonic_ns()
+            self._clock.wait(self.stop, backoff_s)
             backoff_s = min(2 * backoff_s, _MAX_BACKOFF_S)
 
     def _deliver(self) -> None:
@@ -182,7 +181,7 @@ class _Acquirer:
             lost = 0 if last is None else max(frame.sequence - last - 1, 0)
             last = frame.sequence
             self._has_delivered = True
-            if not self._camera.waits and (sentence := stamps.refusal(frame, time.monotonic_ns())):
+            if not self._camera.waits and (sentence := stamps.refusal(frame, self._clock.monotonic_ns())):
                 self._count_mistimed(sentence)
                 continue
             if exposure is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import time
 from collections.abc import AsyncGenerator
 from dataclasses import replace
 
@@ -23,13 +22,13 @@ async def switched_exposures(sets: FrameSets, lamps: Lamps) -> AsyncGenerator[Pa
     To be closed by the caller (``contextlib.aclosing``). Raises LampsError, CameraError when a camera is
     at its end or delivers nothing, and a driver's own failure.
     """
-    await sets.after(time.monotonic_ns(), 1)  # a camera must be open before its output can be switched
+    await sets.after(sets.clock.monotonic_ns(), 1)  # a camera must be open before its output can be switched
     try:
         await asyncio.to_thread(lamps.open)
         for on in itertools.cycle((False, True)):
             await asyncio.to_thread(lamps.switch, on)
-            await asyncio.sleep(_SETTLE_S)
-            for pair in await sets.after(time.monotonic_ns(), 1):
+            await sets.clock.sleep(_SETTLE_S)
+            for pair in await sets.after(sets.clock.monotonic_ns(), 1):
                 frames = {name: replace(frame, leds_on=on) for name, frame in pair.items.items()}
                 yield replace(pair, items=frames)
     finally:

@@ -6,6 +6,8 @@ import asyncio
 import time
 from datetime import UTC, datetime, timedelta
 
+from altd.ports import Stop
+
 
 class SystemClock:
     """CLOCK_MONOTONIC for arithmetic; UTC as the system knows it at the time of asking."""
@@ -21,3 +23,7 @@ class SystemClock:
     async def sleep(self, seconds: float) -> None:
         """Sleep in the event loop."""
         await asyncio.sleep(seconds)
+
+    def wait(self, stop: Stop, seconds: float) -> None:
+        """Block a thread, at the most until ``stop`` is set."""
+        stop.wait(seconds)

@@ -7,6 +7,8 @@ import heapq
 from datetime import UTC, datetime, timedelta
 from itertools import count
 
+from altd.ports import Stop
+
 _START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 _TURNS = 6
 """Turns of the loop in which every task that was woken reaches its next wait."""
@@ -33,6 +35,10 @@ class SteppedClock:
         future = asyncio.get_running_loop().create_future()
         heapq.heappush(self._sleepers, (self._now_ns + round(seconds * 1e9), next(self._number), future))
         await future
+
+    def wait(self, stop: Stop, seconds: float) -> None:
+        """No thread of the campaign waits."""
+        raise NotImplementedError
 
     async def pass_to(self, t_ns: int, *, at_one_blow: bool = False) -> None:
         """Let time pass; sleepers wake one after the other, or all at the end when the process was held."""

@@ -4,19 +4,65 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import math
+import threading
+import time
+from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import count
+from queue import SimpleQueue
+from typing import Any, Self, TypeVar
 
+import pytest
+
+from altd.ports import Stop
+from altd.runtime.threads import DeviceThread
+
+Result = TypeVar("Result")
 START = datetime(2026, 11, 20, 8, 0, tzinfo=UTC)
 
 
 class FakeClock:
-    """Time stands still until ``advance`` lets it pass."""
+    """Time stands still until ``advance`` lets it pass.
 
-    def __init__(self, now_ns: int = 0) -> None:
+    ``threads`` block in ``wait``, each time that they have done their part: time passes only while all do.
+    """
+
+    def __init__(self, now_ns: int = 0, threads: int = 0) -> None:
         self.now_ns = now_ns
-        self._sleepers: list[tuple[int, int, asyncio.Future[None]]] = []
+        self.threads = threads
+        self._due: list[tuple[int, int, Callable[[], object]]] = []
         self._number = count()
+        self._arrived: SimpleQueue[tuple[int, threading.Event]] = SimpleQueue()
+        self._idle: set[threading.Event] = set()
+        self._seen: set[threading.Thread] = set()
+        self._calls: set[asyncio.Future[Any]] = set()
+        self._devices: list[DeviceThread] = []
+        self._ended = threading.Event()
+
+    @classmethod
+    def of_loop(cls, now_ns: int = 10**9, threads: int = 0) -> Self:
+        """One that the timers of the running loop obey too, such as those of ``asyncio.timeout``.
+
+        Time passes only while nothing is under way in ``asyncio.to_thread``.
+        """
+        clock, loop = cls(now_ns, threads), asyncio.get_running_loop()
+        began_s, call_at, run_in_executor = loop.time(), loop.call_at, loop.run_in_executor
+
+        def call_at_and_note(when: float, *arguments: Any, **named: Any) -> asyncio.TimerHandle:
+            clock._call(now_ns + math.ceil((when - began_s) * 1e9), lambda: None)
+            return call_at(when, *arguments, **named)
+
+        def run_in_executor_and_note(*arguments: Any) -> asyncio.Future[Any]:
+            clock._calls.add(call := run_in_executor(*arguments))
+            call.add_done_callback(clock._calls.discard)
+            return call
+
+        loop.time = lambda: began_s + (clock.now_ns - now_ns) * 1e-9  # type: ignore[method-assign]
+        loop.call_at = call_at_and_note  # type: ignore[method-assign]
+        loop.run_in_executor = run_in_executor_and_note  # type: ignore[method-assign]
+        return clock
 
     def monotonic_ns(self) -> int:
         return self.now_ns
@@ -26,29 +72,113 @@ class FakeClock:
 
     async def sleep(self, seconds: float) -> None:
         future = asyncio.get_running_loop().create_future()
-        heapq.heappush(self._sleepers, (self.now_ns + round(seconds * 1e9), next(self._number), future))
+        self._call(self.now_ns + round(seconds * 1e9), lambda: future.done() or future.set_result(None))
         await future
+
+    def wait(self, stop: Stop, seconds: float) -> None:
+        self._seen.add(threading.current_thread())
+        woken = threading.Event()
+        self._arrived.put((self.now_ns + round(seconds * 1e9), woken))
+        self._idle.add(woken)
+        while not (woken.wait(0.005) or stop.is_set() or self._ended.is_set()):
+            pass
+        self._idle.discard(woken)
+
+    def hold(self, until: threading.Event) -> None:
+        """Hold a thread until ``release``; time passes meanwhile."""
+        self.rest(until)
+        while not (until.wait(0.005) or self._ended.is_set()):
+            pass
+
+    def rest(self, until: threading.Event) -> None:
+        """A thread is about to wait for something else, until ``release``."""
+        self._seen.add(threading.current_thread())
+        self._idle.add(until)
+
+    def release(self, held: threading.Event) -> None:
+        self._idle.discard(held)
+        held.set()
 
     async def advance(self, seconds: float) -> None:
         """Let time pass, waking sleepers in order; each has its say before the next one wakes."""
         end_ns = self.now_ns + round(seconds * 1e9)
-        await settle()
-        while self._sleepers and self._sleepers[0][0] <= end_ns:
-            self.now_ns, _, future = heapq.heappop(self._sleepers)
-            if not future.done():
-                future.set_result(None)
-            await settle()
+        await self.settle()
+        while self._due and self._due[0][0] <= end_ns:
+            due_ns, _, wake = heapq.heappop(self._due)
+            self.now_ns = max(self.now_ns, due_ns)
+            wake()
+            await self.settle()
         self.now_ns = end_ns
+        await settle()
 
     async def jump(self, seconds: float) -> None:
         """Let time pass at one blow, as when the process was held: all that is due wakes at the end."""
-        await settle()
+        await self.settle()
         self.now_ns += round(seconds * 1e9)
-        while self._sleepers and self._sleepers[0][0] <= self.now_ns:
-            _, _, future = heapq.heappop(self._sleepers)
-            if not future.done():
-                future.set_result(None)
+        while self._due and self._due[0][0] <= self.now_ns:
+            heapq.heappop(self._due)[2]()
         await settle()
+
+    async def until(self, condition: Callable[[], object], within_s: float = 60.0) -> None:
+        """Let time pass in small steps until something is so."""
+        end_ns = self.now_ns + round(within_s * 1e9)
+        await self.settle()
+        while not condition():
+            assert self.now_ns < end_ns, f"not within {within_s:g} s"
+            await self.advance(0.01)
+
+    async def run(self, awaited: Coroutine[Any, Any, Result]) -> Result:
+        """Let time pass until something has come to its end."""
+        task = asyncio.create_task(awaited)
+        await self.until(task.done)
+        return await task
+
+    async def settle(self) -> None:
+        """Let every task run until it waits, and every thread until it waits for this clock."""
+        await settle()
+        while self._calls or not self._has_threads_waiting:
+            time.sleep(0.0002)  # noqa: ASYNC251  it gives way to the threads
+            await settle()
+        while not self._arrived.empty():
+            due_ns, woken = self._arrived.get()
+            self._call(due_ns, partial(self._wake, woken))
+
+    def watch_devices(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Time passes only while no call of a device that is begun from now on is under way, unless held."""
+        begin = DeviceThread.__init__
+
+        def begin_and_note(device: DeviceThread, name: str) -> None:
+            begin(device, name)
+            self._devices.append(device)
+
+        monkeypatch.setattr(DeviceThread, "__init__", begin_and_note)
+
+    @property
+    def _has_threads_waiting(self) -> bool:
+        busy = sum(not device._idle.is_set() for device in self._devices)  # noqa: SLF001
+        ended = sum(not thread.is_alive() for thread in self._seen)
+        return len(self._idle) + ended >= self.threads + busy
+
+    async def stop(self, task: asyncio.Task[None]) -> None:
+        """Cancel a task, and let pass what time it takes to be gone."""
+        task.cancel()
+        while not task.done():
+            await self.advance(0.01)
+            time.sleep(0.0002)  # noqa: ASYNC251  as above
+        assert task.cancelled()
+
+    def end(self) -> None:
+        """Let all threads go, and the loop's timers run by its own clock."""
+        self._ended.set()
+        for name in ("time", "call_at", "run_in_executor"):
+            vars(asyncio.get_running_loop()).pop(name, None)
+
+    def _call(self, due_ns: int, wake: Callable[[], object]) -> None:
+        heapq.heappush(self._due, (due_ns, next(self._number), wake))
+
+    def _wake(self, woken: threading.Event) -> None:
+        self._idle.discard(woken)
+        woken.set()
 
 
 async def stop(task: asyncio.Task[None]) -> None:

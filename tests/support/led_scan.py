@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-import time
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,10 +13,11 @@ import numpy as np
 from altd.config import Config
 from altd.ports import LampsError
 from altd.records import CameraIdentity, Frame, Origin, PixelArray
+from support.clock import FakeClock
 from support.led_frames import Scene
 from support.unit_toml import TARGETS
 
-FRAME_S = 0.003
+PERIOD_S = 0.05
 _VARIANTS = 16
 """As many pictures of each light, one after the other: no two of a check are the same."""
 
@@ -64,15 +65,19 @@ class ScanLamps:
 
 
 class LedCamera:
-    """A camera before a scene whose LEDs follow the lamps; it waits for whoever takes its frames."""
+    """A camera before a scene whose LEDs follow the lamps, 20 exposures a second of the test's clock."""
 
     origin = Origin.CAMERA
     playback = False
-    waits = True
+    waits = False
     exposure_range = None
 
-    def __init__(self, name: str, scene: Scene, lamps: ScanLamps, serial: str | None = None) -> None:
+    def __init__(
+        self, name: str, scene: Scene, lamps: ScanLamps, clock: FakeClock, serial: str | None = None
+    ) -> None:
         self.name = name
+        self._clock = clock
+        self._closed = threading.Event()
         self.identity = CameraIdentity(serial)
         self._lamps = lamps
         self._pictures = {on: itertools.cycle(of) for on, of in _pictures(name, scene).items()}
@@ -81,10 +86,10 @@ class LedCamera:
     def open(self) -> None: ...
 
     def next_frame(self, timeout_s: float) -> Frame:
-        pixels = next(self._pictures[self._lamps.lit])
-        time.sleep(FRAME_S)
+        pixels = next(self._pictures[self._lamps.lit])  # as they were when the exposure began
+        self._clock.wait(self._closed, PERIOD_S)
         self._number += 1
-        return Frame(self.name, self._number, time.monotonic_ns() - round(0.5e9 * FRAME_S), pixels)
+        return Frame(self.name, self._number, self._clock.monotonic_ns() - round(0.5e9 * PERIOD_S), pixels)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None: ...
 

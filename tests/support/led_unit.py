@@ -1,13 +1,16 @@
-"""A daemon in this process on simulated cameras whose frame LEDs follow the daemon's lamps, in real time."""
+"""A daemon in this process on simulated cameras whose frame LEDs follow the daemon's lamps."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from typing import Any, cast
+
+import pytest
 
 from altd.app.daemon import Daemon
 from altd.config import Config
@@ -19,7 +22,7 @@ from hw_sim.beam import BeamPose
 from hw_sim.camera import Schedule, SimulatedCamera
 from hw_sim.displacement import Displacement
 from hw_sim.unit import CAMERAS, FRONT, REAR, Unit, UnitConfig
-from support.clock import stop
+from support.clock import FakeClock, stop
 from support.unit_toml import TARGETS
 
 POLL_S = 0.01
@@ -35,6 +38,7 @@ class TimedLeds:
 
     def __init__(self) -> None:
         self.line: list[tuple[int, bool]] = [(0, False)]
+        self.now_ns: Callable[[], int] = time.monotonic_ns
         self.refuses = ""
         self.follow: Callable[[bool, int], bool] = lambda level, t_ns: level
 
@@ -45,11 +49,11 @@ class TimedLeds:
         if self.refuses:
             raise LampsError(self.refuses)
         if on is not self.line[-1][1]:
-            self.line.append((time.monotonic_ns(), on))
+            self.line.append((self.now_ns(), on))
 
     def close(self) -> None:
         if self.line[-1][1]:
-            self.line.append((time.monotonic_ns(), False))
+            self.line.append((self.now_ns(), False))
 
     def level_at(self, t_ns: int) -> bool:
         return next(on for since_ns, on in reversed(self.line) if since_ns <= t_ns)
@@ -118,6 +122,10 @@ class LedUnit:
     seen: _LitUnit
     polls: list[Poll] = field(default_factory=list)
 
+    @property
+    def now_s(self) -> float:
+        return asyncio.get_running_loop().time()
+
     async def report(self, number: int, timeout_s: float = 30.0) -> SelfCheckReport:
         """What check ``number`` said, once it has ended."""
         async with asyncio.timeout(timeout_s):
@@ -147,12 +155,62 @@ class LedUnit:
     async def poll(self) -> None:
         board = self.daemon.board
         while True:
-            self.polls.append(Poll(time.monotonic(), board.read(), board.published, board.age_s()))
+            self.polls.append(Poll(self.now_s, board.read(), board.published, board.age_s()))
             await asyncio.sleep(POLL_S)
 
 
 def codes(measurement: Measurement) -> set[str]:
     return {str(fault) for fault in measurement.status}
+
+
+class _ClockedCamera(SimulatedCamera):
+    """Exposes at the periods of a test's clock."""
+
+    def __init__(self, seen: _LitUnit, name: str, clock: FakeClock) -> None:
+        unit = cast("Unit", seen)
+        super().__init__(unit, name, Schedule(unit.config.period_ns, real_time=False), waits=True)
+        self._exposing = unit
+        self._clock = clock
+        self._never = threading.Event()
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        period_ns, lag_ns = self._exposing.config.period_ns, self._exposing.lag_ns(self.name)
+        now_ns = self._clock.monotonic_ns()
+        sequence = (now_ns - lag_ns) // period_ns + 1
+        t_ns = sequence * period_ns + lag_ns
+        self._clock.wait(self._never, (t_ns - now_ns) * 1e-9)
+        return self._exposing.expose(self.name, sequence, t_ns)
+
+
+async def _let_pass(clock: FakeClock) -> None:
+    while True:
+        await clock.advance(POLL_S)
+
+
+@contextlib.asynccontextmanager
+async def driven_led_unit(
+    calibration: Calibration,
+    settings: Config,
+    prepare: Callable[[LedUnit], None] = lambda running: None,
+) -> AsyncIterator[LedUnit]:
+    """The unit with seed 3, whose calibration it is; ``prepare`` is called before its daemon starts.
+
+    Time passes as fast as the daemon computes, also for the timers of the loop.
+    """
+    unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
+    seen, clock = _LitUnit(unit, leds), FakeClock.of_loop(threads=len(CAMERAS))
+    leds.now_ns = clock.monotonic_ns
+    cameras = {name: _ClockedCamera(seen, name, clock) for name in CAMERAS}
+    running = LedUnit(Daemon(settings, calibration, cameras, clock, lamps=leds), unit, leds, seen)
+    with pytest.MonkeyPatch.context() as patch:
+        clock.watch_devices(patch)
+        async with _running(running, prepare):
+            passing = asyncio.create_task(_let_pass(clock))
+            try:
+                yield running
+            finally:
+                await stop(passing)
+                clock.end()  # the end of the daemon waits for threads, in real time
 
 
 @contextlib.asynccontextmanager
@@ -161,12 +219,19 @@ async def led_unit(
     settings: Config,
     prepare: Callable[[LedUnit], None] = lambda running: None,
 ) -> AsyncIterator[LedUnit]:
-    """The unit with seed 3, whose calibration it is; ``prepare`` is called before its daemon starts."""
+    """The same in real time, for browsers and clients."""
     unit, leds = Unit(UnitConfig(seed=3)), TimedLeds()
     seen = _LitUnit(unit, leds)
     schedule = Schedule(unit.config.period_ns, real_time=True)
     cameras = {name: SimulatedCamera(cast("Unit", seen), name, schedule, waits=False) for name in CAMERAS}
-    running = LedUnit(Daemon(settings, calibration, cameras, lamps=leds), unit, leds, seen)
+    async with _running(
+        LedUnit(Daemon(settings, calibration, cameras, lamps=leds), unit, leds, seen), prepare
+    ) as running:
+        yield running
+
+
+@contextlib.asynccontextmanager
+async def _running(running: LedUnit, prepare: Callable[[LedUnit], None]) -> AsyncIterator[LedUnit]:
     prepare(running)
     tasks = [asyncio.create_task(running.daemon.run()), asyncio.create_task(running.poll())]
     try:

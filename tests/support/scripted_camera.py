@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,16 +11,17 @@ from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.latest_frames import keep_mark
 from altd.acquisition.latest_of_each import LatestOfEach
 from altd.config import ExposureSettings
-from altd.ports import ExposureRange
+from altd.ports import CameraTimeoutError, ExposureRange
 from altd.records import Frame, Origin
-from altd.runtime.clock import SystemClock
+from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
+PERIOD_S = 0.05
 PIXELS = frame(light(Blob(300, 200))).pixels
 
 
 class ScriptedCamera:
-    """Each call of next_frame does what the next line of the script says; then frames for ever.
+    """Each call of next_frame does what the next line of the script says; then 20 frames a second for ever.
 
     A number lets so many frames be lost.
     """
@@ -35,26 +33,30 @@ class ScriptedCamera:
     exposure_range = None
     identity = None
 
-    def __init__(self, *script: Exception | str | int) -> None:
+    def __init__(self, clock: FakeClock, *script: Exception | str | int) -> None:
+        self.clock = clock
         self.script = list(script)
         self.calls: list[str] = []
         self.hang = threading.Event()
         self.number = 0
+        self._never = threading.Event()
 
     def open(self) -> None:
         self.calls.append("open")
 
     def next_frame(self, timeout_s: float) -> Frame:
         step = self.script.pop(0) if self.script else "frame"
+        if isinstance(step, CameraTimeoutError):
+            self.clock.wait(self._never, timeout_s)
         if isinstance(step, Exception):
             raise step
         if step == "hang":
-            self.hang.wait(20)
+            self.clock.hold(self.hang)
         if isinstance(step, int):
             self.number += step
-        time.sleep(0.002)
+        self.clock.wait(self._never, PERIOD_S)
         self.number += 1
-        return Frame("front", self.number, time.monotonic_ns(), PIXELS)
+        return Frame("front", self.number, self.clock.monotonic_ns(), PIXELS)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         self.calls.append(f"expose {exposure_ms:g} ms {gain_db:g} dB")
@@ -66,8 +68,8 @@ class ScriptedCamera:
 class LyingCamera(ScriptedCamera):
     """Stamps each frame off by what the next line of the script says, s."""
 
-    def __init__(self, *off_s: float) -> None:
-        super().__init__()
+    def __init__(self, clock: FakeClock, *off_s: float) -> None:
+        super().__init__(clock)
         self.off_s = list(off_s)
 
     def next_frame(self, timeout_s: float) -> Frame:
@@ -81,8 +83,8 @@ class SettableCamera(ScriptedCamera):
 
     exposure_range = ExposureRange(1.0, 200.0, 0.0, 0.0)
 
-    def __init__(self, *script: Exception | str | int) -> None:
-        super().__init__(*script)
+    def __init__(self, clock: FakeClock, *script: Exception | str | int) -> None:
+        super().__init__(clock, *script)
         self.used_ms = 1.0
         self.coming: list[float] = [1.0] * 2
         self.refusal: Exception | None = None
@@ -100,15 +102,8 @@ class SettableCamera(ScriptedCamera):
         return Frame("front", taken.sequence, taken.t_ns, pixels)
 
 
-def newest() -> LatestOfEach[Frame]:
-    return LatestOfEach(["front"], SystemClock(), keep_mark)
-
-
-async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.005)
+def newest(clock: FakeClock) -> LatestOfEach[Frame]:
+    return LatestOfEach(["front"], clock, keep_mark)
 
 
 def exposure_of(exposure_ms: float = 10.0) -> ExposureControl:

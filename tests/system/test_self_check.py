@@ -1,4 +1,4 @@
-"""The whole daemon checks itself on simulated cameras, in real time: what it costs, and what it names.
+"""The whole daemon checks itself on simulated cameras: what it costs, and what it names.
 
 The cameras' LEDs follow the times at which the daemon switched their line, not what it says of its frames.
 """
@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import itertools
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.led_unit import MOVED, POSE, LedUnit, Poll, codes, config, led_unit
+from support.clock import START
+from support.led_unit import MOVED, POSE, LedUnit, Poll, codes, config, driven_led_unit
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
@@ -21,8 +21,6 @@ from hw_sim.beam import BeamPose
 from hw_sim.displacement import Displacement
 from hw_sim.targets import LED_POSITIONS_MM
 from hw_sim.unit import FRONT, REAR
-
-pytestmark = pytest.mark.real_time
 
 
 def invalid(polls: list[Poll]) -> list[Poll]:
@@ -39,11 +37,11 @@ def longest_gap_s(polls: list[Poll]) -> float:
 async def test_a_check_costs_a_few_exposures_and_no_beat(
     calibration_of_unit_3: Calibration, window: int
 ) -> None:
-    async with led_unit(calibration_of_unit_3, config(measuring={"window": window})) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(measuring={"window": window})) as running:
         first = await running.report(1)
         assert (first.document["verdict"], first.document["cause"]) == ("good", "start")
         await running.measured(valid=True)
-        before_s = time.monotonic()
+        before_s = running.now_s
         report = await running.check()
         await running.measured()
         polls = [poll for poll in running.polls if poll.at_s > before_s]
@@ -64,7 +62,7 @@ async def test_a_check_costs_a_few_exposures_and_no_beat(
 async def test_a_camera_that_moved_is_found_and_nothing_is_valid_until_it_is_back(
     calibration_of_unit_3: Calibration,
 ) -> None:
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         assert (await running.report(1)).document["verdict"] == "good"
         running.unit.displace(REAR, MOVED)
         report = await running.check()
@@ -92,9 +90,10 @@ async def test_the_history_of_checks_outlives_a_restart(
     def prepare(running: LedUnit) -> None:
         running.daemon.keep_state_in(tmp_path)
 
+    calibrated = replace(calibration_of_unit_3, created=START)
     counted = []
     for _ in range(2):
-        async with led_unit(calibration_of_unit_3, config(), prepare) as running:
+        async with driven_led_unit(calibrated, config(), prepare) as running:
             assert (await running.report(1)).document["verdict"] == "good"
             assert (await running.check()).document["verdict"] == "good"
         rear = json.loads(only_file(tmp_path))["targets"]["rear"]
@@ -110,7 +109,7 @@ async def test_a_camera_that_stands_still_during_a_check_is_named(calibration_of
         still = frozen.setdefault(frame.camera, frame) if frame.camera == REAR else frame
         return replace(frame, pixels=still.pixels)
 
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         running.seen.alter = alter
         report = await running.check()
@@ -123,7 +122,7 @@ async def test_a_beam_that_jumps_during_a_check_makes_no_drift_and_is_checked_af
     calibration_of_unit_3: Calibration,
 ) -> None:
     """With the first lit exposure, by 20 mm on both targets: the spot is in the lit frames elsewhere."""
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
 
         def jump(level: bool, t_ns: int) -> bool:
@@ -139,11 +138,11 @@ async def test_a_beam_that_jumps_during_a_check_makes_no_drift_and_is_checked_af
 
 async def test_a_blow_that_moves_all_spots_is_followed_by_a_check(calibration_of_unit_3: Calibration) -> None:
     """Until then nobody knows what it did to cameras and targets, and each measurement says so."""
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         await running.measured(valid=True)
         running.unit.place(replace(POSE, x_mm=POSE.x_mm + 5.0))
-        struck_s = time.monotonic()
+        struck_s = running.now_s
         report = await running.report(2)
         since = [
             codes(poll.measurement) for poll in running.polls if poll.measurement and poll.at_s > struck_s
@@ -164,7 +163,7 @@ async def test_a_spot_over_an_led_does_not_move_it(calibration_of_unit_3: Calibr
     def prepare(running: LedUnit) -> None:
         running.unit.place(beside)
 
-    async with led_unit(calibration_of_unit_3, config(), prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(), prepare) as running:
         report = await running.report(1)
         assert report.document["verdict"] == "good"
         running.unit.displace(FRONT, MOVED)
@@ -176,7 +175,7 @@ async def test_a_spot_over_an_led_does_not_move_it(calibration_of_unit_3: Calibr
 async def test_a_daemon_that_is_stopped_during_a_check_leaves_the_leds_dark(
     calibration_of_unit_3: Calibration,
 ) -> None:
-    async with led_unit(calibration_of_unit_3, config(exposures=20)) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(exposures=20)) as running:
         await running.lit()
     assert running.leds.line[-1][1] is False
     assert running.daemon.health.self_check.latest is None
@@ -187,7 +186,7 @@ async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not
 ) -> None:
     targets = [replace(target, leds_px=np.zeros((0, 2))) for target in calibration_of_unit_3.targets]
     without = replace(calibration_of_unit_3, targets=tuple(targets))
-    async with led_unit(without, config()) as running:
+    async with driven_led_unit(without, config()) as running:
         assert codes(await running.measured(valid=True)) <= {"simulated", "exposures_lost"}
         assert running.leds.lit_s == []
         assert running.daemon.health.self_check.unavailable == (
@@ -197,7 +196,7 @@ async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not
 
 
 async def test_by_its_settings_it_checks_only_when_asked(calibration_of_unit_3: Calibration) -> None:
-    async with led_unit(calibration_of_unit_3, config(enabled=False)) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(enabled=False)) as running:
         assert codes(await running.measured(valid=True)) <= {"simulated", "exposures_lost"}
         assert running.leds.lit_s == []
         assert (await running.check()).document["verdict"] == "good"

@@ -1,18 +1,16 @@
-"""The whole daemon corrects a drift that its self-check found, in real time, and says when it does not."""
+"""The whole daemon corrects a drift that its self-check found, and says when it does not."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import pytest
-from support.led_unit import MOVED, POSE, LedUnit, codes, config, led_unit
+from support.led_unit import MOVED, POSE, LedUnit, codes, config, driven_led_unit
 
 from altd.acquisition.self_check import standing
 from altd.measuring.calibration import Calibration
 from hw_sim.displacement import Displacement
 from hw_sim.unit import FRONT, REAR
-
-pytestmark = pytest.mark.real_time
 
 
 @pytest.mark.parametrize("camera", [FRONT, REAR])
@@ -25,7 +23,7 @@ async def test_compensation_takes_a_drift_out_and_says_so(
         running.unit.place(POSE)
         running.unit.displace(camera, MOVED)
 
-    async with led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
         report = await running.report(1)
         assert report.document["verdict"] == "bad"
         corrected = await running.measured(valid=True)
@@ -55,7 +53,7 @@ async def test_a_correction_that_no_check_confirms_ends_and_the_drift_counts(
         running.unit.displace(REAR, MOVED)
 
     settings = config(compensate=True, when_bad="warning", interval_s=10)
-    async with led_unit(calibration_of_unit_3, settings, prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, settings, prepare) as running:
         await running.report(1)
         corrected = last = await running.measured(valid=True)
         while "compensated" in codes(last):
@@ -75,7 +73,7 @@ async def test_a_camera_that_moves_on_after_it_was_corrected_is_wrong_until_the_
     def prepare(running: LedUnit) -> None:
         running.unit.displace(FRONT, MOVED)
 
-    async with led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(compensate=True), prepare) as running:
         await running.report(1)
         assert "compensated" in codes(await running.measured(valid=True))
         running.unit.displace(FRONT, replace(MOVED, shift_px=(0.6, 0.5)))
@@ -90,7 +88,7 @@ async def test_a_drift_beyond_what_may_be_compensated_is_invalid(calibration_of_
         running.unit.displace(REAR, Displacement((4.0, 0.0)))
 
     settings = config(compensate=True, compensate_mm=0.5)
-    async with led_unit(calibration_of_unit_3, settings, prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, settings, prepare) as running:
         await running.report(1)
         after = await running.measured()
         assert not after.valid

@@ -1,4 +1,4 @@
-"""The whole daemon's self-check, in real time, where LEDs fail and other lights come and go."""
+"""The whole daemon's self-check where LEDs fail and other lights come and go."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.led_unit import LedUnit, codes, config, led_unit
+from support.led_unit import LedUnit, codes, config, driven_led_unit
 
 from altd.measuring.calibration import Calibration
 from altd.records import Frame
 from hw_sim.frame_leds import Shines, Stray
 from hw_sim.unit import FRONT
-
-pytestmark = pytest.mark.real_time
 
 
 @pytest.mark.parametrize("when_unknown", ["warning", "invalid"])
@@ -23,7 +21,7 @@ async def test_leds_that_all_stay_dark_are_named(
     def prepare(running: LedUnit) -> None:
         running.leds.follow = lambda level, t_ns: False
 
-    async with led_unit(calibration_of_unit_3, config(when_unknown=when_unknown), prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(when_unknown=when_unknown), prepare) as running:
         report = await running.report(1)
         assert report.document["verdict"] == "unknown"
         assert report.document["targets"]["front"]["leds_found"] == 0  # type: ignore[index]
@@ -36,7 +34,7 @@ async def test_leds_that_all_stay_dark_are_named(
 
 
 async def test_a_lamp_line_that_was_taken_away_is_named(calibration_of_unit_3: Calibration) -> None:
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         assert (await running.report(1)).document["verdict"] == "good"
         running.leds.refuses = "GPIO chip 'unit': 'LED_A' taken by 'torch'"
         report = await running.check()
@@ -52,7 +50,7 @@ async def test_a_lamp_line_that_was_taken_away_is_named(calibration_of_unit_3: C
 async def test_leds_that_stay_lit_make_nothing_valid_and_are_named(
     calibration_of_unit_3: Calibration,
 ) -> None:
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         running.leds.follow = lambda level, t_ns: True
         report = await running.check()
@@ -70,7 +68,7 @@ async def test_a_light_that_blinks_by_itself_is_named_and_spoils_nothing(
     def prepare(running: LedUnit) -> None:
         running.unit.set_lights(FRONT, strays=(blinker,))
 
-    async with led_unit(calibration_of_unit_3, config(exposures=8), prepare) as running:
+    async with driven_led_unit(calibration_of_unit_3, config(exposures=8), prepare) as running:
         report = await running.report(1)
         assert any("came or went by itself" in note for note in report.document["notes"])  # type: ignore[union-attr]
         assert report.document["verdict"] == "good"
@@ -93,7 +91,7 @@ async def test_a_lamp_that_flashes_beside_an_led_moves_no_verdict(
             return replace(frame, pixels=pixels)
         return frame
 
-    async with led_unit(calibration_of_unit_3, config()) as running:
+    async with driven_led_unit(calibration_of_unit_3, config()) as running:
         await running.report(1)
         running.seen.alter = alter
         report = await running.check()

@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 
 from altd.instruments.beam.quantities import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
+from altd.ports import Stop
 from altd.records import Measurement, Value
 from altd.records.motion import Motion
 from altd.status.board import Board
@@ -52,6 +53,9 @@ class _Standing:
         return None
 
     async def sleep(self, seconds: float) -> None:
+        return None
+
+    def wait(self, stop: Stop, seconds: float) -> None:
         return None
 
 

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.config import ConsolePortSettings, TelegramPortSettings
+from altd.ports import Stop
 from altd.publish.serial.publisher import console_message, telegram_message
 from altd.reasons import Reason
 from altd.records import Fault
@@ -40,6 +41,9 @@ class _TwoHoursLater:
         return None
 
     async def sleep(self, seconds: float) -> None:
+        return None
+
+    def wait(self, stop: Stop, seconds: float) -> None:
         return None
 
 

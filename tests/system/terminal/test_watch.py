@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import pty
 import re
@@ -27,8 +28,8 @@ from support.played_unit import PlayedUnit
 from tools.pictures.terminal import Terminal, terminal
 
 GONE = "NO CONNECTION: nothing is known of the unit now"
-PATIENCE_S = 30.0
-"""For what is no claim of how soon, on a machine that is busy with other tests."""
+PATIENCE_S = math.inf
+"""For what is no claim of how soon: pytest ends what hangs."""
 
 
 @pytest.fixture(scope="module")

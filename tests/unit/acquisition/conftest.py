@@ -1,11 +1,21 @@
 from __future__ import annotations
 
-import pytest
+from collections.abc import AsyncIterator
 
-from altd.runtime.clock import SystemClock
+import pytest
+from support.clock import FakeClock
+
 from altd.status.health import Component, Health
 
 
 @pytest.fixture
-def component() -> Component:
-    return Health(SystemClock()).component("camera front")
+async def clock() -> AsyncIterator[FakeClock]:
+    """That of the loop and of a camera's thread."""
+    clock = FakeClock.of_loop(8_000_000_000, threads=1)
+    yield clock
+    clock.end()
+
+
+@pytest.fixture
+def component(clock: FakeClock) -> Component:
+    return Health(clock).component("camera front")

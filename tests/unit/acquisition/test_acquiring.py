@@ -3,13 +3,11 @@ from __future__ import annotations
 import asyncio
 import itertools
 import threading
-import time
 
 import pytest
-from support.clock import stop
-from support.scripted_camera import ScriptedCamera, SettableCamera, exposure_of, newest, until
+from support.clock import FakeClock
+from support.scripted_camera import PERIOD_S, ScriptedCamera, SettableCamera, exposure_of, newest
 
-from altd.acquisition import acquiring
 from altd.acquisition.acquiring import acquire
 from altd.ports import (
     CameraBusyError,
@@ -22,88 +20,89 @@ from altd.ports import (
 from altd.records import Frame
 from altd.status.health import Component, State
 
-SLOW_MACHINE_S = 0.5
 
-
-async def test_a_lost_camera_is_closed_and_opened_again(component: Component) -> None:
-    camera = ScriptedCamera("frame", CameraError("unplugged"), "frame")
-    frames = newest()
+async def test_a_lost_camera_is_closed_and_opened_again(component: Component, clock: FakeClock) -> None:
+    camera = ScriptedCamera(clock, "frame", CameraError("unplugged"), "frame")
+    frames = newest(clock)
     task = asyncio.create_task(acquire(camera, frames, component))
-    await until(lambda: component.state is State.FAILED)
+    await clock.until(lambda: component.state is State.FAILED)
     assert component.message == "unplugged; trying again"
-    await until(lambda: component.state is State.OK)
+    await clock.until(lambda: component.state is State.OK)
     assert camera.calls == ["open", "close", "open"]
     assert component.counters["failures"] == 1
-    await stop(task)
+    await clock.stop(task)
     assert camera.calls[-1] == "close"
 
 
 async def test_the_journal_hears_of_a_lost_camera_once(
-    component: Component, caplog: pytest.LogCaptureFixture
+    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
-    camera = ScriptedCamera(*[CameraError("unplugged")] * 2, "frame")
-    task = asyncio.create_task(acquire(camera, newest(), component))
-    await until(lambda: component.state is State.OK)
-    await stop(task)
+    camera = ScriptedCamera(clock, *[CameraError("unplugged")] * 2, "frame")
+    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    await clock.until(lambda: component.state is State.OK)
+    await clock.stop(task)
     assert caplog.messages == ["camera front: unplugged; trying again"]
 
 
-async def test_a_source_at_its_end_ends_quietly(component: Component) -> None:
-    camera = ScriptedCamera("frame", "frame", CameraEndedError("the recording is at its end"))
-    frames = newest()
-    await acquire(camera, frames, component)
-    await until(lambda: component.state is State.ENDED)
+async def test_a_source_at_its_end_ends_quietly(component: Component, clock: FakeClock) -> None:
+    camera = ScriptedCamera(clock, "frame", "frame", CameraEndedError("the recording is at its end"))
+    frames = newest(clock)
+    await clock.run(acquire(camera, frames, component))
+    await clock.until(lambda: component.state is State.ENDED)
     assert component.counters["frames"] == 2
     assert camera.calls == ["open", "close"]
-    assert [f.sequence for f in await frames.take(wake_for_each=False)] == [2]
+    assert [f.sequence for f in await clock.run(frames.take(wake_for_each=False))] == [2]
 
 
-async def test_every_frame_is_counted_also_when_it_ends_between_two_reports(component: Component) -> None:
-    came = threading.Event()
-
+async def test_every_frame_is_counted_also_when_it_ends_between_two_reports(
+    component: Component, clock: FakeClock
+) -> None:
     class Counting:
         frames = 0
 
         def put(self, frame: Frame, wait: bool) -> None:
             self.frames += 1
-            came.set()
 
         def close(self) -> None:
             pass
 
     sink = Counting()
-    task = asyncio.create_task(acquire(ScriptedCamera("frame"), sink, component))
-    assert await asyncio.to_thread(came.wait, 5)
+    task = asyncio.create_task(acquire(ScriptedCamera(clock, "frame"), sink, component))
+    await clock.advance(2.5 * PERIOD_S)
+    assert sink.frames == 2
     assert "frames" not in component.counters, "reported already: nothing is shown by this test"
-    await stop(task)
+    await clock.stop(task)
     assert component.counters["frames"] == sink.frames
 
 
-async def test_a_defect_in_a_driver_ends_the_daemon_not_just_the_thread(component: Component) -> None:
+async def test_a_defect_in_a_driver_ends_the_daemon_not_just_the_thread(
+    component: Component, clock: FakeClock
+) -> None:
     with pytest.raises(ZeroDivisionError):
-        await acquire(ScriptedCamera("frame", ZeroDivisionError()), newest(), component)
+        await clock.run(
+            acquire(ScriptedCamera(clock, "frame", ZeroDivisionError()), newest(clock), component)
+        )
 
 
 @pytest.mark.parametrize("call", ["open", "next_frame", "set_exposure", "close"])
 async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
-    component: Component, monkeypatch: pytest.MonkeyPatch, call: str
+    component: Component, monkeypatch: pytest.MonkeyPatch, call: str, clock: FakeClock
 ) -> None:
-    monkeypatch.setattr(acquiring, "_JOIN_TIMEOUT_S", 0.2)
-    camera = SettableCamera("frame", CameraLostError("unplugged") if call == "close" else "frame")
+    camera = SettableCamera(clock, "frame", CameraLostError("unplugged") if call == "close" else "frame")
     held = threading.Event()
 
     def hang(*_: object) -> Frame:
         held.set()
-        camera.hang.wait(20)
+        clock.hold(camera.hang)
         raise CameraError("too late")
 
     monkeypatch.setattr(camera, call, hang)
-    task = asyncio.create_task(acquire(camera, newest(), component, exposure_of()))
-    await until(held.is_set)
-    started = time.monotonic()
-    await stop(task)
-    assert time.monotonic() - started < 2.0
-    camera.hang.set()
+    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure_of()))
+    await clock.until(held.is_set)
+    began_ns = clock.now_ns
+    await clock.stop(task)
+    assert clock.now_ns - began_ns < 3.1e9
+    clock.release(camera.hang)
 
 
 @pytest.mark.parametrize(
@@ -117,35 +116,34 @@ async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
     ],
 )
 async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
-    component: Component, monkeypatch: pytest.MonkeyPatch, error: CameraError, sentence: str
+    component: Component, monkeypatch: pytest.MonkeyPatch, error: CameraError, sentence: str, clock: FakeClock
 ) -> None:
-    camera = ScriptedCamera()
+    camera = ScriptedCamera(clock)
     tried: list[float] = []
 
     def refuse() -> None:
-        tried.append(time.monotonic())
+        tried.append(clock.now_ns * 1e-9)
         if len(tried) <= 3:
             raise error
 
     monkeypatch.setattr(camera, "open", refuse)
-    task = asyncio.create_task(acquire(camera, newest(), component))
-    await until(lambda: component.state is State.FAILED)
+    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    await clock.until(lambda: component.state is State.FAILED)
     assert component.message == sentence
-    await until(lambda: component.state is State.OK)
+    await clock.until(lambda: component.state is State.OK)
     pauses = [after - before for before, after in itertools.pairwise(tried)]
-    assert max(pauses) < 0.5 + SLOW_MACHINE_S
-    assert pauses[0] < 0.2 + SLOW_MACHINE_S
+    assert pauses == pytest.approx([0.2, 0.4, 0.5])
     assert component.counters["failures"] == 3
-    await stop(task)
+    await clock.stop(task)
 
 
 async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
-    component: Component, caplog: pytest.LogCaptureFixture
+    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
     script = [CameraLostError("unplugged"), CameraNotFoundError("nothing there")] * 2
-    task = asyncio.create_task(acquire(ScriptedCamera(*script, "frame"), newest(), component))
-    await until(lambda: component.state is State.OK)
-    await stop(task)
+    task = asyncio.create_task(acquire(ScriptedCamera(clock, *script, "frame"), newest(clock), component))
+    await clock.until(lambda: component.state is State.OK)
+    await clock.stop(task)
     assert caplog.messages == [
         "camera front: lost: unplugged; trying again",
         "camera front: not found: nothing there; trying again",
@@ -153,25 +151,28 @@ async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
 
 
 async def test_a_failure_is_news_again_when_the_camera_was_well_for_long(
-    component: Component, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
-    monkeypatch.setattr(acquiring, "_LOG_REPEAT_S", 0.05)
-    frames = ["frame"] * 50
-    camera = ScriptedCamera(*frames, CameraLostError("unplugged"), *frames, CameraLostError("unplugged"))
-    task = asyncio.create_task(acquire(camera, newest(), component))
-    await until(lambda: component.counters.get("failures") == 2 and component.state is State.OK)
-    await stop(task)
+    frames = ["frame"] * 201  # of 20 a second
+    camera = ScriptedCamera(
+        clock, *frames, CameraLostError("unplugged"), *frames, CameraLostError("unplugged")
+    )
+    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    await clock.until(lambda: component.counters.get("failures") == 2 and component.state is State.OK)
+    await clock.stop(task)
     assert caplog.messages == ["camera front: lost: unplugged; trying again"] * 2
 
 
 async def test_a_camera_is_heard_of_while_it_fails_and_not_once_nobody_looks_after_it(
-    component: Component,
+    component: Component, clock: FakeClock
 ) -> None:
-    task = asyncio.create_task(acquire(ScriptedCamera(*[CameraError("unplugged")] * 50), newest(), component))
-    await until(lambda: component.state is State.FAILED)
+    task = asyncio.create_task(
+        acquire(ScriptedCamera(clock, *[CameraError("unplugged")] * 50), newest(clock), component)
+    )
+    await clock.until(lambda: component.state is State.FAILED)
     heard_ns = component.heard_ns
-    await until(lambda: component.heard_ns > heard_ns + 500_000_000)
-    await stop(task)
+    await clock.until(lambda: component.heard_ns > heard_ns + 500_000_000)
+    await clock.stop(task)
     # by its clock, without waiting: what it said last is true no more
     later_ns = component.clock.monotonic_ns() + 5_000_000_000
     assert component.silent_s(later_ns) is not None

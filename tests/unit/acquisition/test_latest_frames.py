@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import threading
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pytest
+from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
-from altd.acquisition.latest_frames import LatestFrames
+from altd.acquisition.latest_frames import LatestFrames, _Slot
 from altd.records import Frame
 from altd.runtime.threads import call_in_thread
 
@@ -81,28 +82,47 @@ class TestOneCamera:
             assert await asyncio.gather(*waiting) == [None, None]
 
 
-def located(
+class GivingFrames(LatestFrames):
+    """Tells the clock when it gives a thread, which rests, a frame."""
+
+    def __init__(self, clock: FakeClock, cameras: Iterable[str]) -> None:
+        super().__init__(cameras)
+        self.clock = clock
+        self.given = {camera: threading.Event() for camera in self._slots}
+
+    def _give_to(self, slot: _Slot) -> None:
+        super()._give_to(slot)
+        self.clock.release(next(self.given[camera] for camera, of in self._slots.items() if of is slot))
+
+
+async def located(
     locating_s: dict[str, float], exposures: int, period_s: float, lag_s: float = 0.0, first_of_rear: int = 0
 ) -> dict[str, list[int]]:
-    """Which exposures the thread of each camera locates, when it takes so long for each."""
-    frames = LatestFrames(locating_s)
+    """Which exposures the thread of each camera locates, when it takes about so long for each."""
+    clock = FakeClock(threads=2)
+    frames, never = GivingFrames(clock, locating_s), threading.Event()
     taken: dict[str, list[int]] = {camera: [] for camera in locating_s}
 
     def locate(camera: str) -> None:
+        drawn = random.Random(camera)
+        clock.rest(frames.given[camera])
         while (frame := frames.take(camera)) is not None:
             taken[camera].append(frame.sequence)
-            time.sleep(locating_s[camera])
+            clock.wait(never, locating_s[camera] * drawn.uniform(0.8, 1.2))
+            clock.rest(frames.given[camera])
 
     threads = [threading.Thread(target=locate, args=(camera,)) for camera in locating_s]
     for thread in threads:
         thread.start()
-    begin_s = time.monotonic()
+    late = random.Random(exposures)
     for number in range(exposures):
         for camera, after_s in zip(locating_s, (0.0, lag_s), strict=True):
-            time.sleep(max(begin_s + number * period_s + after_s - time.monotonic(), 0.0))
+            late_s = late.uniform(0.0, 0.5) * period_s
+            await clock.advance(max(number * period_s + after_s + late_s - clock.now_ns * 1e-9, 0.0))
             if camera == "front" or number >= first_of_rear:
                 frames.put(shot(camera, number), wait=False)
     frames.close()
+    clock.end()
     for thread in threads:
         thread.join()
     dropped = frames.dropped
@@ -120,27 +140,27 @@ def share_in_pairs(taken: dict[str, list[int]], since: int = 5) -> float:
 class TestCamerasThatAreLocatedSlowerThanTheyDeliver:
     """What one camera drops, the other drops too: a frame without its partner is no measurement."""
 
-    def test_both(self) -> None:
-        taken = located({"front": 0.025, "rear": 0.025}, 100, 0.010)
-        assert share_in_pairs(taken) > 0.8
+    async def test_both(self) -> None:
+        taken = await located({"front": 0.025, "rear": 0.025}, 100, 0.010)
+        assert share_in_pairs(taken) > 0.95
         assert 20 < len(taken["front"]) < 50
 
-    def test_only_one(self) -> None:
-        taken = located({"front": 0.001, "rear": 0.027}, 100, 0.010)
-        assert share_in_pairs(taken) > 0.8
+    async def test_only_one(self) -> None:
+        taken = await located({"front": 0.001, "rear": 0.027}, 100, 0.010)
+        assert share_in_pairs(taken) > 0.95
 
-    def test_by_a_little(self) -> None:
-        taken = located({"front": 0.001, "rear": 0.012}, 150, 0.010)
-        assert share_in_pairs(taken) > 0.7
+    async def test_by_a_little(self) -> None:
+        taken = await located({"front": 0.001, "rear": 0.012}, 150, 0.010)
+        assert share_in_pairs(taken) > 0.95
 
-    def test_both_although_one_began_in_the_middle_of_the_other_s(self) -> None:
-        taken = located({"front": 0.033, "rear": 0.033}, 100, 0.010, first_of_rear=2)
-        assert share_in_pairs(taken, since=12) > 0.8
+    async def test_both_although_one_began_in_the_middle_of_the_other_s(self) -> None:
+        taken = await located({"front": 0.033, "rear": 0.033}, 100, 0.010, first_of_rear=2)
+        assert share_in_pairs(taken, since=12) > 0.95
 
 
-def test_two_that_run_half_a_period_apart_do_not_wait_for_each_other_while_each_is_in_time() -> None:
+async def test_two_that_run_half_a_period_apart_do_not_wait_for_each_other_while_each_is_in_time() -> None:
     """Together they take longer than a period; one after the other they would lose a third."""
-    taken = located({"front": 0.030, "rear": 0.030}, 40, 0.050, lag_s=0.025)
+    taken = await located({"front": 0.030, "rear": 0.030}, 40, 0.050, lag_s=0.025)
     assert len(taken["front"]) >= 36
     assert len(taken["rear"]) >= 36
 

@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import time
 
 import pytest
-from support.clock import stop
-from support.scripted_camera import LyingCamera, ScriptedCamera, newest, until
+from support.clock import FakeClock
+from support.scripted_camera import LyingCamera, ScriptedCamera, newest
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
@@ -25,60 +24,62 @@ from altd.status.health import Component, State
     ],
 )
 async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
-    component: Component, off_s: float, why: str
+    component: Component, off_s: float, why: str, clock: FakeClock
 ) -> None:
-    camera = LyingCamera(0.0, 0.0, off_s)
-    frames = newest()
+    camera = LyingCamera(clock, 0.0, 0.0, off_s)
+    frames = newest(clock)
     task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while component.counters.get("mistimed", 0) < 1 or len(taken) < 5:
-        taken += await frames.take(wake_for_each=False)
+        taken += await clock.run(frames.take(wake_for_each=False))
     assert all(earlier.t_ns < later.t_ns for earlier, later in itertools.pairwise(taken))
-    assert max(frame.t_ns for frame in taken) <= time.monotonic_ns()
+    assert max(frame.t_ns for frame in taken) <= clock.now_ns
     assert component.counters["mistimed"] == 1
     assert component.state is State.DEGRADED
     assert component.message.startswith("not measured: exposure 3 is ")
     assert why in component.message
-    await stop(task)
+    await clock.stop(task)
 
 
 class SettableLyingCamera(LyingCamera):
     exposure_range = ExposureRange(0.1, 10.0, 0.0, 0.0)
 
 
-async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(component: Component) -> None:
-    camera = SettableLyingCamera(3600.0)
+async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(
+    component: Component, clock: FakeClock
+) -> None:
+    camera = SettableLyingCamera(clock, 3600.0)
     exposure = ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)
-    frames = newest()
+    frames = newest(clock)
     task = asyncio.create_task(acquire(camera, frames, component, exposure))
-    (first,) = await frames.take(wake_for_each=False)
+    (first,) = await clock.run(frames.take(wake_for_each=False))
     assert first.changing
-    await until(lambda: component.counters.get("mistimed") == 1)
-    await stop(task)
+    await clock.until(lambda: component.counters.get("mistimed") == 1)
+    await clock.stop(task)
 
 
 async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is_not_lost(
-    component: Component,
+    component: Component, clock: FakeClock
 ) -> None:
     """Exposure 2 came and was left out; the camera stays open."""
-    camera = ScriptedCamera("frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
-    frames = newest()
+    camera = ScriptedCamera(clock, "frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
+    frames = newest(clock)
     task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while len(taken) < 5:
-        taken += await frames.take(wake_for_each=False)
-    await until(lambda: component.counters.get("mistimed") == 1)
+        taken += await clock.run(frames.take(wake_for_each=False))
+    await clock.until(lambda: component.counters.get("mistimed") == 1)
     assert "lost" not in component.counters
     assert component.message == "not measured: exposure 2 came late"
-    await stop(task)
+    await clock.stop(task)
     assert camera.calls.count("open") == 1
 
 
-async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component) -> None:
-    camera = LyingCamera(*[3600.0] * 20)
+async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component, clock: FakeClock) -> None:
+    camera = LyingCamera(clock, *[3600.0] * 20)
     camera.waits = True
-    frames = newest()
+    frames = newest(clock)
     task = asyncio.create_task(acquire(camera, frames, component))
-    assert len(await frames.take(wake_for_each=False)) == 1
+    assert len(await clock.run(frames.take(wake_for_each=False))) == 1
     assert "mistimed" not in component.counters
-    await stop(task)
+    await clock.stop(task)

@@ -1,16 +1,15 @@
 from __future__ import annotations
 
-import asyncio
-import time
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
-from altd.acquisition import frame_sets as frame_sets_module
 from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
 from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.frame_sets import FrameSets
@@ -20,10 +19,11 @@ from altd.ports import CameraBusyError, CameraEndedError, CameraError, ExposureR
 from altd.recording.header import Kind, TargetHeader, UnitHeader
 from altd.recording.reader import open_recording
 from altd.records import CameraIdentity, Frame, Origin
-from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 PIXELS = frame(light(Blob(300, 200))).pixels
+FOLLOW_NS = 30_000_000
+"""How long after the lamps' line their light is switched."""
 UNIT = UnitHeader(serial="A", target_distance_mm=280.0)
 
 
@@ -34,6 +34,7 @@ class Source:
     playback = False
     identity: CameraIdentity | None = None
     waits = True
+    clock: FakeClock
 
     def __init__(self, name: str, frames: int, end: Exception) -> None:
         self.name = name
@@ -46,26 +47,34 @@ class Source:
         if not self.left:
             raise self.end
         self.left -= 1
-        time.sleep(0.001)
+        self.clock.wait(threading.Event(), 0.05)
         return Frame(self.name, 100 - self.left, (100 - self.left) * 50_000_000, PIXELS)
 
     def close(self) -> None: ...
 
 
-def frame_sets(sources: Sequence[Source], exposure: Mapping[str, ExposureControl] | None = None) -> FrameSets:
-    return FrameSets(sources, Measuring(), Health(SystemClock()), exposure)
+async def recorded(
+    sources: Sequence[Source],
+    path: Path,
+    plan: RecordingPlan,
+    exposure: Mapping[str, ExposureControl] | None = None,
+) -> int:
+    clock = FakeClock.of_loop(threads=len(sources))
+    for source in sources:
+        source.clock = clock
+    return await clock.run(record(FrameSets(sources, Measuring(), Health(clock), exposure), path, plan))
 
 
 async def kept(path: Path, end: Exception, kind: Kind = "measurement") -> int:
     sources = [Source(name, 5, end) for name in ("front", "rear")]
-    return await record(frame_sets(sources), path, RecordingPlan(60.0, UNIT, kind=kind))
+    return await recorded(sources, path, RecordingPlan(60.0, UNIT, kind=kind))
 
 
 async def test_a_recording_says_which_targets_its_cameras_look_at(tmp_path: Path) -> None:
     targets = (TargetHeader(name="exit", z_mm=10.0, camera="left"),)
     sources = [Source(name, 2, CameraEndedError("the end")) for name in ("left", "spare")]
     plan = RecordingPlan(60.0, UnitHeader(serial="A"), targets)
-    await record(frame_sets(sources), tmp_path / "rec", plan)
+    await recorded(sources, tmp_path / "rec", plan)
     assert open_recording(tmp_path / "rec").header.targets == targets
 
 
@@ -76,24 +85,15 @@ async def test_a_camera_that_another_program_has_ends_the_recording_and_says_wha
     def refuse() -> None:
         raise CameraBusyError("another program uses it")
 
-    monkeypatch.setattr(frame_sets_module, "FRAME_SET_TIMEOUT_S", 0.3)
     sources = [Source(name, 100_000, CameraEndedError("the end")) for name in ("front", "rear")]
     for source in sources:
         if source.name in busy:
             monkeypatch.setattr(source, "open", refuse)
-    progress: list[tuple[int, int]] = []
-    work = record(
-        frame_sets(sources),
-        tmp_path / "rec",
-        RecordingPlan(60.0, UNIT),
-        lambda done, planned: progress.append((done, planned)),
-    )
     with pytest.raises(CameraError, match="camera rear: busy: another program uses it; ") as error:
-        async with asyncio.timeout(10):
-            await work
+        await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT))
     assert "systemctl stop altd" in str(error.value)
     assert "keep its last seconds" in str(error.value)
-    assert progress == []
+    assert not (tmp_path / "rec" / "front").exists()
 
 
 async def test_a_recording_ends_with_its_sources(tmp_path: Path) -> None:
@@ -131,7 +131,7 @@ class SettableSource(Source):
 async def test_exposure_is_set_once_and_what_was_exposed_meanwhile_is_not_kept(tmp_path: Path) -> None:
     sources = [SettableSource(name, 12, CameraEndedError("the end")) for name in ("front", "rear")]
     exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
-    kept = await record(frame_sets(sources, exposure), tmp_path / "rec", RecordingPlan(60.0, UNIT))
+    kept = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT), exposure)
     assert [source.asked for source in sources] == [[3.0], []]
     assert kept == 12 - MAX_MARKED_FRAMES
 
@@ -154,9 +154,17 @@ class LyingSource(Source):
 
 async def test_numbers_and_times_that_lie_do_not_make_it_unreadable(tmp_path: Path) -> None:
     sources = [LyingSource(name, 20, CameraEndedError("the end")) for name in ("front", "rear")]
-    exposures = await record(frame_sets(sources), tmp_path / "rec", RecordingPlan(60.0, UNIT))
+    exposures = await recorded(sources, tmp_path / "rec", RecordingPlan(60.0, UNIT))
     recording = open_recording(tmp_path / "rec")
     assert len({row.sequence for row in recording.rows}) == exposures > 10
+
+
+@pytest.fixture
+async def clock() -> AsyncIterator[FakeClock]:
+    """That of the loop and of the threads of two cameras."""
+    clock = FakeClock.of_loop(threads=2)
+    yield clock
+    clock.end()
 
 
 class LitSource:
@@ -165,14 +173,16 @@ class LitSource:
     origin = Origin.CAMERA
     playback = False
     identity: CameraIdentity | None = None
-    waits = True
+    waits = False
 
-    def __init__(self, name: str, lamps: ListedLamps, frames: int = 10_000) -> None:
+    def __init__(self, name: str, lamps: ListedLamps, clock: FakeClock, frames: int = 10_000) -> None:
         self.name = name
         self._lamps = lamps
+        self._clock = clock
+        self._closed = threading.Event()
         self._number = 0
         self._frames = frames
-        self._start_ns = time.monotonic_ns() // 10_000_000 * 10_000_000
+        self._start_ns = clock.now_ns
 
     def open(self) -> None: ...
 
@@ -181,7 +191,8 @@ class LitSource:
         if self._number > self._frames:
             raise CameraEndedError("the end")
         t_ns = self._start_ns + self._number * 10_000_000
-        time.sleep(max((t_ns + 4_000_000 - time.monotonic_ns()) * 1e-9, 0.0))  # the exposure takes 8 ms
+        # the exposure takes 8 ms
+        self._clock.wait(self._closed, (t_ns + 4_000_000 - self._clock.now_ns) * 1e-9)
         pixels = np.full((24, 32), self._lamps.level(t_ns - 4_000_000, t_ns + 4_000_000), np.uint8)
         return Frame(self.name, self._number, t_ns, pixels)
 
@@ -191,7 +202,8 @@ class LitSource:
 class ListedLamps:
     """Lamps that remember when they were switched, and fail at the given switching."""
 
-    def __init__(self, fails_at: int | None = None) -> None:
+    def __init__(self, clock: FakeClock, fails_at: int | None = None) -> None:
+        self._clock = clock
         self.switched: list[tuple[int, bool]] = [(0, False)]
         self.is_open = False
         self._fails_at = fails_at
@@ -202,10 +214,10 @@ class ListedLamps:
     def switch(self, on: bool) -> None:
         if len(self.switched) == self._fails_at:
             raise LampsError("line 3 is taken away")
-        self.switched.append((time.monotonic_ns(), on))
+        self.switched.append((self._clock.now_ns + FOLLOW_NS, on))
 
     def close(self) -> None:
-        self.switched.append((time.monotonic_ns(), False))
+        self.switched.append((self._clock.now_ns, False))
         self.is_open = False
 
     def level(self, begin_ns: int, end_ns: int) -> int:
@@ -216,14 +228,18 @@ class ListedLamps:
         return 200 if before else 0
 
 
-async def switched(path: Path, lamps: ListedLamps, frames: int = 10_000) -> int:
-    sources = [LitSource(name, lamps, frames) for name in ("front", "rear")]
-    return await record(frame_sets(sources), path, RecordingPlan(1.0, UNIT, kind="self-check"), lamps=lamps)
+async def switched(path: Path, clock: FakeClock, lamps: ListedLamps, frames: int = 10_000) -> int:
+    sources = [LitSource(name, lamps, clock, frames) for name in ("front", "rear")]
+    sets = FrameSets(sources, Measuring(), Health(clock))
+    plan = RecordingPlan(1.0, UNIT, kind="self-check")
+    return await clock.run(record(sets, path, plan, lamps=lamps))
 
 
-async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(tmp_path: Path) -> None:
-    lamps = ListedLamps()
-    exposures = await switched(tmp_path / "rec", lamps)
+async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(
+    tmp_path: Path, clock: FakeClock
+) -> None:
+    lamps = ListedLamps(clock)
+    exposures = await switched(tmp_path / "rec", clock, lamps)
     opened = open_recording(tmp_path / "rec")
     levels = [(row.leds_on, int(opened.frame(row).pixels.min())) for row in opened.rows.of("rear")]
     assert len(levels) == exposures >= 4
@@ -232,17 +248,19 @@ async def test_a_self_check_keeps_dark_and_lit_frames_in_turn_and_none_between(t
     assert not lamps.switched[-1][1]
 
 
-async def test_a_self_check_whose_lamps_are_lost_says_so_and_keeps_what_it_has(tmp_path: Path) -> None:
-    lamps = ListedLamps(fails_at=4)
+async def test_a_self_check_whose_lamps_are_lost_says_so_and_keeps_what_it_has(
+    tmp_path: Path, clock: FakeClock
+) -> None:
+    lamps = ListedLamps(clock, fails_at=4)
     with pytest.raises(LampsError, match="line 3 is taken away"):
-        await switched(tmp_path / "rec", lamps)
+        await switched(tmp_path / "rec", clock, lamps)
     assert not lamps.is_open
     assert len(open_recording(tmp_path / "rec").rows) == 6
 
 
-async def test_a_self_check_whose_camera_ends_says_so(tmp_path: Path) -> None:
-    lamps = ListedLamps()
+async def test_a_self_check_whose_camera_ends_says_so(tmp_path: Path, clock: FakeClock) -> None:
+    lamps = ListedLamps(clock)
     with pytest.raises(CameraError):
-        await switched(tmp_path / "rec", lamps, frames=30)
+        await switched(tmp_path / "rec", clock, lamps, frames=30)
     assert not lamps.is_open
     assert not lamps.switched[-1][1]

@@ -3,8 +3,8 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from support.clock import stop
-from support.scripted_camera import SettableCamera, exposure_of, newest, until
+from support.clock import FakeClock
+from support.scripted_camera import SettableCamera, exposure_of, newest
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.rule import Setting
@@ -26,15 +26,15 @@ class AllFrames(LatestFrames):
 
 
 async def test_a_new_setpoint_is_applied_between_two_frames_and_the_frames_of_the_change_are_marked(
-    component: Component,
+    component: Component, clock: FakeClock
 ) -> None:
-    camera, exposure, frames = SettableCamera(), exposure_of(10.0), AllFrames()
+    camera, exposure, frames = SettableCamera(clock), exposure_of(10.0), AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component, exposure))
     for exposure_ms in (10.0, 40.0, 160.0, 20.0):
         exposure.setpoint = Setting(exposure_ms, 0.0)
         counted = len(frames.frames)
-        await until(lambda counted=counted: len(frames.frames) > counted + 12)  # type: ignore[misc]
-    await stop(task)
+        await clock.until(lambda counted=counted: len(frames.frames) > counted + 12)  # type: ignore[misc]
+    await clock.stop(task)
     certain = [frame for frame in frames.frames if not frame.changing]
     assert all(frame.pixels[0, 0] == frame.exposure_ms for frame in certain)
     assert [frame.exposure_ms for frame in frames.frames if frame.changing] == [
@@ -45,27 +45,29 @@ async def test_a_new_setpoint_is_applied_between_two_frames_and_the_frames_of_th
     ]
 
 
-async def test_a_camera_that_was_opened_again_gets_its_exposure_again(component: Component) -> None:
-    camera = SettableCamera("frame", CameraLostError("unplugged"), "frame")
-    task = asyncio.create_task(acquire(camera, newest(), component, exposure_of()))
-    await until(lambda: camera.calls.count("expose 10 ms 0 dB") == 2)
-    await stop(task)
+async def test_a_camera_that_was_opened_again_gets_its_exposure_again(
+    component: Component, clock: FakeClock
+) -> None:
+    camera = SettableCamera(clock, "frame", CameraLostError("unplugged"), "frame")
+    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure_of()))
+    await clock.until(lambda: camera.calls.count("expose 10 ms 0 dB") == 2)
+    await clock.stop(task)
     assert camera.calls == ["open", "expose 10 ms 0 dB", "close"] * 2
 
 
 async def test_a_camera_that_refuses_an_exposure_goes_on_and_health_says_so(
-    component: Component, caplog: pytest.LogCaptureFixture
+    component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
-    camera, exposure = SettableCamera(), exposure_of()
+    camera, exposure = SettableCamera(clock), exposure_of()
     camera.refusal = CameraRefusedError("the register is locked")
-    task = asyncio.create_task(acquire(camera, newest(), component, exposure))
-    await until(lambda: component.counters.get("frames", 0) >= 3)
+    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure))
+    await clock.until(lambda: component.counters.get("frames", 0) >= 3)
     assert component.state is State.DEGRADED
     assert component.message == "exposure refused: the register is locked"
     assert component.counters["refused_exposures"] == 1
     camera.refusal = None
     exposure.setpoint = Setting(20.0, 0.0)
-    await until(lambda: component.state is State.OK)
-    await stop(task)
+    await clock.until(lambda: component.state is State.OK)
+    await clock.stop(task)
     assert camera.calls == ["open", "expose 10 ms 0 dB", "expose 20 ms 0 dB", "close"]
     assert caplog.messages == ["camera front: exposure refused: the register is locked"]

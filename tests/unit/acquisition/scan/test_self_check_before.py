@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import led_frames
+from support.clock import FakeClock
 from support.led_frames import Motion, Scene
 from support.led_scan import LedCamera, ScanLamps, StillStage, Told, scan_settings
 
@@ -21,7 +22,6 @@ from altd.measuring.calibration import Calibration
 from altd.ports import StageAlarmError
 from altd.recording.reader import Recording, open_recording
 from altd.records import CameraIdentity
-from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 STANDING = Scene()
@@ -45,18 +45,19 @@ class Bench:
     told: Told = field(default_factory=Told)
 
     async def scan(self, **settings: object) -> ScanResult:
-        path = self.folder / "cal.json"
+        clock, path = FakeClock.of_loop(threads=2), self.folder / "cal.json"
         if self.calibration is not None:
             save_calibration(self.calibration, path)
         config = scan_settings(path, **settings)
         cameras = {
-            "front": LedCamera("front", STANDING, self.lamps),
-            "rear": LedCamera("rear", self.rear, self.lamps, self.rear_serial),
+            "front": LedCamera("front", STANDING, self.lamps, clock),
+            "rear": LedCamera("rear", self.rear, self.lamps, clock, self.rear_serial),
         }
         leds = ScanLeds(self.lamps, known_unit_of(config, cameras))
-        sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()))
+        sets = FrameSets(list(cameras.values()), config.measuring, Health(clock))
         stage = StillStage(self._move)
-        return await Scanner(config, self.folder / "scan", sets, stage, leds, self.told).run()
+        scanner = Scanner(config, self.folder / "scan", sets, stage, leds, self.told)
+        return await clock.run(scanner.run())
 
     async def begin(self, **settings: object) -> Recording:
         """Scan as far as the stage goes; what is kept of it."""
@@ -174,7 +175,7 @@ def test_a_calibration_that_tells_nothing_of_this_unit_is_said(
     path = tmp_path / "cal.json"
     save_calibration(spoil(led_frames.unit()), path)  # type: ignore[operator]
     lamps = ScanLamps()
-    cameras = {name: LedCamera(name, STANDING, lamps) for name in ("front", "rear")}
+    cameras = {name: LedCamera(name, STANDING, lamps, FakeClock()) for name in ("front", "rear")}
     known = known_unit_of(scan_settings(path), cameras)
     assert not isinstance(known, KnownUnit)
     assert why in known

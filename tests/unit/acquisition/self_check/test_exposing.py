@@ -18,7 +18,7 @@ EXPOSURES = 3
 
 class Bench:
     def __init__(self) -> None:
-        self.clock = FakeClock(10**9)
+        self.clock = FakeClock.of_loop()
         self.leds = Leds()
         self.cameras = LitCameras(self.clock, self.leds)
         self.sink = Sink()
@@ -92,6 +92,7 @@ async def test_a_camera_that_falls_silent_under_leds_ends_the_check_and_the_ligh
     assert bench.leds.lit
     bench.cameras.silent = {"rear"}
     await bench.expose(6)
+    await bench.clock.advance(2.0)
     with pytest.raises(
         CheckFailedError, match="not every camera had 3 steady exposures with the LEDs on"
     ) as e:
@@ -104,6 +105,7 @@ async def test_without_frames_the_leds_are_not_lit_at_all() -> None:
     bench = Bench()
     bench.cameras.silent = {"rear"}
     await bench.expose(5)
+    await bench.clock.advance(2.0)
     with pytest.raises(CheckFailedError, match="off, before they were lit") as error:
         await bench.task
     assert not error.value.has_begun
