@@ -51,9 +51,17 @@ def wire() -> Iterator[Wire]:
 
 
 @pytest.fixture(scope="session")
-def unit_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``scan`` and ``cal.json`` of the simulated unit with seed 3, as a technician makes them."""
-    return made_once(tmp_path_factory, "unit-3", functools.partial(scan_and_calibrate, 3))
+def simulated_unit(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """``scan`` and ``cal.json`` of the simulated unit with a seed, as a technician makes them."""
+    return lambda seed: made_once(
+        tmp_path_factory, f"unit-{seed}", functools.partial(scan_and_calibrate, seed)
+    )
+
+
+@pytest.fixture(scope="session")
+def unit_3(simulated_unit: Callable[[int], Path]) -> Path:
+    """The simulated unit with seed 3."""
+    return simulated_unit(3)
 
 
 @pytest.fixture(scope="session")

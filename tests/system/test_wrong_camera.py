@@ -18,7 +18,7 @@ from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.file import load_calibration
 from altd.config import Config, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -79,13 +79,8 @@ def seed(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture(scope="module")
-def calibration(seed: int, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    folder = tmp_path_factory.mktemp("unit")
-    record_scan(
-        folder / "scan", Unit(UnitConfig(seed=seed)), Stage(np.random.default_rng(seed)), 1, lambda *_: None
-    )
-    save_calibration(calibrate([open_recording(folder / "scan")]).calibration, folder / "cal.json")
-    return load_calibration(folder / "cal.json")
+def calibration(seed: int, simulated_unit: Callable[[int], Path]) -> Calibration:
+    return load_calibration(simulated_unit(seed) / "cal.json")
 
 
 @pytest.fixture(scope="module")
