@@ -6,6 +6,7 @@ import asyncio
 import functools
 import inspect
 import os
+import pickle
 import signal
 import threading
 import time
@@ -25,8 +26,10 @@ from support.played_unit import PlayedUnit
 from support.simulated_unit import scan_and_calibrate
 from support.wire import Wire
 
-from altd.calibration.file import load_calibration
+from altd.calibration.calibrating import calibrate
+from altd.calibration.file import load_calibration, save_calibration
 from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 
@@ -56,6 +59,18 @@ def simulated_unit(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], 
     return lambda seed: made_once(
         tmp_path_factory, f"unit-{seed}", functools.partial(scan_and_calibrate, seed)
     )
+
+
+@pytest.fixture(scope="session")
+def unit_a(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``cal.json`` and ``result.pickle``, the calibration of the unit that this project did not make."""
+
+    def make(folder: Path) -> None:
+        result = calibrate([open_recording(shared_data / "unit-a" / "scan")])
+        save_calibration(result.calibration, folder / "cal.json")
+        (folder / "result.pickle").write_bytes(pickle.dumps(result))
+
+    return made_once(tmp_path_factory, "unit-a", make)
 
 
 @pytest.fixture(scope="session")

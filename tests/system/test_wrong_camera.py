@@ -314,24 +314,24 @@ def test_the_daemon_holds_its_cameras_against_the_config(
 
 
 @pytest.fixture(scope="module")
-def unit_a(shared_data: Path) -> tuple[Calibration, list[Pictures]]:
+def foreign(shared_data: Path, unit_a: Path) -> tuple[Calibration, list[Pictures]]:
     """Frames that this project did not make: the calibration, and the first exposure of each of 12 beams."""
-    calibration = calibrate([open_recording(shared_data / "unit-a" / "scan")]).calibration
+    calibration = load_calibration(unit_a / "cal.json")
     poses = open_recording(shared_data / "unit-a" / "poses")
     frames = {(row.sequence, row.camera): poses.frame(row).pixels for row in poses.rows}
     return calibration, [(frames[4 * pose, "front"], frames[4 * pose, "rear"]) for pose in range(12)]
 
 
-def test_the_cameras_of_unit_a_measure(unit_a: tuple[Calibration, list[Pictures]]) -> None:
-    calibration, beams = unit_a
+def test_the_cameras_of_unit_a_measure(foreign: tuple[Calibration, list[Pictures]]) -> None:
+    calibration, beams = foreign
     assert all(measurement.valid for pair in beams for measurement in measured(chain(calibration), [pair]))
 
 
 @pytest.mark.parametrize("name", SPOILT)
 def test_not_one_spoilt_picture_of_unit_a_is_measured(
-    unit_a: tuple[Calibration, list[Pictures]], name: str
+    foreign: tuple[Calibration, list[Pictures]], name: str
 ) -> None:
-    calibration, beams = unit_a
+    calibration, beams = foreign
     for pair in beams:
         (measurement,) = measured(chain(calibration), [SPOILT[name](*pair)])
         assert status(measurement) & {"front_wrong_camera", "rear_wrong_camera"}

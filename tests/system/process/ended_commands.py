@@ -130,12 +130,6 @@ COMMANDS = {
         ends_with=0,
         module=HW_SIM,
     ),
-    "hw_sim demo, calibrated by itself": Command(
-        "demo",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        ends_with=0,
-        module=HW_SIM,
-    ),
 }
 
 

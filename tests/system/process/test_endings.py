@@ -1,7 +1,8 @@
 """Every command, ended in each way it can end: standard error, temporary folders and exit status.
 
 ``lamps on`` is ended on a real chip in ``test_lamps.py``, ``altd scan`` killed in ``test_scan.py``, the
-simulator's cameras in ``hw_sim/gige/test_command.py``, a daemon on live cameras in ``test_live.py``.
+simulator's cameras in ``hw_sim/gige/test_command.py``, a demo that calibrates itself in
+``hw_sim/test_demo.py``, a daemon on live cameras in ``test_live.py``.
 """
 
 from __future__ import annotations
