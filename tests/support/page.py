@@ -143,9 +143,17 @@ async def _threads_started(running: LedUnit) -> None:
 
 @contextlib.asynccontextmanager
 async def seen(
-    started: Browser, running: LedUnit, size: tuple[int, int] = SIZES["desk"], **options: Any
+    started: Browser,
+    running: LedUnit,
+    size: tuple[int, int] = SIZES["desk"],
+    *,
+    goes_on: bool = True,
+    **options: Any,
 ) -> AsyncIterator[Seen]:
-    """The page of a unit, in a window with nothing of any other; at its end the unit serves it no more."""
+    """The page of a unit, in a window with nothing of any other.
+
+    Where the unit ``goes_on``, for the next test, it serves the page no more at the end.
+    """
     before = asyncio.all_tasks()
     async with Cable(port_of(running)) as cable:
         page = await started.new_page(viewport={"width": size[0], "height": size[1]}, **options)
@@ -156,7 +164,7 @@ async def seen(
         yield shown
         await page.close()
     async with asyncio.timeout(10):
-        while asyncio.all_tasks() - before:  # noqa: ASYNC110  the unit notices that the page has left
+        while goes_on and asyncio.all_tasks() - before:  # noqa: ASYNC110  the unit notices that the page has left
             await asyncio.sleep(0.01)
 
 

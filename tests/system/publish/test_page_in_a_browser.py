@@ -65,42 +65,6 @@ def shown_as(value: float | None, decimals: int) -> str:
     )
 
 
-@pytest.mark.parametrize("size", SIZES)
-async def test_the_page_shows_what_the_api_says_and_moving_pictures(
-    started: Browser, running: LedUnit, size: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with seen(started, running, SIZES[size]) as shown:
-        await shown.until_pictures()
-        published = all_published(running, monkeypatch)
-        pictures: set[str] = set()
-        for _ in range(8):
-            now = await shown.once(lambda now: now["sequence"] in published)
-            pictures |= set(now["pictures"])
-            measurement = published[now["sequence"]]
-            for key, decimals in {"x_mm": 3, "y_mm": 3, "yaw_deg": 4, "pitch_deg": 4}.items():
-                assert now["values"][key] == shown_as(measurement.number(key), decimals)
-            await asyncio.sleep(0.15)
-        assert len(pictures) >= 4
-        assert min(await shown.page.evaluate(GREEN)) > 60, "the contour is drawn into the picture"
-        assert now["overflow"] <= 0, "the page can be scrolled sideways"
-        assert shown.complaints == []
-        hosts = {url.split("/")[2] for url in shown.asked if not url.startswith(("data:", "blob:"))}
-        assert hosts == {f"127.0.0.1:{shown.cable.port}"}
-
-
-def all_published(running: LedUnit, monkeypatch: pytest.MonkeyPatch) -> dict[str, Measurement]:
-    """Whatever the unit publishes from now on, by its number."""
-    board, published = running.daemon.board, dict[str, Measurement]()
-    publish = board.publish
-
-    def keep(measurement: Measurement) -> None:
-        published[str(measurement.sequence)] = measurement
-        publish(measurement)
-
-    monkeypatch.setattr(board, "publish", keep)
-    return published
-
-
 Spoil = Callable[[Frame], Frame]
 
 
@@ -154,11 +118,37 @@ FAULTS: dict[str, tuple[str, Callable[[LedUnit], None]]] = {
 }
 
 
+def says_what_is_wrong(code: str, remedy: str) -> Callable[[dict[str, Any]], bool]:
+    """That the page shows a cause with its remedy, and no value where the cause leaves none."""
+
+    def says(now: dict[str, Any]) -> bool:
+        is_without_value = (now["verdict"], now["values"]["x_mm"]) == ("not valid", UNKNOWN)
+        return now["causes"].get(code) == remedy and (is_without_value or code == "lamps_failed")
+
+    return says
+
+
+def now_wrong(running: LedUnit) -> dict[str, str]:
+    """What the unit itself shows, with its remedies."""
+    return {str(shown.cause.kind): shown.cause.kind.remedy for shown in running.daemon.state.read().causes}
+
+
+async def said(running: LedUnit, code: str, is_said: bool) -> None:
+    """Wait until the unit says that this is wrong, or that it is not."""
+    async with asyncio.timeout(30):
+        while (code in now_wrong(running)) is not is_said:  # noqa: ASYNC110  found out when it is asked for
+            await asyncio.sleep(0.01)
+
+
 async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
-    started: Browser, running: LedUnit
+    started: Browser, calibration_of_unit_3: Calibration
 ) -> None:
+    """On a unit of its own, and before the others' one runs."""
     late_s: dict[str, float] = {}
-    async with seen(started, running) as shown:
+    async with (
+        watched_unit(calibration_of_unit_3) as running,
+        seen(started, running, goes_on=False) as shown,
+    ):
         await said(running, "starting", False)
         await said(running, "self_checking", False)
         for name, (code, spoil) in FAULTS.items():
@@ -180,26 +170,40 @@ async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
         assert shown.complaints == []
 
 
-def says_what_is_wrong(code: str, remedy: str) -> Callable[[dict[str, Any]], bool]:
-    """That the page shows a cause with its remedy, and no value where the cause leaves none."""
+@pytest.mark.parametrize("size", SIZES)
+async def test_the_page_shows_what_the_api_says_and_moving_pictures(
+    started: Browser, running: LedUnit, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with seen(started, running, SIZES[size]) as shown:
+        await shown.until_pictures()
+        published = all_published(running, monkeypatch)
+        pictures: set[str] = set()
+        for _ in range(8):
+            now = await shown.once(lambda now: now["sequence"] in published)
+            pictures |= set(now["pictures"])
+            measurement = published[now["sequence"]]
+            for key, decimals in {"x_mm": 3, "y_mm": 3, "yaw_deg": 4, "pitch_deg": 4}.items():
+                assert now["values"][key] == shown_as(measurement.number(key), decimals)
+            await asyncio.sleep(0.15)
+        assert len(pictures) >= 4
+        assert min(await shown.page.evaluate(GREEN)) > 60, "the contour is drawn into the picture"
+        assert now["overflow"] <= 0, "the page can be scrolled sideways"
+        assert shown.complaints == []
+        hosts = {url.split("/")[2] for url in shown.asked if not url.startswith(("data:", "blob:"))}
+        assert hosts == {f"127.0.0.1:{shown.cable.port}"}
 
-    def says(now: dict[str, Any]) -> bool:
-        is_without_value = (now["verdict"], now["values"]["x_mm"]) == ("not valid", UNKNOWN)
-        return now["causes"].get(code) == remedy and (is_without_value or code == "lamps_failed")
 
-    return says
+def all_published(running: LedUnit, monkeypatch: pytest.MonkeyPatch) -> dict[str, Measurement]:
+    """Whatever the unit publishes from now on, by its number."""
+    board, published = running.daemon.board, dict[str, Measurement]()
+    publish = board.publish
 
+    def keep(measurement: Measurement) -> None:
+        published[str(measurement.sequence)] = measurement
+        publish(measurement)
 
-def now_wrong(running: LedUnit) -> dict[str, str]:
-    """What the unit itself shows, with its remedies."""
-    return {str(shown.cause.kind): shown.cause.kind.remedy for shown in running.daemon.state.read().causes}
-
-
-async def said(running: LedUnit, code: str, is_said: bool) -> None:
-    """Wait until the unit says that this is wrong, or that it is not."""
-    async with asyncio.timeout(30):
-        while (code in now_wrong(running)) is not is_said:  # noqa: ASYNC110  found out when it is asked for
-            await asyncio.sleep(0.01)
+    monkeypatch.setattr(board, "publish", keep)
+    return published
 
 
 async def test_a_unit_that_is_lost_is_blank_within_two_seconds_and_comes_back(
@@ -274,6 +278,25 @@ async def test_pictures_are_drawn_by_a_browser_that_draws_less_often_than_they_c
         assert shown.complaints == []
 
 
+async def test_nothing_is_sent_to_a_page_that_nobody_sees(started: Browser, running: LedUnit) -> None:
+    async with seen(started, running) as shown:
+        component = next(each for each in running.daemon.health if each.name.startswith("http "))
+        await shown.until_pictures()
+        await shown.page.evaluate(
+            """() => { Object.defineProperty(document, 'hidden', {configurable: true, get: () => true});
+                document.dispatchEvent(new Event('visibilitychange')); }"""
+        )
+        await asyncio.sleep(0.5)
+        pictures = component.counters["pictures"]
+        await asyncio.sleep(1.0)
+        assert component.counters["pictures"] == pictures
+        await shown.page.evaluate(
+            "() => { delete document.hidden; document.dispatchEvent(new Event('visibilitychange')); }"
+        )
+        await shown.until_pictures()
+        assert component.counters["pictures"] > pictures
+
+
 @WITH_PAST
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 async def test_who_cannot_see_it_can_use_it(started: Browser, running: LedUnit, scheme: str) -> None:
@@ -297,25 +320,6 @@ async def test_who_cannot_see_it_can_use_it(started: Browser, running: LedUnit, 
         assert (await shown.now())["focused"] == "Trends"
         await shown.page.keyboard.press("Enter")
         await shown.until(lambda now: now["plots"] == 4)
-
-
-async def test_nothing_is_sent_to_a_page_that_nobody_sees(started: Browser, running: LedUnit) -> None:
-    async with seen(started, running) as shown:
-        component = next(each for each in running.daemon.health if each.name.startswith("http "))
-        await shown.until_pictures()
-        await shown.page.evaluate(
-            """() => { Object.defineProperty(document, 'hidden', {configurable: true, get: () => true});
-                document.dispatchEvent(new Event('visibilitychange')); }"""
-        )
-        await asyncio.sleep(0.5)
-        pictures = component.counters["pictures"]
-        await asyncio.sleep(1.0)
-        assert component.counters["pictures"] == pictures
-        await shown.page.evaluate(
-            "() => { delete document.hidden; document.dispatchEvent(new Event('visibilitychange')); }"
-        )
-        await shown.until_pictures()
-        assert component.counters["pictures"] > pictures
 
 
 @WITH_PAST

@@ -81,6 +81,49 @@ async def checks_noted(log: EventLog, number: int) -> list[Event]:
             await log.noted_after(log.count)
 
 
+async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
+    started: Browser, calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
+) -> None:
+    """On a unit of its own, and before the others' one runs."""
+    async with (
+        watched_unit(calibration_of_unit_3, tmp_path, calibration_file) as running,
+        seen(started, running, goes_on=False, accept_downloads=True) as shown,
+    ):
+        events = running.daemon.past.events
+        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
+        reports = [await running.check() for _ in range(2)]
+        noted = await checks_noted(events, reports[-1].number)
+        await shown.open("unit")
+        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
+        await picture(shown, "page-unit", section)
+        events.note(
+            EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
+        )
+        events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
+        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
+        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
+        assert "odd" in rows[0]
+        assert NO_PROSE in rows[1]
+        for row, event in zip(rows[2:], reversed(noted), strict=True):
+            assert event.text in row
+        for row, report in zip(rows[2:4], reversed(reports), strict=True):
+            assert report.sentence in row
+            assert str(report.document["verdict"]) in row
+        assert await section.locator(".uplot").count() == 2
+        assert await section.locator("img, script").count() == 0
+        assert await shown.page.title() != "it ran"
+        assert (await shown.now())["overflow"] <= 0
+
+        await save(shown, "diagnostics", tmp_path / "got.zip")
+        with zipfile.ZipFile(tmp_path / "got.zip") as archive:
+            assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
+                archive.namelist()
+            )
+            told = [json.loads(line) for line in archive.read("events.jsonl").decode().splitlines()]
+        assert [each["text"] for each in told if each["text"] == NO_PROSE] == [NO_PROSE]
+        assert shown.complaints == []
+
+
 async def test_the_calibration_is_told_and_its_file_and_report_are_given(
     started: Browser, running: LedUnit, calibration_file: Path, written: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -120,45 +163,6 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         await shown.page.reload()
         await section.get_by_text("reports on another calibration").wait_for()
         assert await section.get_by_role("link", name="the report on it").count() == 0
-
-
-async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
-    started: Browser, running: LedUnit, tmp_path: Path
-) -> None:
-    async with seen(started, running, accept_downloads=True) as shown:
-        events = running.daemon.past.events
-        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
-        reports = [await running.check() for _ in range(2)]
-        noted = await checks_noted(events, reports[-1].number)
-        await shown.open("unit")
-        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
-        await picture(shown, "page-unit", section)
-        events.note(
-            EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
-        )
-        events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
-        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
-        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
-        assert "odd" in rows[0]
-        assert NO_PROSE in rows[1]
-        for row, event in zip(rows[2:], reversed(noted), strict=True):
-            assert event.text in row
-        for row, report in zip(rows[2:4], reversed(reports), strict=True):
-            assert report.sentence in row
-            assert str(report.document["verdict"]) in row
-        assert await section.locator(".uplot").count() == 2
-        assert await section.locator("img, script").count() == 0
-        assert await shown.page.title() != "it ran"
-        assert (await shown.now())["overflow"] <= 0
-
-        await save(shown, "diagnostics", tmp_path / "got.zip")
-        with zipfile.ZipFile(tmp_path / "got.zip") as archive:
-            assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
-                archive.namelist()
-            )
-            told = [json.loads(line) for line in archive.read("events.jsonl").decode().splitlines()]
-        assert [each["text"] for each in told if each["text"] == NO_PROSE] == [NO_PROSE]
-        assert shown.complaints == []
 
 
 @pytest.mark.parametrize("size", [SIZES["phone"], (360, 640), (320, 568)])
