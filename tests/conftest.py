@@ -6,6 +6,7 @@ import asyncio
 import functools
 import inspect
 import os
+import pickle
 import signal
 import threading
 import time
@@ -26,8 +27,10 @@ from support.played_unit import PlayedUnit
 from support.simulated_unit import scan_and_calibrate
 from support.wire import Wire
 
-from altd.calibration.file import load_calibration
+from altd.calibration.calibrating import calibrate
+from altd.calibration.file import load_calibration, save_calibration
 from altd.measuring.calibration import Calibration
+from altd.recording.reader import open_recording
 
 # The same inputs in every run, and no limit of time for one: `make fuzz` is where new inputs are tried.
 hypothesis.settings.register_profile("suite", derandomize=True, database=None, deadline=None)
@@ -57,9 +60,29 @@ def wire() -> Iterator[Wire]:
 
 
 @pytest.fixture(scope="session")
-def unit_3(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """``scan`` and ``cal.json`` of the simulated unit with seed 3, as a technician makes them."""
-    return made_once(tmp_path_factory, "unit-3", functools.partial(scan_and_calibrate, 3))
+def simulated_unit(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """``scan`` and ``cal.json`` of the simulated unit with a seed, as a technician makes them."""
+    return lambda seed: made_once(
+        tmp_path_factory, f"unit-{seed}", functools.partial(scan_and_calibrate, seed)
+    )
+
+
+@pytest.fixture(scope="session")
+def unit_a(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``cal.json`` and ``result.pickle``, the calibration of the unit that this project did not make."""
+
+    def make(folder: Path) -> None:
+        result = calibrate([open_recording(shared_data / "unit-a" / "scan")])
+        save_calibration(result.calibration, folder / "cal.json")
+        (folder / "result.pickle").write_bytes(pickle.dumps(result))
+
+    return made_once(tmp_path_factory, "unit-a", make)
+
+
+@pytest.fixture(scope="session")
+def unit_3(simulated_unit: Callable[[int], Path]) -> Path:
+    """The simulated unit with seed 3."""
+    return simulated_unit(3)
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,15 @@ from pathlib import Path
 
 from altd.errors import BadInputError
 from benchmarks.campaign import tally_table
-from benchmarks.campaign.cache import folder
+from benchmarks.campaign.cache import RECORDINGS, folder
 from benchmarks.campaign.campaign_page import RunDescription, write_page
 from benchmarks.campaign.catalogue import WAYS, chosen
 from benchmarks.campaign.episode import WINDOW
 from benchmarks.campaign.good_run import lines as good_lines
 from benchmarks.campaign.good_run import run_good
 from benchmarks.campaign.runner import Effort, Plan, run
-from benchmarks.campaign.units import NAMES
+from benchmarks.campaign.units import NAMES, RECORDED
+from benchmarks.campaign.ways.spots import BEAMS, photographed_beam
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,7 +58,14 @@ def _campaign(options: argparse.Namespace) -> int:
     for unit in units:
         if unit not in NAMES:
             raise BadInputError("--units", f"unknown unit {unit!r}; known are {', '.join(NAMES)}")
+    if not RECORDINGS.is_dir():
+        if options.units and RECORDED in units:
+            raise BadInputError("--units", f"{RECORDED} needs the recordings in {RECORDINGS}")
+        units = tuple(unit for unit in units if unit != RECORDED)
     plan = Plan(tuple(way.name for way in chosen(options.ways)), units, options.seed, options.pairs)
+    for left_out, place in ((RECORDED, RECORDINGS), (photographed_beam.__name__, BEAMS)):
+        if not place.is_dir():
+            print(f"campaign: without {left_out}: {place} is not there", file=sys.stderr)
     seconds = options.seconds or (None if options.measurements else 180.0)
     tallies, took_s = run(plan, Effort(seconds, options.measurements, options.processes), _show)
     if sys.stderr.isatty():

@@ -51,6 +51,8 @@ def chosen(names: str) -> list[Way]:
     found = []
     for name in names.split(","):
         of_kind = [way for way in WAYS.values() if name in (way.name, way.kind)]
+        if name == spots.photographed_beam.__name__ and not of_kind:
+            raise BadInputError("--ways", f"{name} needs the photographs in {spots.BEAMS}")
         if not of_kind:
             kinds = dict.fromkeys(way.kind for way in WAYS.values())
             raise BadInputError("--ways", f"unknown way {name!r}; kinds are {', '.join(kinds)}")

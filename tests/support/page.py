@@ -6,10 +6,12 @@ import asyncio
 import contextlib
 import os
 import time
+import urllib.error
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from playwright.async_api import Browser, Locator, Page, Request, async_playwright
 
@@ -104,13 +106,9 @@ async def browser() -> AsyncIterator[Browser]:
 
 
 @contextlib.asynccontextmanager
-async def seen(
-    calibration: Calibration,
-    size: tuple[int, int] = SIZES["desk"],
-    folder: Path | None = None,
-    calibration_file: Path | None = None,
-    **options: Any,
-) -> AsyncIterator[Seen]:
+async def watched_unit(
+    calibration: Calibration, folder: Path | None = None, calibration_file: Path | None = None
+) -> AsyncIterator[LedUnit]:
     """``folder``: the unit keeps its history and its frames there; its calibration is read from the file."""
     kept = KeptFrames(memory_mb=0)
     if folder is not None:
@@ -128,17 +126,46 @@ async def seen(
             about = history_about(settings, calibration, running.daemon.board.quantities)
             running.daemon.past.keep_in(folder / "history.db", 400 * 10**6, about)
 
-    async with browser() as started, led_unit(calibration, settings, keep) as running:
+    async with led_unit(calibration, settings, keep) as running:
         running.unit.place(POSE)
         await running.measured(valid=True)
-        async with Cable(port_of(running)) as cable:
-            page = await started.new_page(viewport={"width": size[0], "height": size[1]}, **options)
-            shown = Seen(page, running, cable)
-            shown.listen()
-            await shown.open()
-            await shown.until_measured()
-            yield shown
-            await page.close()
+        await _threads_started(running)
+        yield running
+
+
+async def _threads_started(running: LedUnit) -> None:
+    """What the unit starts when it is first asked is the unit's, not that of the test that asks."""
+    with contextlib.suppress(urllib.error.HTTPError):  # there may be no such file
+        await asyncio.to_thread(
+            lambda: urlopen(f"http://127.0.0.1:{port_of(running)}/api/v1/calibration/file").close()
+        )
+
+
+@contextlib.asynccontextmanager
+async def seen(
+    started: Browser,
+    running: LedUnit,
+    size: tuple[int, int] = SIZES["desk"],
+    *,
+    goes_on: bool = True,
+    **options: Any,
+) -> AsyncIterator[Seen]:
+    """The page of a unit, in a window with nothing of any other.
+
+    Where the unit ``goes_on``, for the next test, it serves the page no more at the end.
+    """
+    before = asyncio.all_tasks()
+    async with Cable(port_of(running)) as cable:
+        page = await started.new_page(viewport={"width": size[0], "height": size[1]}, **options)
+        shown = Seen(page, running, cable)
+        shown.listen()
+        await shown.open()
+        await shown.until_measured()
+        yield shown
+        await page.close()
+    async with asyncio.timeout(10):
+        while goes_on and asyncio.all_tasks() - before:  # noqa: ASYNC110  the unit notices that the page has left
+            await asyncio.sleep(0.01)
 
 
 def port_of(running: LedUnit) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,7 @@ from support.cli import altd_here
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 
-def measure(scan: Path, poses: Path, tmp_path: Path, exposures: int = 4) -> list[dict[str, Any]]:
-    calibration = tmp_path / "cal.json"
-    calibrated = altd_here("calibrate", scan, "-o", calibration)
-    assert calibrated.status == 0, calibrated.err
+def measure(calibration: Path, poses: Path, exposures: int = 4) -> list[dict[str, Any]]:
     replayed = altd_here(
         "replay", poses, "--calibration", calibration, "--window", exposures, "--every", exposures
     )
@@ -56,21 +53,17 @@ def check(errors: np.ndarray, sigmas: np.ndarray) -> None:
     assert 0.7 <= np.sqrt(np.mean((errors / sigmas) ** 2)) <= 1.4
 
 
-def test_a_unit_that_this_project_did_not_make(shared_data: Path, tmp_path: Path) -> None:
-    unit = shared_data / "unit-a"
-    lines = measure(unit / "scan", unit / "poses", tmp_path)
-    truth = json.loads((unit / "poses.truth.json").read_text())
+def test_a_unit_that_this_project_did_not_make(shared_data: Path, unit_a: Path) -> None:
+    lines = measure(unit_a / "cal.json", shared_data / "unit-a" / "poses")
+    truth = json.loads((shared_data / "unit-a" / "poses.truth.json").read_text())
     check(*errors_and_sigmas(lines, truth["poses"]))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_simulated_unit(seed: int, tmp_path: Path) -> None:
-    scan, poses, truth = tmp_path / "scan", tmp_path / "poses", tmp_path / "truth.json"
-    for arguments in (
-        ("scan", "-o", scan),
-        ("measure", "-o", poses, "--truth", truth, "--poses", 30, "--exposures", 4),
-    ):
-        outcome = altd_here(*arguments, "--seed", seed, module="hw_sim")
-        assert outcome.status == 0, outcome.err
-    lines = measure(scan, poses, tmp_path)
+def test_a_simulated_unit(seed: int, simulated_unit: Callable[[int], Path], tmp_path: Path) -> None:
+    poses, truth = tmp_path / "poses", tmp_path / "truth.json"
+    arguments = ("measure", "-o", poses, "--truth", truth, "--poses", 30, "--exposures", 4, "--seed", seed)
+    outcome = altd_here(*arguments, module="hw_sim")
+    assert outcome.status == 0, outcome.err
+    lines = measure(simulated_unit(seed) / "cal.json", poses)
     check(*errors_and_sigmas(lines, json.loads(truth.read_text())["poses"]))

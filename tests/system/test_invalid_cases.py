@@ -80,11 +80,20 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("fault", CASES, ids=str)
-def test_a_fault_gives_its_reason_and_no_number(fault: Fault, calibration: Calibration) -> None:
+@pytest.fixture(scope="module", params=CASES, ids=str)
+def fault(request: pytest.FixtureRequest) -> Fault:
+    return Fault(request.param)
+
+
+@pytest.fixture(scope="module")
+def measurements(fault: Fault, calibration: Calibration) -> list[Measurement]:
+    """Of a unit that has the fault."""
     unit = Unit(UnitConfig(seed=SEED, faults=frozenset({fault})))
     unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
-    measurements = measure(unit, calibration)
+    return measure(unit, calibration)
+
+
+def test_a_fault_gives_its_reason_and_no_number(fault: Fault, measurements: list[Measurement]) -> None:
     assert measurements
     for measurement in measurements:
         assert not measurement.valid, measurement
@@ -114,12 +123,8 @@ REMEDIES = {
 """What the console advises, by the cause that was seen."""
 
 
-@pytest.mark.parametrize("fault", REMEDIES, ids=str)
-def test_the_console_names_the_cause_and_no_other(fault: Fault, calibration: Calibration) -> None:
-    unit = Unit(UnitConfig(seed=SEED, faults=frozenset({fault})))
-    unit.place(BeamPose(8.0, -6.0, 0.02, 0.01))
-    last = measure(unit, calibration)[-1]
-    told = " ".join(status_text(last, Health(FakeClock())).split())
+def test_the_console_names_the_cause_and_no_other(fault: Fault, measurements: list[Measurement]) -> None:
+    told = " ".join(status_text(measurements[-1], Health(FakeClock())).split())
     assert REMEDIES[fault] in told, told
     others = set(REMEDIES.values()) - {REMEDIES[fault]}
     assert not [other for other in others if other in told], told
@@ -132,6 +137,7 @@ def test_every_fault_has_its_case() -> None:
         Fault.PUSHED_ASIDE,
         Fault.REAR_CAMERA_MOVED,
     }  # test_gige_self_check.py
+    assert CASES.keys() == REMEDIES.keys()
     assert set(Fault) - set(CASES) == {Fault.DROPPED_FRAMES} | told_by_a_self_check
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli import altd
+from support.cli import altd_here
 from support.led_unit import LedUnit, config, led_unit
 
 from altd.config import KeptFrames
@@ -56,7 +56,7 @@ async def test_the_frames_of_a_fault_are_replayed_as_they_were_measured(
         assert (await running.daemon.health.recordings.keeper.keep("asked")).exposures > 20
     assert 2.5 < recording.seconds < 3.3
 
-    replayed = altd("replay", folder, "--calibration", unit_3 / "cal.json", "--window", WINDOW)
+    replayed = altd_here("replay", folder, "--calibration", unit_3 / "cal.json", "--window", WINDOW)
     assert replayed.status == 0, replayed.err
     lines = replayed.objects
     assert len(lines) == recording.exposures

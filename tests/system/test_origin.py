@@ -96,8 +96,9 @@ class Files:
         for name, origin in (("real", "camera"), ("simulated", "simulated")):
             said_to_be(write_scan(self.folder / name / "scan"), origin, origin)
             said_to_be(write_beams(self.folder / name / "beams", BEAMS), origin, origin)
-            output = self.folder / f"{name}.json"
-            assert target_origins(calibrated(self.folder / name / "scan", output)) == [origin, origin]
+            output, report = self.folder / f"{name}.json", self.folder / name / "report"
+            made = calibrated(self.folder / name / "scan", output, "--report", report)
+            assert target_origins(made) == [origin, origin]
             object.__setattr__(self, f"{name}_calibration", output)
 
     def beams(self, name: str) -> Path:
@@ -170,10 +171,9 @@ class TestCalibration:
         plate = said_to_be(write_plate(tmp_path / "plate", *lights), "simulated", "simulated")
         assert target_origins(calibrated(plate, tmp_path / "cal.json")) == ["simulated", "simulated"]
 
-    def test_bears_it_across_every_sheet_of_its_report(self, files: Files, tmp_path: Path) -> None:
+    def test_bears_it_across_every_sheet_of_its_report(self, files: Files) -> None:
         for name, marks in (("real", False), ("simulated", True)):
-            folder = tmp_path / name
-            calibrated(files.folder / name / "scan", tmp_path / f"{name}.json", "--report", folder)
+            folder = files.folder / name / "report"
             (pdf,), (html,) = folder.glob("*.pdf"), folder.glob("*.html")
             read = [need_program("pdftotext", "poppler-utils"), "-layout", str(pdf), "-"]
             sheets = subprocess.run(read, capture_output=True, text=True, check=True).stdout.split("\f")[:-1]

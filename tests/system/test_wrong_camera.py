@@ -18,7 +18,7 @@ from support.unit_toml import TARGETS
 
 from altd.app.daemon import Daemon
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import load_calibration, save_calibration
+from altd.calibration.file import load_calibration
 from altd.config import Config, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -79,13 +79,8 @@ def seed(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture(scope="module")
-def calibration(seed: int, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
-    folder = tmp_path_factory.mktemp("unit")
-    record_scan(
-        folder / "scan", Unit(UnitConfig(seed=seed)), Stage(np.random.default_rng(seed)), 1, lambda *_: None
-    )
-    save_calibration(calibrate([open_recording(folder / "scan")]).calibration, folder / "cal.json")
-    return load_calibration(folder / "cal.json")
+def calibration(seed: int, simulated_unit: Callable[[int], Path]) -> Calibration:
+    return load_calibration(simulated_unit(seed) / "cal.json")
 
 
 @pytest.fixture(scope="module")
@@ -319,24 +314,24 @@ def test_the_daemon_holds_its_cameras_against_the_config(
 
 
 @pytest.fixture(scope="module")
-def unit_a(shared_data: Path) -> tuple[Calibration, list[Pictures]]:
+def foreign(shared_data: Path, unit_a: Path) -> tuple[Calibration, list[Pictures]]:
     """Frames that this project did not make: the calibration, and the first exposure of each of 12 beams."""
-    calibration = calibrate([open_recording(shared_data / "unit-a" / "scan")]).calibration
+    calibration = load_calibration(unit_a / "cal.json")
     poses = open_recording(shared_data / "unit-a" / "poses")
     frames = {(row.sequence, row.camera): poses.frame(row).pixels for row in poses.rows}
     return calibration, [(frames[4 * pose, "front"], frames[4 * pose, "rear"]) for pose in range(12)]
 
 
-def test_the_cameras_of_unit_a_measure(unit_a: tuple[Calibration, list[Pictures]]) -> None:
-    calibration, beams = unit_a
+def test_the_cameras_of_unit_a_measure(foreign: tuple[Calibration, list[Pictures]]) -> None:
+    calibration, beams = foreign
     assert all(measurement.valid for pair in beams for measurement in measured(chain(calibration), [pair]))
 
 
 @pytest.mark.parametrize("name", SPOILT)
 def test_not_one_spoilt_picture_of_unit_a_is_measured(
-    unit_a: tuple[Calibration, list[Pictures]], name: str
+    foreign: tuple[Calibration, list[Pictures]], name: str
 ) -> None:
-    calibration, beams = unit_a
+    calibration, beams = foreign
     for pair in beams:
         (measurement,) = measured(chain(calibration), [SPOILT[name](*pair)])
         assert status(measurement) & {"front_wrong_camera", "rear_wrong_camera"}

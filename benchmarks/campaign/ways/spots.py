@@ -237,12 +237,9 @@ def _photographs() -> tuple[Image, ...]:
     return tuple(pictures)
 
 
-@WAYS.add()
 def photographed_beam(draw: Draw) -> Spoil:
     """The photograph of a real beam in place of the spot, its centroid (ISO 11146) where the beam is."""
     pictures = _photographs()
-    if not pictures:
-        return Spoil("no photographs here")
     number, width_mm, turn = draw.whole(0, len(pictures) - 1), draw.uniform(6.0, 15.0), draw.uniform(0, 360)
     picture = pictures[number]
 
@@ -257,6 +254,10 @@ def photographed_beam(draw: Draw) -> Spoil:
         return scene.without_laser().lit(np.float32(scene.spot.peak) * np.asarray(pasted, np.float32))
 
     return Spoil(f"photograph {number}, {width_mm:.0f} mm", light=light, cameras=draw.targets())
+
+
+if BEAMS.is_dir():
+    WAYS.add()(photographed_beam)
 
 
 @WAYS.add()

@@ -31,3 +31,10 @@ def misses_mm(result: CalibrationResult, name: str, view: View) -> np.ndarray:
     target = result.calibration.target(name)
     assert target is not None
     return view.misses_mm(lambda px: target.inverse.to_mm(px)[0])
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports have all their words but no drawings, which take ten seconds."""
+    monkeypatch.setattr("altd.calibration.report.html.svg", lambda *_: b"<svg></svg>")
+    monkeypatch.setattr("altd.calibration.report.sheets.pdf_sheets", lambda *_: b"%PDF")

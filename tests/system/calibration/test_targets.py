@@ -92,6 +92,7 @@ def test_a_recording_of_other_targets_is_not_replayed(
     assert complaint in refusal(altd_here("replay", rec, "--calibration", three / "cal.json"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_plate_recorded_with_one_camera_calibrates_one_target(tmp_path: Path) -> None:
     """It is called otherwise than its target, and sees it mirrored, as ``front`` is seen."""
     rec = write_plates(
@@ -140,6 +141,7 @@ def test_only_the_target_front_is_seen_mirrored_unless_the_camera_says_so(tmp_pa
         assert (point.x_mm, point.y_mm) == pytest.approx((21.0, -13.0), abs=0.02), (name, said)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_each_target_is_taken_from_the_recording_that_has_it(tmp_path: Path) -> None:
     plate = write_plates(
         tmp_path / "plate",

@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("unit")
     write_scan(path / "scan")
     write_beams(path / "beams", BEAMS)
-    outcome = altd("calibrate", path / "scan", "-o", path / "cal.json")
+    outcome = altd_here("calibrate", path / "scan", "-o", path / "cal.json")
     assert outcome.status == 0, outcome.err
     assert outcome.err == ""
     assert "\nfront   " in outcome.out

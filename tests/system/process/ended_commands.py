@@ -23,8 +23,7 @@ class Command:
     """A command line, and the call of a function at which it gets a signal.
 
     ``leaves`` may stand in the working folder after that; ``ends_with`` is the status then, None: 128 and the
-    signal's number; ``says`` is all of standard error. ``signals`` are fewer where another command is ended
-    by all of them in the same work.
+    signal's number; ``says`` is all of standard error.
     """
 
     line: str
@@ -33,7 +32,6 @@ class Command:
     ends_with: int | None = None
     says: str = ""
     module: str = "altd.cli"
-    signals: tuple[signal.Signals, ...] = SIGNALS
 
 
 HW_SIM = "hw_sim"
@@ -50,7 +48,6 @@ COMMANDS = {
         "calibrate {scan} -o cal.json --report rep",
         "altd.files.writing:_opened_beside 3",
         frozenset({"cal.json"}),
-        signals=(signal.SIGTERM,),
     ),
     "calibrate's report, at its first drawing": Command(
         "calibrate {scan} -o cal.json --report rep", "altd.calibration.report.html:svg 1"
@@ -116,9 +113,9 @@ COMMANDS = {
     "devices": Command("devices", "altd.app.connected_devices:lines 1"),
     "doctor": Command("doctor", "altd.doctor.checks:examine 1"),
     "hw_sim scan": Command("scan -o kept", EXPOSE, module=HW_SIM),
-    "hw_sim flat": Command("flat -o kept", EXPOSE, module=HW_SIM),
+    "hw_sim flat": Command("flat -o kept --exposures 4", EXPOSE, module=HW_SIM),
     "hw_sim plate": Command("plate -o kept", EXPOSE, module=HW_SIM),
-    "hw_sim measure": Command("measure -o kept --truth truth.json", EXPOSE, module=HW_SIM),
+    "hw_sim measure": Command("measure -o kept --truth truth.json --poses 2", EXPOSE, module=HW_SIM),
     "studies": Command("averaging", EXPOSE, module="studies"),
     "hw_sim demo": Command(
         "demo --seed 3 --calibration {cal_3}",
@@ -132,14 +129,6 @@ COMMANDS = {
         frozenset({"kept"}),
         ends_with=0,
         module=HW_SIM,
-        signals=(signal.SIGTERM,),
-    ),
-    "hw_sim demo, calibrated by itself": Command(
-        "demo",
-        "altd.measuring.chain:MeasuringChain.add 5",
-        ends_with=0,
-        module=HW_SIM,
-        signals=(signal.SIGTERM,),
     ),
 }
 

@@ -1,7 +1,8 @@
 """Every command, ended in each way it can end: standard error, temporary folders and exit status.
 
 ``lamps on`` is ended on a real chip in ``test_lamps.py``, ``altd scan`` killed in ``test_scan.py``, the
-simulator's cameras in ``hw_sim/gige/test_command.py``, a daemon on live cameras in ``test_live.py``.
+simulator's cameras in ``hw_sim/gige/test_command.py``, a demo that calibrates itself in
+``hw_sim/test_demo.py``, a daemon on live cameras in ``test_live.py``.
 """
 
 from __future__ import annotations
@@ -18,7 +19,12 @@ from support.history import START_S, batch, event, store, write_seconds
 from support.played_unit import BEAMS, PlayedUnit
 from support.recordings import write_beams, write_scan
 
-from .ended_commands import COMMANDS, HW_SIM, Command, filled, run
+from .ended_commands import COMMANDS, HW_SIM, SIGNALS, Command, filled, run
+
+WITH_EVERY_SIGNAL = ("run", "replay")
+"""One on a loop, one without. All commands share the two ways to take a signal, which
+``tests/unit/process/test_endings.py`` tests with each of them: each other command gets the next one.
+"""
 
 DONE = {
     "calibrate": (0, "", {"cal.json"}),
@@ -114,8 +120,8 @@ def folder(tmp_path: Path, small_scan: Path, check: Path, unit_3: Path, history:
     ("name", "number"),
     [
         pytest.param(name, number, id=f"{name}-{number.name}")
-        for name, command in COMMANDS.items()
-        for number in command.signals
+        for place, name in enumerate(COMMANDS)
+        for number in (SIGNALS if name in WITH_EVERY_SIGNAL else [SIGNALS[place % len(SIGNALS)]])
     ],
 )
 def test_ended_by_a_signal(name: str, number: signal.Signals, played_unit: PlayedUnit, folder: Path) -> None:

@@ -1,4 +1,7 @@
-"""Commands whose standard streams are closed, full or gone: a line or none, and the right status."""
+"""Commands whose standard streams are closed, full or gone: a line or none, and the right status.
+
+``test_endings.py`` has each command whose standard output is full or whose reader goes away.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,11 @@ from support.played_unit import PlayedUnit
 READ_AND_SAID = {
     "replay": "replay {beams} --calibration {cal} --window 4 --every 4",
     "calibrate": "calibrate {scan} -o {new}/cal.json",
-    "locate": "locate {beams}/front0000.png",
     "check-config": "check-config {config}",
     "devices": "devices",
-    "doctor": "doctor",
     "--help": "--help",
     "--version": "--version",
 }
-"""A command of each kind that prints on standard output."""
 
 
 def run(
@@ -47,7 +47,7 @@ def run(
 @pytest.mark.parametrize(
     ("command", "redirected", "why"),
     [
-        *((command, ">/dev/full", "No space left on device") for command in READ_AND_SAID),
+        *((command, ">/dev/full", "No space left on device") for command in ("--help", "--version")),
         *((command, ">&-", "Bad file descriptor") for command in ("replay", "--help")),
     ],
 )
@@ -59,9 +59,8 @@ def test_an_answer_that_cannot_be_printed_is_a_line_and_status_1(
     assert (done.stderr, done.returncode) == (f"{name}: standard output: {why}\n", 1)
 
 
-@pytest.mark.parametrize("command", ["replay", "locate", "devices", "--help"])
-def test_a_reader_that_goes_away_is_no_word(played_unit: PlayedUnit, tmp_path: Path, command: str) -> None:
-    done = run(played_unit, tmp_path, READ_AND_SAID[command], "| true; exit ${PIPESTATUS[0]}")
+def test_a_reader_that_goes_away_is_no_word(played_unit: PlayedUnit, tmp_path: Path) -> None:
+    done = run(played_unit, tmp_path, "--help", "| true; exit ${PIPESTATUS[0]}")
     assert (done.stderr, done.returncode) in (("", 1), ("", 0))  # 0: it was done before the reader was gone
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,11 @@ from typing import Any
 import axe_playwright_python
 import numpy as np
 import pytest
-from support.cli import altd
+import pytest_asyncio
+from playwright.async_api import Browser
+from support.cli import altd_here
 from support.led_unit import LedUnit
-from support.page import POSE, SIZES, UNKNOWN, picture, seen
+from support.page import POSE, SIZES, UNKNOWN, browser, picture, seen, watched_unit
 
 from altd.measuring.calibration import Calibration
 from altd.ports import CameraLostError
@@ -22,7 +24,7 @@ from altd.records import Frame, Measurement
 from hw_sim.beam import BeamPose
 from hw_sim.unit import FRONT, REAR
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.asyncio(loop_scope="module")]
 
 GREEN = """[...document.querySelectorAll("figure.target canvas")].map(canvas => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -33,6 +35,25 @@ GREEN = """[...document.querySelectorAll("figure.target canvas")].map(canvas => 
 AXE = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 SHOWN_WITHIN_S = 1.0
 BLANK_WITHIN_S = 2.0
+WITH_PAST = pytest.mark.parametrize("running", [True], indirect=True, ids=["with past"])
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def started() -> AsyncIterator[Browser]:
+    async with browser() as started:
+        yield started
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def running(
+    request: pytest.FixtureRequest,
+    calibration_of_unit_3: Calibration,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> AsyncIterator[LedUnit]:
+    """One unit for all tests, or for those with a past one that keeps its history and its frames."""
+    folder = tmp_path_factory.mktemp("past") if getattr(request, "param", False) else None
+    async with watched_unit(calibration_of_unit_3, folder) as running:
+        yield running
 
 
 def shown_as(value: float | None, decimals: int) -> str:
@@ -42,42 +63,6 @@ def shown_as(value: float | None, decimals: int) -> str:
         if value is None
         else f"{round(value, decimals + 1):.{decimals}f}".replace("-", "\N{MINUS SIGN}")
     )
-
-
-@pytest.mark.parametrize("size", SIZES)
-async def test_the_page_shows_what_the_api_says_and_moving_pictures(
-    calibration_of_unit_3: Calibration, size: str
-) -> None:
-    async with seen(calibration_of_unit_3, SIZES[size]) as shown:
-        await shown.until_pictures()
-        published = all_published(shown.running)
-        pictures: set[str] = set()
-        for _ in range(8):
-            now = await shown.once(lambda now: now["sequence"] in published)
-            pictures |= set(now["pictures"])
-            measurement = published[now["sequence"]]
-            for key, decimals in {"x_mm": 3, "y_mm": 3, "yaw_deg": 4, "pitch_deg": 4}.items():
-                assert now["values"][key] == shown_as(measurement.number(key), decimals)
-            await asyncio.sleep(0.15)
-        assert len(pictures) >= 4
-        assert min(await shown.page.evaluate(GREEN)) > 60, "the contour is drawn into the picture"
-        assert now["overflow"] <= 0, "the page can be scrolled sideways"
-        assert shown.complaints == []
-        hosts = {url.split("/")[2] for url in shown.asked if not url.startswith(("data:", "blob:"))}
-        assert hosts == {f"127.0.0.1:{shown.cable.port}"}
-
-
-def all_published(running: LedUnit) -> dict[str, Measurement]:
-    """Whatever the unit publishes from now on, by its number."""
-    board, published = running.daemon.board, dict[str, Measurement]()
-    publish = board.publish
-
-    def keep(measurement: Measurement) -> None:
-        published[str(measurement.sequence)] = measurement
-        publish(measurement)
-
-    board.publish = keep  # type: ignore[method-assign]
-    return published
 
 
 Spoil = Callable[[Frame], Frame]
@@ -133,33 +118,6 @@ FAULTS: dict[str, tuple[str, Callable[[LedUnit], None]]] = {
 }
 
 
-async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
-    calibration_of_unit_3: Calibration,
-) -> None:
-    late_s: dict[str, float] = {}
-    async with seen(calibration_of_unit_3) as shown:
-        running = shown.running
-        await said(running, "starting", False)
-        await said(running, "self_checking", False)
-        for name, (code, spoil) in FAULTS.items():
-            spoil(running)
-            if code == "lamps_failed":
-                running.daemon.health.self_check.ask()
-            await said(running, code, True)
-            late_s[name] = await shown.until(says_what_is_wrong(code, now_wrong(running)[code]))
-            if name == "front covered":
-                await shown.until_pictures()
-                await picture(shown, "page-fault")
-            running.seen.alter = lambda frame: frame
-            running.leds.refuses = ""
-            running.unit.place(POSE)
-            await running.measured(valid=True)
-            await shown.until_measured()
-            await said(running, code, False)
-        assert max(late_s.values()) <= SHOWN_WITHIN_S, late_s
-        assert shown.complaints == []
-
-
 def says_what_is_wrong(code: str, remedy: str) -> Callable[[dict[str, Any]], bool]:
     """That the page shows a cause with its remedy, and no value where the cause leaves none."""
 
@@ -182,14 +140,80 @@ async def said(running: LedUnit, code: str, is_said: bool) -> None:
             await asyncio.sleep(0.01)
 
 
+async def test_each_of_ten_faults_shows_cause_and_remedy_within_a_second(
+    started: Browser, calibration_of_unit_3: Calibration
+) -> None:
+    """On a unit of its own, and before the others' one runs."""
+    late_s: dict[str, float] = {}
+    async with (
+        watched_unit(calibration_of_unit_3) as running,
+        seen(started, running, goes_on=False) as shown,
+    ):
+        await said(running, "starting", False)
+        await said(running, "self_checking", False)
+        for name, (code, spoil) in FAULTS.items():
+            spoil(running)
+            if code == "lamps_failed":
+                running.daemon.health.self_check.ask()
+            await said(running, code, True)
+            late_s[name] = await shown.until(says_what_is_wrong(code, now_wrong(running)[code]))
+            if name == "front covered":
+                await shown.until_pictures()
+                await picture(shown, "page-fault")
+            running.seen.alter = lambda frame: frame
+            running.leds.refuses = ""
+            running.unit.place(POSE)
+            await running.measured(valid=True)
+            await shown.until_measured()
+            await said(running, code, False)
+        assert max(late_s.values()) <= SHOWN_WITHIN_S, late_s
+        assert shown.complaints == []
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_the_page_shows_what_the_api_says_and_moving_pictures(
+    started: Browser, running: LedUnit, size: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with seen(started, running, SIZES[size]) as shown:
+        await shown.until_pictures()
+        published = all_published(running, monkeypatch)
+        pictures: set[str] = set()
+        for _ in range(8):
+            now = await shown.once(lambda now: now["sequence"] in published)
+            pictures |= set(now["pictures"])
+            measurement = published[now["sequence"]]
+            for key, decimals in {"x_mm": 3, "y_mm": 3, "yaw_deg": 4, "pitch_deg": 4}.items():
+                assert now["values"][key] == shown_as(measurement.number(key), decimals)
+            await asyncio.sleep(0.15)
+        assert len(pictures) >= 4
+        assert min(await shown.page.evaluate(GREEN)) > 60, "the contour is drawn into the picture"
+        assert now["overflow"] <= 0, "the page can be scrolled sideways"
+        assert shown.complaints == []
+        hosts = {url.split("/")[2] for url in shown.asked if not url.startswith(("data:", "blob:"))}
+        assert hosts == {f"127.0.0.1:{shown.cable.port}"}
+
+
+def all_published(running: LedUnit, monkeypatch: pytest.MonkeyPatch) -> dict[str, Measurement]:
+    """Whatever the unit publishes from now on, by its number."""
+    board, published = running.daemon.board, dict[str, Measurement]()
+    publish = board.publish
+
+    def keep(measurement: Measurement) -> None:
+        published[str(measurement.sequence)] = measurement
+        publish(measurement)
+
+    monkeypatch.setattr(board, "publish", keep)
+    return published
+
+
 async def test_a_unit_that_is_lost_is_blank_within_two_seconds_and_comes_back(
-    calibration_of_unit_3: Calibration,
+    started: Browser, running: LedUnit
 ) -> None:
     def is_blank(now: dict[str, Any]) -> bool:
         values = set(now["values"].values())
         return values == {UNKNOWN} and now["kind"] == "unknown" and not (now["causes"] or now["pictures"])
 
-    async with seen(calibration_of_unit_3) as shown:
+    async with seen(started, running) as shown:
         for _ in range(3):
             shown.cable.cut()
             assert await shown.until(is_blank) <= BLANK_WITHIN_S
@@ -209,8 +233,8 @@ LATE = """{
 """Each picture is closed before it is drawn, as by the next one where a browser is busy."""
 
 
-async def test_a_picture_that_is_overtaken_stops_nothing(calibration_of_unit_3: Calibration) -> None:
-    async with seen(calibration_of_unit_3) as shown:
+async def test_a_picture_that_is_overtaken_stops_nothing(started: Browser, running: LedUnit) -> None:
+    async with seen(started, running) as shown:
         await shown.page.add_init_script(LATE)
         await shown.page.reload()
         await shown.until_measured()
@@ -222,10 +246,10 @@ async def test_a_picture_that_is_overtaken_stops_nothing(calibration_of_unit_3: 
 
 
 async def test_a_page_that_fails_shows_nothing_old_and_is_loaded_again(
-    calibration_of_unit_3: Calibration,
+    started: Browser, running: LedUnit
 ) -> None:
     eye = "export function Eyes() { if (globalThis.broken) throw new Error('a defect'); return null; }"
-    async with seen(calibration_of_unit_3) as shown:
+    async with seen(started, running) as shown:
         await shown.page.route(
             "**/page/eye.js", lambda route: route.fulfill(body=eye, content_type="text/javascript")
         )
@@ -239,9 +263,9 @@ async def test_a_page_that_fails_shows_nothing_old_and_is_loaded_again(
 
 
 async def test_pictures_are_drawn_by_a_browser_that_draws_less_often_than_they_come(
-    calibration_of_unit_3: Calibration,
+    started: Browser, running: LedUnit
 ) -> None:
-    async with seen(calibration_of_unit_3) as shown:
+    async with seen(started, running) as shown:
         await shown.until_pictures()
         await shown.page.evaluate(
             """() => { const later = window.setTimeout;
@@ -254,11 +278,29 @@ async def test_pictures_are_drawn_by_a_browser_that_draws_less_often_than_they_c
         assert shown.complaints == []
 
 
+async def test_nothing_is_sent_to_a_page_that_nobody_sees(started: Browser, running: LedUnit) -> None:
+    async with seen(started, running) as shown:
+        component = next(each for each in running.daemon.health if each.name.startswith("http "))
+        await shown.until_pictures()
+        await shown.page.evaluate(
+            """() => { Object.defineProperty(document, 'hidden', {configurable: true, get: () => true});
+                document.dispatchEvent(new Event('visibilitychange')); }"""
+        )
+        await asyncio.sleep(0.5)
+        pictures = component.counters["pictures"]
+        await asyncio.sleep(1.0)
+        assert component.counters["pictures"] == pictures
+        await shown.page.evaluate(
+            "() => { delete document.hidden; document.dispatchEvent(new Event('visibilitychange')); }"
+        )
+        await shown.until_pictures()
+        assert component.counters["pictures"] > pictures
+
+
+@WITH_PAST
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-async def test_who_cannot_see_it_can_use_it(
-    calibration_of_unit_3: Calibration, tmp_path: Path, scheme: str
-) -> None:
-    async with seen(calibration_of_unit_3, folder=tmp_path, color_scheme=scheme) as shown:
+async def test_who_cannot_see_it_can_use_it(started: Browser, running: LedUnit, scheme: str) -> None:
+    async with seen(started, running, color_scheme=scheme) as shown:
         for view in ("", "drive", "trends", "events", "unit"):
             await shown.open(view)
             await asyncio.sleep(1.0)
@@ -280,35 +322,17 @@ async def test_who_cannot_see_it_can_use_it(
         await shown.until(lambda now: now["plots"] == 4)
 
 
-async def test_nothing_is_sent_to_a_page_that_nobody_sees(calibration_of_unit_3: Calibration) -> None:
-    async with seen(calibration_of_unit_3) as shown:
-        component = next(each for each in shown.running.daemon.health if each.name.startswith("http "))
-        await shown.until_pictures()
-        await shown.page.evaluate(
-            """() => { Object.defineProperty(document, 'hidden', {configurable: true, get: () => true});
-                document.dispatchEvent(new Event('visibilitychange')); }"""
-        )
-        await asyncio.sleep(0.5)
-        pictures = component.counters["pictures"]
-        await asyncio.sleep(1.0)
-        assert component.counters["pictures"] == pictures
-        await shown.page.evaluate(
-            "() => { delete document.hidden; document.dispatchEvent(new Event('visibilitychange')); }"
-        )
-        await shown.until_pictures()
-        assert component.counters["pictures"] > pictures
-
-
+@WITH_PAST
 async def test_a_fault_at_night_is_replayed_in_the_morning(
-    calibration_of_unit_3: Calibration, unit_3: Path, tmp_path: Path
+    started: Browser, running: LedUnit, unit_3: Path, tmp_path: Path
 ) -> None:
     """As a technician does it: from the event on the page to the measurements of its frames on a laptop."""
-    async with seen(calibration_of_unit_3, folder=tmp_path, accept_downloads=True) as shown:
+    async with seen(started, running, accept_downloads=True) as shown:
         await asyncio.sleep(2.5)
-        shown.running.seen.alter = only(FRONT, dark)
-        await said(shown.running, "spot_missing", True)
+        running.seen.alter = only(FRONT, dark)
+        await said(running, "spot_missing", True)
         await asyncio.sleep(4.0)
-        shown.running.seen.alter = lambda frame: frame
+        running.seen.alter = lambda frame: frame
         await shown.open("events")
         # on a slow machine there are others
         row = shown.page.locator(".events tbody tr").filter(has_text="spot_missing front")
@@ -339,7 +363,7 @@ async def test_a_fault_at_night_is_replayed_in_the_morning(
         assert shown.complaints == []
     subprocess.run(["tar", "-xf", tmp_path / "got.tar", "-C", tmp_path], check=True)  # noqa: ASYNC221
     folder = tmp_path / got.suggested_filename.removesuffix(".tar")
-    replayed = altd("replay", folder, "--calibration", unit_3 / "cal.json", "--window", 4)
+    replayed = altd_here("replay", folder, "--calibration", unit_3 / "cal.json", "--window", 4)
     assert replayed.status == 0, replayed.err
     assert any(line["valid"] for line in replayed.objects)
     assert "front_spot_missing" in replayed.objects[-1]["status"]

@@ -7,16 +7,20 @@ import filecmp
 import json
 import shutil
 import zipfile
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.page import SIZES, Seen, picture, seen
+import pytest_asyncio
+from playwright.async_api import Browser
+from support.led_unit import LedUnit
+from support.page import SIZES, Seen, browser, picture, seen, watched_unit
 
 from altd.measuring.calibration import Calibration
 from altd.status.event_log import Event, EventKind, EventLog
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.asyncio(loop_scope="module")]
 
 REPORT = """<!DOCTYPE html>
 <html><head><meta charset="utf-8">
@@ -32,9 +36,22 @@ REPORT = """<!DOCTYPE html>
 NO_PROSE = "<img src=x onerror=\"document.title='it ran'\"><script>document.title='it ran'</script>"
 
 
-@pytest.fixture
-def calibration_file(unit_3: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copy(unit_3 / "cal.json", tmp_path / "unit-3.json"))
+@pytest.fixture(scope="module")
+def calibration_file(unit_3: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copy(unit_3 / "cal.json", tmp_path_factory.mktemp("unit") / "unit-3.json"))
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def started() -> AsyncIterator[Browser]:
+    async with browser() as started:
+        yield started
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def running(calibration_of_unit_3: Calibration, calibration_file: Path) -> AsyncIterator[LedUnit]:
+    """One unit for all tests."""
+    async with watched_unit(calibration_of_unit_3, calibration_file.parent, calibration_file) as running:
+        yield running
 
 
 @pytest.fixture
@@ -64,12 +81,54 @@ async def checks_noted(log: EventLog, number: int) -> list[Event]:
             await log.noted_after(log.count)
 
 
+async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
+    started: Browser, calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
+) -> None:
+    """On a unit of its own, and before the others' one runs."""
+    async with (
+        watched_unit(calibration_of_unit_3, tmp_path, calibration_file) as running,
+        seen(started, running, goes_on=False, accept_downloads=True) as shown,
+    ):
+        events = running.daemon.past.events
+        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
+        reports = [await running.check() for _ in range(2)]
+        noted = await checks_noted(events, reports[-1].number)
+        await shown.open("unit")
+        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
+        await picture(shown, "page-unit", section)
+        events.note(
+            EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
+        )
+        events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
+        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
+        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
+        assert "odd" in rows[0]
+        assert NO_PROSE in rows[1]
+        for row, event in zip(rows[2:], reversed(noted), strict=True):
+            assert event.text in row
+        for row, report in zip(rows[2:4], reversed(reports), strict=True):
+            assert report.sentence in row
+            assert str(report.document["verdict"]) in row
+        assert await section.locator(".uplot").count() == 2
+        assert await section.locator("img, script").count() == 0
+        assert await shown.page.title() != "it ran"
+        assert (await shown.now())["overflow"] <= 0
+
+        await save(shown, "diagnostics", tmp_path / "got.zip")
+        with zipfile.ZipFile(tmp_path / "got.zip") as archive:
+            assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
+                archive.namelist()
+            )
+            told = [json.loads(line) for line in archive.read("events.jsonl").decode().splitlines()]
+        assert [each["text"] for each in told if each["text"] == NO_PROSE] == [NO_PROSE]
+        assert shown.complaints == []
+
+
 async def test_the_calibration_is_told_and_its_file_and_report_are_given(
-    calibration_of_unit_3: Calibration, calibration_file: Path, written: dict[str, Any], tmp_path: Path
+    started: Browser, running: LedUnit, calibration_file: Path, written: dict[str, Any], tmp_path: Path
 ) -> None:
     write_report(calibration_file, written["checksum"])
-    options: dict[str, Any] = {"calibration_file": calibration_file, "accept_downloads": True}
-    async with seen(calibration_of_unit_3, **options) as shown:
+    async with seen(started, running, accept_downloads=True) as shown:
         await shown.open("unit")
         section = shown.page.get_by_role("region", name="Calibration", exact=True)
         await section.get_by_text("Made from SIMULATED frames").wait_for()
@@ -106,51 +165,11 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         assert await section.get_by_role("link", name="the report on it").count() == 0
 
 
-async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
-    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path
-) -> None:
-    options: dict[str, Any] = {"calibration_file": calibration_file, "accept_downloads": True}
-    async with seen(calibration_of_unit_3, SIZES["desk"], tmp_path, **options) as shown:
-        events = shown.running.daemon.past.events
-        section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
-        reports = [await shown.running.check() for _ in range(3)]
-        noted = await checks_noted(events, reports[-1].number)
-        await shown.open("unit")
-        await section.locator("tbody tr").nth(len(noted) - 1).wait_for(timeout=60_000)
-        await picture(shown, "page-unit", section)
-        events.note(
-            EventKind.SELF_CHECK, NO_PROSE, None, 4, {"verdict": NO_PROSE, "shift_px": {"front": "x"}}
-        )
-        events.note(EventKind.SELF_CHECK, "odd", None, 4, {"verdict": None, "shift_px": [1, 2], "cause": {}})
-        await section.locator("tbody tr").nth(len(noted) + 1).wait_for(timeout=60_000)
-        rows = [await row.inner_text() for row in await section.locator("tbody tr").all()]
-        assert "odd" in rows[0]
-        assert NO_PROSE in rows[1]
-        for row, event in zip(rows[2:], reversed(noted), strict=True):
-            assert event.text in row
-        for row, report in zip(rows[2:5], reversed(reports), strict=True):
-            assert report.sentence in row
-            assert str(report.document["verdict"]) in row
-        assert await section.locator(".uplot").count() == 2
-        assert await section.locator("img, script").count() == 0
-        assert await shown.page.title() != "it ran"
-        assert (await shown.now())["overflow"] <= 0
-
-        await save(shown, "diagnostics", tmp_path / "got.zip")
-        with zipfile.ZipFile(tmp_path / "got.zip") as archive:
-            assert {"README.txt", "status.json", "settings.json", "versions.txt", "trend.csv"} <= set(
-                archive.namelist()
-            )
-            told = [json.loads(line) for line in archive.read("events.jsonl").decode().splitlines()]
-        assert [each["text"] for each in told if each["text"] == NO_PROSE] == [NO_PROSE]
-        assert shown.complaints == []
-
-
 @pytest.mark.parametrize("size", [SIZES["phone"], (360, 640), (320, 568)])
 async def test_on_a_phone_nothing_is_wider_than_the_screen(
-    calibration_of_unit_3: Calibration, calibration_file: Path, tmp_path: Path, size: tuple[int, int]
+    started: Browser, running: LedUnit, size: tuple[int, int]
 ) -> None:
-    async with seen(calibration_of_unit_3, size, tmp_path, calibration_file=calibration_file) as shown:
+    async with seen(started, running, size) as shown:
         for view in ("", "drive", "trends", "events", "unit"):
             await shown.open(view)
             await shown.page.locator("main section").first.wait_for()

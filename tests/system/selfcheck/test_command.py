@@ -123,10 +123,8 @@ def test_a_camera_whose_distance_to_its_target_grew_is_seen_by_its_scale(
         assert target["significance"] > 20
 
 
-def test_the_led_pairs_of_a_foreign_units_own_scan_are_good(shared_data: Path, tmp_path: Path) -> None:
-    calibration = tmp_path / "cal.json"
-    assert altd_here("calibrate", shared_data / "unit-a" / "scan", "-o", calibration).status == 0
-    said = altd_here("selfcheck", shared_data / "unit-a" / "scan", "--calibration", calibration)
+def test_the_led_pairs_of_a_foreign_units_own_scan_are_good(shared_data: Path, unit_a: Path) -> None:
+    said = altd_here("selfcheck", shared_data / "unit-a" / "scan", "--calibration", unit_a / "cal.json")
     assert (said.status, said.objects[0]["verdict"]) == (0, "good")
     assert said.objects[0]["targets"]["front"]["leds"].count("cut") == 1
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.cli import Outcome, altd, refusal
+from support.cli import Outcome, altd, altd_here, refusal
 from support.foreign import need
 from support.local_daemon import LocalDaemon, local_daemon
 from support.played_unit import PlayedUnit
@@ -23,8 +23,15 @@ from support.played_unit import PlayedUnit
 from altd.local_socket.asking import NoAnswerError, ask
 
 
+@pytest.fixture(scope="module")
+def unit(played_unit: PlayedUnit, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalDaemon]:
+    """One for all tests that leave it running."""
+    with local_daemon(played_unit, tmp_path_factory.mktemp("unit")) as daemon:
+        yield daemon
+
+
 @pytest.fixture
-def unit(played_unit: PlayedUnit, tmp_path: Path) -> Iterator[LocalDaemon]:
+def ended_unit(played_unit: PlayedUnit, tmp_path: Path) -> Iterator[LocalDaemon]:
     with local_daemon(played_unit, tmp_path) as daemon:
         yield daemon
 
@@ -32,7 +39,7 @@ def unit(played_unit: PlayedUnit, tmp_path: Path) -> Iterator[LocalDaemon]:
 def said_while_it_measures(unit: LocalDaemon) -> Outcome:
     """On a busy machine the daemon may be without a fresh measurement for a while, and says so."""
     deadline = time.monotonic() + 60.0
-    while "measuring    NOT LIVE, 0." not in (said := altd("status", "--config", unit.config)).out:
+    while "measuring    NOT LIVE, 0." not in (said := altd_here("status", "--config", unit.config)).out:
         assert time.monotonic() < deadline, said.out
     return said
 
@@ -54,7 +61,7 @@ def test_it_says_what_the_daemon_measures_and_what_to_do(unit: LocalDaemon) -> N
 
 
 def test_its_numbers_as_json_are_those_of_http(unit: LocalDaemon) -> None:
-    said = altd("status", "--socket", unit.socket, "--json")
+    said = altd_here("status", "--socket", unit.socket, "--json")
     (document,) = said.objects
     assert said.status == 1
     measured = unit.daemon.measurement()
@@ -65,14 +72,15 @@ def test_its_numbers_as_json_are_those_of_http(unit: LocalDaemon) -> None:
     assert document["self_check"]["verdict"] is None
 
 
-def test_the_socket_is_for_owner_and_group_and_goes_with_the_daemon(unit: LocalDaemon) -> None:
+def test_the_socket_is_for_owner_and_group_and_goes_with_the_daemon(ended_unit: LocalDaemon) -> None:
+    unit = ended_unit
     about = unit.socket.lstat()
     assert stat.S_ISSOCK(about.st_mode)
     assert stat.S_IMODE(about.st_mode) == 0o660
     unit.daemon.process.terminate()
     unit.daemon.process.wait(30)
     assert not unit.socket.exists()
-    said = altd("status", "--config", unit.config)
+    said = altd_here("status", "--config", unit.config)
     assert (said.status, said.out) == (1, "")
     assert said.err == f"altd status: the daemon does not run: there is no socket {unit.socket}\n"
 
@@ -86,19 +94,20 @@ def test_a_second_daemon_is_refused_and_the_first_goes_on(
     config.write_text(unit.config.read_text().split("[http]")[0] + f'[local]\nsocket = "{unit.socket}"\n')
     line = refusal(altd("run", "--config", config))
     assert line == f"altd run: local {unit.socket}: Address already in use"
-    assert altd("status", "--config", unit.config).out.startswith("unit ")
+    assert altd_here("status", "--config", unit.config).out.startswith("unit ")
 
 
 def test_after_kill_9_the_next_daemon_takes_its_place(
-    unit: LocalDaemon, played_unit: PlayedUnit, tmp_path: Path
+    ended_unit: LocalDaemon, played_unit: PlayedUnit, tmp_path: Path
 ) -> None:
+    unit = ended_unit
     unit.daemon.process.kill()
     unit.daemon.process.wait()
     assert unit.socket.exists(), "nobody removed it"
-    said = altd("status", "--config", unit.config)
+    said = altd_here("status", "--config", unit.config)
     assert said.err == f"altd status: the daemon does not run: nobody listens at {unit.socket}\n"
     with local_daemon(played_unit, tmp_path) as again:
-        assert altd("status", "--config", again.config).out.startswith("unit ")
+        assert altd_here("status", "--config", again.config).out.startswith("unit ")
 
 
 @pytest.mark.real_time
@@ -116,7 +125,7 @@ def test_a_daemon_that_hangs_is_said_so_in_time(unit: LocalDaemon) -> None:
 
 
 def test_a_check_is_asked_for_through_the_socket(unit: LocalDaemon) -> None:
-    said = altd("selfcheck", "--config", unit.config)
+    said = altd_here("selfcheck", "--config", unit.config)
     assert (said.status, said.out) == (1, "")
     assert "no [lamps]" in said.err or "LED" in said.err
 

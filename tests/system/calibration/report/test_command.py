@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.cli import Outcome, altd, refusal
+from support.cli import Outcome, altd, altd_here, refusal
 from support.recordings import write_scan
 
 WITHOUT_MATPLOTLIB = "import sys; sys.modules['matplotlib'] = None"
@@ -52,10 +52,11 @@ def test_a_scan_gives_calibration_page_and_sheets(scan: Path, tmp_path: Path) ->
     assert f"report: {folder / 'cal.html'}" in done.out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_a_folder_the_report_stands_beside_the_calibration_and_names_it(
     scan: Path, tmp_path: Path
 ) -> None:
-    done = altd("calibrate", "-o", tmp_path / "unit-7.json", "--report", "--", scan)
+    done = altd_here("calibrate", "-o", tmp_path / "unit-7.json", "--report", "--", scan)
     assert (done.status, done.err) == (0, "")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["unit-7.html", "unit-7.json", "unit-7.pdf"]
     page, checksum = (tmp_path / "unit-7.html").read_text(), checksum_of_file(tmp_path / "unit-7.json")
@@ -81,9 +82,10 @@ def test_a_calibration_without_report_needs_no_matplotlib(scan: Path, tmp_path: 
     assert (done.status, done.err) == (0, "")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_folder_that_cannot_be_written_is_one_line_and_nothing_else(scan: Path, tmp_path: Path) -> None:
     output = tmp_path / "cal.json"
-    said = refusal(altd("calibrate", scan, "-o", output, "--report", "/proc"))
+    said = refusal(altd_here("calibrate", scan, "-o", output, "--report", "/proc"))
     assert said.startswith("altd calibrate: /proc: ")
     assert list(tmp_path.iterdir()) == []
 
@@ -91,6 +93,6 @@ def test_a_folder_that_cannot_be_written_is_one_line_and_nothing_else(scan: Path
 def test_a_scan_that_is_refused_leaves_no_report(tmp_path: Path) -> None:
     folder = tmp_path / "report"
     assert "recording.json" in refusal(
-        altd("calibrate", tmp_path / "none", "-o", tmp_path / "cal.json", "--report", folder)
+        altd_here("calibrate", tmp_path / "none", "-o", tmp_path / "cal.json", "--report", folder)
     )
     assert list(tmp_path.iterdir()) == []

@@ -11,7 +11,7 @@ import subprocess
 from itertools import pairwise
 
 import pytest
-from support.cli import altd, refusal
+from support.cli import altd_here, refusal
 from support.gige_unit import client, need_gige, new_addresses, served
 
 from hw_sim.__main__ import main
@@ -81,7 +81,7 @@ def test_a_port_that_is_taken_is_one_clear_line() -> None:
     at = new_addresses()["front"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind((at, GVCP_PORT))
-        said = refusal(altd("gige", "--only", "front", "--front", at, module="hw_sim"))
+        said = refusal(altd_here("gige", "--only", "front", "--front", at, module="hw_sim"))
     assert said == f"hw_sim: {at}:{GVCP_PORT}: another camera is served there"
 
 
@@ -97,7 +97,7 @@ def test_a_port_that_is_taken_is_one_clear_line() -> None:
     ],
 )
 def test_what_it_cannot_do_is_one_clear_line(arguments: list[str], says: str) -> None:
-    assert says in refusal(altd("gige", *arguments, module="hw_sim"))
+    assert says in refusal(altd_here("gige", *arguments, module="hw_sim"))
 
 
 def test_without_the_library_it_names_the_package(

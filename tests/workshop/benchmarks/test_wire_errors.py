@@ -52,7 +52,7 @@ def _row(line: str) -> Row:
 
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
-    command = [sys.executable, "-m", "benchmarks.wire_errors", "--count", "8"]
+    command = [sys.executable, "-m", "benchmarks.wire_errors", "--count", "3"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=ROOT)
     assert (ran.returncode, ran.stderr) == (0, "")
     return [_row(line) for line in ran.stdout.splitlines()[1:]]
@@ -63,7 +63,7 @@ def test_every_error_on_every_wire_is_found(rows: list[Row]) -> None:
         (wire, error) for wire in WIRES for error in errors.ERRORS
     ]
     for row in rows:
-        assert (row.injected, row.found, row.passed) == (8, 8, 0), row
+        assert (row.injected, row.found, row.passed) == (3, 3, 0), row
 
 
 def test_each_error_is_found_by_the_check_that_the_page_names(rows: list[Row]) -> None:
@@ -84,7 +84,7 @@ def test_each_error_is_found_by_the_check_that_the_page_names(rows: list[Row]) -
 
 def test_what_is_no_error_passes(rows: list[Row]) -> None:
     for row in rows:
-        assert row.good >= 8
+        assert row.good >= 3
         assert set(row.refused) <= {"late", "time-out"}, row
         assert sum(row.refused.values()) < row.good, row
 

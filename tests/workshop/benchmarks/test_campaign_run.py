@@ -12,8 +12,12 @@ from pathlib import Path
 import pytest
 from support.places import ROOT
 
+from benchmarks.campaign import __main__ as campaign
+from benchmarks.campaign import catalogue
 from benchmarks.campaign.cache import RECORDINGS
 from benchmarks.campaign.good import Count
+from benchmarks.campaign.runner import Plan
+from benchmarks.campaign.units import SIMULATED
 
 
 def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -58,6 +62,33 @@ def test_what_is_not_known_ends_it_with_one_line(tmp_path: Path) -> None:
         done = run(tmp_path, *arguments)
         assert done.returncode == 2
         assert len(done.stderr.splitlines()) == 1
+
+
+def test_what_needs_photographs_and_recordings_says_so_where_there_are_none(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nowhere = Path("/nowhere")
+    monkeypatch.setattr(campaign, "RECORDINGS", nowhere)
+    monkeypatch.setattr(campaign, "BEAMS", nowhere)
+    monkeypatch.setattr(catalogue, "WAYS", {"clean": catalogue.WAYS["clean"]})
+    for arguments in (["--ways", "photographed_beam"], ["--units", "unit-a"]):
+        assert campaign.main(arguments) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("campaign: --ways: photographed_beam needs the photographs in ")
+    assert second == "campaign: --units: unit-a needs the recordings in /nowhere"
+    planned: list[tuple[str, ...]] = []
+
+    def run_nothing(plan: Plan, *_: object) -> tuple[dict[str, object], float]:
+        planned.append(plan.units)
+        return {}, 1.0
+
+    monkeypatch.setattr(campaign, "run", run_nothing)
+    assert campaign.main([]) == 0
+    assert planned == [tuple(SIMULATED)]
+    assert capsys.readouterr().err.splitlines() == [
+        "campaign: without unit-a: /nowhere is not there",
+        "campaign: without photographed_beam: /nowhere is not there",
+    ]
 
 
 def test_hours_of_good_measuring_add_up_and_survive_their_file() -> None:
