@@ -214,7 +214,7 @@ class _Server(uvicorn.Server):
             )
         except OSError:  # no TLS, none that we speak, or it left; ssl's errors are among these
             secured = None
-        if secured is None or secured.is_closing():  # Python 3.11.2 returns None for a client that left at once
+        if secured is None or secured.is_closing():  # None of Python 3.11.2: it left at once
             self._component.count("handshakes_failed")
             connection.close()
             return
