@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import queue
 import threading
-import traceback
 from collections.abc import Callable
 from functools import partial
 from typing import TypeVar
@@ -83,7 +82,7 @@ def _settle(
     try:
         give = partial(result.set_result, call())
     except BaseException as error:
-        give = partial(result.set_exception, _without_locals(error))
+        give = partial(result.set_exception, error)
     try:
         result.get_loop().call_soon_threadsafe(_unless_done, result, give)
     except RuntimeError:  # the process is going down
@@ -95,15 +94,3 @@ def _settle(
 def _unless_done(result: asyncio.Future[Result], give: Callable[[], None]) -> None:
     if not result.done():
         give()
-
-
-def _without_locals(error: BaseException) -> BaseException:
-    """The error with the lines of its traceback, and without what the calls in it had in hand."""
-    chain, known = [error], {id(error)}
-    while chain:
-        link = chain.pop()
-        traceback.clear_frames(link.__traceback__)
-        behind = [each for each in (link.__cause__, link.__context__) if each and id(each) not in known]
-        known.update(map(id, behind))
-        chain += behind
-    return error

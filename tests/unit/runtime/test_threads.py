@@ -7,7 +7,6 @@ import contextlib
 import gc
 import threading
 import time
-import traceback
 import weakref
 from functools import partial
 
@@ -81,12 +80,6 @@ async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(b
         assert not watched
     finally:
         gc.enable()
-
-
-async def test_an_error_keeps_the_lines_at_which_it_was_raised() -> None:
-    with pytest.raises(ZeroDivisionError) as raised:
-        await call_in_thread(raise_it, "worker")
-    assert [entry.name for entry in traceback.extract_tb(raised.value.__traceback__)][-1] == "raise_it"
 
 
 async def test_a_call_in_a_thread_gives_its_result_or_what_it_raises() -> None:

@@ -117,15 +117,15 @@ class Unit:
 class Disk:
     """Takes an exposure, and answers once it may."""
 
-    def __init__(self, patch: pytest.MonkeyPatch, error: Exception | None = None) -> None:
+    def __init__(self, patch: pytest.MonkeyPatch, is_full: bool = False) -> None:
         self.is_written, self.goes_on = threading.Event(), threading.Event()
         write = ExposuresWriter.write
 
         def held(writer: ExposuresWriter, pair: Pair[Frame]) -> None:
             self.is_written.set()
             assert self.goes_on.wait(20)
-            if error is not None:
-                raise error
+            if is_full:
+                raise OSError(28, "No space left on device")
             write(writer, pair)
 
         patch.setattr(ExposuresWriter, "write", held)
@@ -350,7 +350,7 @@ async def test_whatever_fails_is_said_and_the_next_is_kept(
 async def test_frames_are_let_go_without_the_garbage_collector_however_a_recording_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
-    disk = Disk(monkeypatch, error=OSError(28, "No space left on device") if how == "failed" else None)
+    disk = Disk(monkeypatch, is_full=how == "failed")
     async with running(Unit(tmp_path)) as unit:
         if how == "refused":
             monkeypatch.setattr(unit.store, "_max_bytes", 1)
