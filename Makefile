@@ -78,7 +78,7 @@ test-workshop: programs venv ## the tests of benchmarks, studies and tools, to b
 	@exec $(pytest) $(side_by_side) tests/workshop
 
 fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 for a minute each, TARGET=name for one
-	@$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit
+	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
 	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
 check: venv ## style, types, layers, licences, generated pages, width of pages

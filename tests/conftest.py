@@ -34,14 +34,15 @@ from altd.recording.reader import open_recording
 
 # The same inputs in every run, and no limit of time for one: `make fuzz` is where new inputs are tried.
 hypothesis.settings.register_profile("suite", derandomize=True, database=None, deadline=None)
-hypothesis.settings.register_profile("explore", max_examples=5000, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("explore", max_examples=1000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("suite")
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell ignores it for what runs in its background; so would each program that a test starts and ends.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# A shell ignores SIGINT for its background jobs, nohup(1) ignores SIGHUP, and the programs that tests start inherit it.
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")
