@@ -25,8 +25,8 @@ cores := $(shell nproc)
 side_by_side := --numprocesses $(shell expr $(cores) '*' 2) --dist loadfile
 pytest := $(python) -m pytest
 # The tests of tests/system that `make test` runs too: the main line, from frames to numbers, and bad files.
-core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config history/test_crash.py \
-    mapping/test_monte_carlo.py measuring/test_chain_lies.py measuring/test_synchrony.py recording \
+core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay.py config mapping/test_monte_carlo.py \
+    measuring/test_chain_lies.py measuring/test_synchrony.py recording \
     test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
 core := tests/unit $(core_system) -m 'not real_time and not alone and not own_network'
 

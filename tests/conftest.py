@@ -39,7 +39,7 @@ hypothesis.settings.load_profile("suite")
 
 cv2.setNumThreads(1)  # as altd itself: the other cores run other tests
 
-# A shell ignores SIGINT for its background jobs, nohup(1) ignores SIGHUP, and the programs that tests start inherit it.
+# A shell ignores SIGINT for its background jobs, nohup(1) SIGHUP; programs that tests start inherit it.
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
