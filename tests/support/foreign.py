@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +25,17 @@ def need_program(name: str, package: str | None = None) -> str:
     need(path is not None, f"{name} is not installed (Debian package {package or name})")
     assert path is not None
     return path
+
+
+def need_namespaces(*kinds: str) -> list[str]:
+    """The words that run a command as root of its own namespaces, such as ``--net``."""
+    unshare = [need_program("unshare", "util-linux"), "--user", "--map-root-user", *kinds]
+    tried = subprocess.run([*unshare, "true"], capture_output=True, check=False)
+    need(tried.returncode == 0, "this machine allows no namespaces")
+    return unshare
+
+
+def on_small_disk(folder: Path, size: str, shell: str) -> list[str]:
+    """The words of a command that sees a real disk of this size at ``folder``, which is gone with it."""
+    mount = f"mount -t tmpfs -o size={size} tmpfs {folder}"
+    return [*need_namespaces("--mount"), "sh", "-c", f"{mount} && {shell}"]

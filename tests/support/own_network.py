@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from support.foreign import need, need_program
+from support.foreign import need, need_namespaces, need_program
 
 MARKER = "own_network"
 FILE_TIMEOUT_S = 400.0
@@ -46,11 +46,7 @@ def run_inside(item: pytest.Item) -> None:
     need_program("arv-fake-gv-camera-0.8", "aravis-tools")
     need_program("arv-tool-0.8", "aravis-tools-cli")
     need_program("ip", "iproute2")
-    unshare = [need_program("unshare", "util-linux"), "--user", "--map-root-user", "--net"]
-    need(
-        subprocess.run([*unshare, "true"], capture_output=True, check=False).returncode == 0,
-        "this machine allows no network namespaces",
-    )
+    unshare = need_namespaces("--net")
     if item.nodeid not in _complaints:
         _run_file(item, [*unshare, "sh", "-c", _UP, "sh"])
     if _complaints[item.nodeid]:

@@ -20,6 +20,7 @@ import pytest
 from support import evidence
 from support.cli import altd_here, refusal, unreadable
 from support.devices import full_device
+from support.foreign import on_small_disk
 from support.pngs import png
 from support.ports import free_port
 from support.recordings import write_beams, write_scan
@@ -327,13 +328,11 @@ class TestWriting:
         disk = tmp_path / "disk"
         disk.mkdir()
         code = (
-            f"mount -t tmpfs -o size=2m tmpfs {disk} && {sys.executable} -m altd.cli record --config "
-            f"{unit / 'altd.toml'} -o {disk / 'rec'} --seconds 60; echo status $?; "
-            f"cp -r {disk / 'rec'} {tmp_path / 'rec'}"
+            f"{sys.executable} -m altd.cli record --config {unit / 'altd.toml'} -o {disk / 'rec'} "
+            f"--seconds 60; echo status $?; cp -r {disk / 'rec'} {tmp_path / 'rec'}"
         )
-        done = subprocess.run(
-            ["unshare", "-rm", "sh", "-c", code], capture_output=True, text=True, timeout=120, check=False
-        )
+        command = on_small_disk(disk, "2m", code)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         assert done.stdout == "status 2\n", done
         assert done.stderr == f"altd record: {disk / 'rec'}: No space left on device\n"
         recording = open_recording(tmp_path / "rec")

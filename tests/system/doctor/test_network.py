@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from support.foreign import need, need_program
+from support.foreign import need, need_namespaces, need_program
 from support.unit_toml import unit_toml
 
 CONFIG = unit_toml(
@@ -28,7 +28,7 @@ exec "$@"
 
 
 def test_on_a_real_link_with_a_small_mtu(tmp_path: Path) -> None:
-    unshare = [need_program("unshare", "util-linux"), "--user", "--map-root-user", "--net", "--mount"]
+    unshare = need_namespaces("--net", "--mount")
     need_program("ip", "iproute2")
     possible = subprocess.run(
         [*unshare, "mount", "-t", "sysfs", "sys", "/sys"], capture_output=True, check=False

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.foreign import on_small_disk
 from support.history import START_S, batch, event, store, write_seconds
 from support.played_unit import BEAMS, PlayedUnit
 from support.recordings import write_beams, write_scan
@@ -178,10 +179,8 @@ def test_ended_by_a_full_disk(name: str, played_unit: PlayedUnit, folder: Path) 
     line = shlex.join([sys.executable, "-m", command.module, *filled(command.line, played_unit, folder)])
     disk = folder / "disk"
     disk.mkdir()
-    mount = f"mount -t tmpfs -o size={room_kb}k tmpfs {disk} && cd {disk}"
-    ended = run(
-        folder, ["unshare", "-rm", "sh", "-c", f"{mount} && {line} >/dev/null; echo $?; ls -A {disk}"]
-    )
+    shell = f"cd {disk} && {line} >/dev/null; echo $?; ls -A {disk}"
+    ended = run(folder, on_small_disk(disk, f"{room_kb}k", shell))
     prefix = "hw_sim" if command.module == HW_SIM else f"altd {command.line.split()[0]}"
     assert re.fullmatch(
         rf"{prefix}: [^\n]*{place}[^\n]*: (cannot be written: )?No space left on device\n", ended.err

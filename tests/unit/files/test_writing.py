@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.devices import full_device
+from support.foreign import on_small_disk
 
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, replacing, write_file, write_files
@@ -114,10 +115,8 @@ except BadInputError as error:
 
 def test_on_a_full_disk_the_old_file_is_untouched_and_nothing_is_left(tmp_path: Path) -> None:
     """A real disk of 64 kB, in a mount namespace of its own."""
-    mount = f"mount -t tmpfs -o size=64k tmpfs {tmp_path} && exec {sys.executable} - {tmp_path}"
-    done = subprocess.run(
-        ["unshare", "-rm", "sh", "-c", mount], input=FILLING, capture_output=True, text=True, check=False
-    )
+    command = on_small_disk(tmp_path, "64k", f"exec {sys.executable} - {tmp_path}")
+    done = subprocess.run(command, input=FILLING, capture_output=True, text=True, check=False)
     assert done.stdout == "No space left on device b'old' ['file']\n", done.stderr
 
 

@@ -10,6 +10,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from support.foreign import on_small_disk
 from support.remembered_checks import CALIBRATION, FIRST, NAME, Unit, check
 
 from altd.acquisition.self_check import memory as memory_of
@@ -168,9 +169,8 @@ asyncio.run(main())
 
 def test_on_a_full_disk_the_old_history_stays_and_it_is_told(tmp_path: Path) -> None:
     """A real disk of 64 kB that something else has filled, in a mount namespace of its own."""
-    mount = f"mount -t tmpfs -o size=64k tmpfs {tmp_path} && exec {sys.executable} - {tmp_path} {15 << 12}"
     done = subprocess.run(
-        ["unshare", "-rm", "sh", "-c", mount],
+        on_small_disk(tmp_path, "64k", f"exec {sys.executable} - {tmp_path} {15 << 12}"),
         input=FILLING,
         capture_output=True,
         text=True,

@@ -46,6 +46,7 @@ def clock() -> WallClock:
 @pytest.fixture
 def recorded(tmp_path: Path) -> History:
     """Two minutes: x is 1 mm in the first and 2 mm in the second; three events, one of 40 days before."""
+    need_program("unzip")  # before a thread is begun
     kept = store(tmp_path)
     kept.write(batch_of(START_S - 40 * 86_400, (), [event(1, START_S - 40 * 86_400, text="long ago")]))
     write_seconds(kept, START_S, [1.0] * 60 + [2.0] * 60, rate=2)
