@@ -105,6 +105,7 @@ class LatestFrames:
         with self._lock:
             for slot in self._slots.values():
                 self._close(slot)
+            self._give()
 
     def _newer(self, slot: _Slot, frame: Frame) -> Frame:
         """A frame after which the one before it is not given any more."""
@@ -124,7 +125,9 @@ class LatestFrames:
             if slot.is_ready and slot.round != self._round:
                 self._give_to(slot)
         ready = [slot for slot in self._slots.values() if slot.is_ready]
-        if ready and not any(slot.holds_up_others for slot in self._slots.values()):
+        is_closed = all(slot.is_closed for slot in self._slots.values())
+        # once closed, a thread that ended with a frame in hand must not hold up those that wait for theirs
+        if ready and (is_closed or not any(slot.holds_up_others for slot in self._slots.values())):
             self._round += 1
             self._round_ns = min(slot.frame.t_ns for slot in ready if slot.frame is not None)
             for slot in ready:

@@ -215,3 +215,17 @@ async def test_a_camera_that_is_silent_or_at_its_end_is_not_waited_for(ended: bo
         assert of_front.sequence == number
     frames.close()
     assert await last is None
+
+
+async def test_closed_it_lets_a_thread_go_that_waits_for_one_that_is_behind() -> None:
+    frames = LatestFrames(["front", "rear"])
+    of_front, of_rear = held(frames, "front"), held(frames, "rear")
+    for camera in ("front", "rear"):
+        frames.put(shot(camera, 0), wait=False)
+    assert (await of_front, await of_rear) != (None, None)
+    waiting = held(frames, "front")  # rear has its frame in hand, and its thread ends with it
+    for number in (1, 2):
+        for camera in ("rear", "front"):
+            frames.put(shot(camera, number), wait=False)
+    frames.close()
+    assert await asyncio.wait_for(waiting, 10) is not None
