@@ -103,7 +103,7 @@ run the service with it, `systemctl edit altd`:
 
 A command without the right names the owner of the socket. A daemon replaces the socket of one that was
 killed. Where another daemon listens, or the path has a file that is no socket, the start is refused with a
-line that names it. When its file is deleted or replaced, the running daemon says so in its health within a
+line that names it. When its file is deleted or replaced, the running daemon reports it in its health within a
 second, and makes the socket again as soon as its place is free.
 
 The socket speaks HTTP, the same as the network's face and with limits of its own ([http](http.md)):

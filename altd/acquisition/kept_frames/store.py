@@ -159,7 +159,7 @@ class RecordingStore:
                 shutil.rmtree(left, ignore_errors=True)
 
     def _make_room(self, max_bytes: int) -> None:
-        """Remove the oldest recordings that nobody marked until there is room; none where that is in vain."""
+        """Remove the oldest unmarked recordings until there is room; none if that would not be enough."""
         there = self.recordings()
         free = shutil.disk_usage(self._folder).free - MIN_FREE_BYTES
         lacking = max(sum(kept.bytes for kept in there) + max_bytes - self._max_bytes, max_bytes - free)

@@ -15,7 +15,7 @@ from altd.status.board import Board
 from altd.status.health import Component, Health
 
 _LOOK_INTERVAL_S = 1.0
-"""Without its file nobody can connect: so often it is looked for."""
+"""Interval at which the socket's file is checked; clients cannot connect without it."""
 
 
 class LocalPublisher(HttpPublisher):
