@@ -57,6 +57,7 @@ from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity, unit_number
 from altd.status.state import UnitState
+from altd.vision import kernel
 
 _FACES_START_TIMEOUT_S = 1.0
 
@@ -85,6 +86,7 @@ class Daemon:
             "version": __version__,
             "serial": config.unit.serial,
             "unit_number": f"{identity.unit:08X}",
+            "spot_fit": kernel.description,
             "calibration": _about(calibration),
         }
         self.health.targets = target_areas_of(config, calibration)

@@ -14,6 +14,7 @@ from altd.config import AravisCameraSettings, Config, RecordingCameraSettings
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
 from altd.errors import BadInputError
+from altd.vision import kernel
 
 STATE = "/var/lib/altd"
 MIN_FREE_BYTES = 500_000_000
@@ -28,6 +29,11 @@ def libraries(config: Config | None) -> Iterator[Finding]:
     """The libraries behind the drivers that the config names; without one, behind all."""
     cameras = () if config is None else tuple(config.cameras.values())
     lamps = () if config is None else (config.lamps, config.indicators)
+    if kernel.is_compiled():
+        yield good("spot fit", "compiled")
+    else:
+        remedy = "sudo apt-get install gcc   # and install the release again (docs/install.md)"
+        yield better("spot fit", f"{kernel.description}; it takes more CPU", remedy)
     if config is None or any(table is not None and table.driver == "gpiod" for table in lamps):
         yield _library("gpiod", "gpiod")
     if config is None or any(isinstance(camera, AravisCameraSettings) for camera in cameras):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
@@ -15,12 +17,16 @@ from altd.vision.frame_analysis import FrameAnalysis
 _EXAMINATION_INTERVAL_NS = 190_000_000
 """Every fourth frame at 20 a second: of a window of 20, three at most are of a camera that was knocked."""
 _MAX_FRAME_GAP_NS = 400_000_000
-"""After a pause so long, or a step back in time, another camera may deliver: all is looked at anew."""
+"""After a pause so long, or a step back in time, another camera may deliver: all is looked at again."""
 _INITIAL_EXAMINATIONS = 3
 _MAX_MOVE_DIAMETERS = 0.25
 _MIN_FRAMES_BETWEEN_EXAMINATIONS = 4
 _MAX_JUMP_PX = 0.5
-"""From where steady motion would have brought it: a picture that is moved moves its spot."""
+_MAX_JUMP_MEDIANS = 3.0
+"""From where steady motion would have brought it: a picture that is moved moves its spot. The larger of both
+counts, or a beam that shakes would have most frames examined. A knock that it hides is found at the next
+regular examination."""
+_COMPARED_JUMPS = 12
 _ESTABLISHED_AFTER_VERDICTS = 3
 
 
@@ -102,6 +108,7 @@ class ViewCheck:
         self._place: Spot | None = None
         self._last: Spot | None = None
         self._before_last: Spot | None = None
+        self._jumps_px: deque[float] = deque(maxlen=_COMPARED_JUMPS)
 
     def compare_with(self, fingerprint: Fingerprint | None) -> None:
         """Hold the frames from now on against another fingerprint; the next one is examined."""
@@ -125,7 +132,8 @@ class ViewCheck:
         if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _MAX_FRAME_GAP_NS:
             self._restart_examination()
         self._frames_since += 1
-        if self._fingerprint is not None and self._is_due(frame, spot):
+        has_jumped = self._has_jumped(spot)
+        if self._fingerprint is not None and self._is_due(frame, spot, has_jumped):
             self._examine(self._fingerprint, analysis, spot)
         self._before_last, self._last = self._last, spot if isinstance(spot, Spot) else None
         return None if self._wrong is None else NoSpot(Reason.WRONG_CAMERA, self._wrong.reason)
@@ -144,7 +152,7 @@ class ViewCheck:
             self._last_ns,
         )
 
-    def _is_due(self, frame: Frame, spot: Spot | NoSpot) -> bool:
+    def _is_due(self, frame: Frame, spot: Spot | NoSpot, has_jumped: bool) -> bool:
         is_established = self._wrong_verdicts >= _ESTABLISHED_AFTER_VERDICTS
         if (self._wrong is not None and not is_established) or self._examined == 0:
             return True
@@ -154,9 +162,7 @@ class ViewCheck:
             return True
         if not isinstance(spot, Spot):
             return False
-        if self._place is None or self._last is None:
-            return True
-        if self._jumped_px(spot, self._last) > _MAX_JUMP_PX:
+        if self._place is None or self._last is None or has_jumped:
             return True
         moved_px = math.hypot(spot.u_px - self._place.u_px, spot.v_px - self._place.v_px)
         return (
@@ -164,10 +170,16 @@ class ViewCheck:
             and moved_px > _MAX_MOVE_DIAMETERS * spot.diameter_px
         )
 
-    def _jumped_px(self, spot: Spot, last: Spot) -> float:
-        """How far a spot lies from where the motion between the last two would have brought it."""
-        before = self._before_last or last
-        return math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
+    def _has_jumped(self, spot: Spot | NoSpot) -> bool:
+        """Whether a spot lies far from where the motion between the last two would have brought it."""
+        last, before = self._last, self._before_last or self._last
+        if not isinstance(spot, Spot) or last is None or before is None:
+            return False
+        jump_px = math.hypot(spot.u_px - 2 * last.u_px + before.u_px, spot.v_px - 2 * last.v_px + before.v_px)
+        jumps_px = self._jumps_px
+        usual_px = median(jumps_px) if len(jumps_px) == _COMPARED_JUMPS else 0.0
+        jumps_px.append(jump_px)
+        return jump_px > max(_MAX_JUMP_PX, _MAX_JUMP_MEDIANS * usual_px)
 
     def _examine(self, fingerprint: Fingerprint, analysis: FrameAnalysis, spot: Spot | NoSpot) -> None:
         verdict = fingerprint.examine(analysis, isinstance(spot, Spot))

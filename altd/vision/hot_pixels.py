@@ -31,7 +31,7 @@ _SPARSE = 9
 """The distance, in rows and columns, of the pixels whose neighbourhoods are sampled."""
 _PIECE_PIXELS = 1 << 16
 """A frame is processed in pieces of so many pixels, whose intermediate results stay cached. For those of the
-whole frame the kernel would provide memory anew, page by page, for each frame."""
+whole frame the kernel would provide memory again, page by page, for each frame."""
 _MIN_PERMANENT_SHARE = 0.9
 _MIN_INTERMITTENT_FRAMES = 2
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from altd.records import FloatArray
+from altd.vision import kernel
 
 _RING_LEVELS = 1.0, 0.7, 0.35, 0.12, 0.02, 0.0
 """The rings lie between these shares of the spot's peak; the last one holds the surroundings."""
@@ -25,6 +26,13 @@ _MIN_BLOCKS = 6
 """A ring of fewer blocks gets no pattern."""
 _RIDGE_SHARE = 0.02
 """Share of a pattern's information below which the fit itself has taken it up."""
+_RINGS = kernel.Rings(
+    _RING_LEVELS,
+    _RIDGE_SHARE,
+    tuple(rows.start for rows in _HARMONICS),
+    tuple(rows.stop for rows in _HARMONICS),
+    _MIN_BLOCKS,
+)
 _MIN_TEXTURE_CONTRAST = 0.02
 """No surface and no laser is known better: a hundredth of the light over 2 × 2 px."""
 _MAX_CONTRAST_RATIO = 1.3
@@ -98,6 +106,18 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
     if usual_contrast is not None:
         floor_contrast = max(usual_contrast, _MIN_TEXTURE_CONTRAST)
         texture_contrast = min(max(texture_contrast, floor_contrast), _MAX_CONTRAST_RATIO * floor_contrast)
+    if not kernel.is_compiled():
+        return misfit_by_numpy(residuals, texture_contrast)
+    found = kernel.misfit(_RINGS, residuals, texture_contrast)
+    if found is None:
+        return None
+    uv = found.centre_uv_px2
+    covariance = np.array(((found.centre_uu_px2, uv), (uv, found.centre_vv_px2)))
+    return Misfit(found.chi2, found.degrees_of_freedom, covariance, math.sqrt(found.pattern_px2))
+
+
+def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
+    """``misfit_of`` without compiled code, for a texture contrast."""
     texture_variance = texture_contrast**2 * residuals.texture_variance
     weights = 1 / (residuals.noise_variance + texture_variance)
     patterns = _patterns(residuals)

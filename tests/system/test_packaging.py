@@ -108,7 +108,7 @@ class TestInstalled:
     def test_it_has_byte_code_where_the_service_may_write_none(
         self, wheel_file: Path, tmp_path: Path
     ) -> None:
-        """Installed by the options of docs/install.md; else each start would compile all of it anew."""
+        """Installed by the options of docs/install.md; else each start would compile all of it again."""
         page = (ROOT / "docs" / "install.md").read_text()
         (options,) = set(re.findall(r"/bin/pip install (.*) altd==", page))
         install = [sys.executable, "-m", "pip", "install", *options.split(), "--no-deps", "--target"]

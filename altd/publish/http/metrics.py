@@ -59,7 +59,9 @@ class _Unit(Collector):
             yield number
 
     def _build(self) -> Iterator[Metric]:
-        facts = {key: self._health.facts.get(key, "") for key in ("version", "serial", "calibration")}
+        facts = {
+            key: self._health.facts.get(key, "") for key in ("version", "serial", "calibration", "spot_fit")
+        }
         yield InfoMetricFamily(
             "altd_build",
             "The unit and the daemon",

@@ -20,6 +20,7 @@ from altd.config import load_config
 from altd.doctor import checks, system
 from altd.doctor.finding import Verdict, better, good, in_lines, wrong
 from altd.records import Origin
+from altd.vision import kernel
 
 from .conftest import Configured, Tree, says
 
@@ -29,7 +30,18 @@ NOON = datetime(2026, 11, 20, 12, tzinfo=UTC)
 class TestLibraries:
     def test_those_that_are_there(self) -> None:
         findings = list(system.libraries(None))
-        assert says(findings[:1], Verdict.GOOD, "is there").subject == "library gpiod"
+        assert says(findings[1:2], Verdict.GOOD, "is there").subject == "library gpiod"
+
+    @pytest.mark.parametrize("is_compiled", [True, False])
+    def test_whether_the_spot_fit_is_compiled(
+        self, monkeypatch: pytest.MonkeyPatch, is_compiled: bool
+    ) -> None:
+        monkeypatch.setattr(kernel, "is_compiled", lambda: is_compiled)
+        monkeypatch.setattr(kernel, "description", "numpy: altd was built without a C compiler")
+        finding = next(system.libraries(None))
+        assert finding.subject == "spot fit"
+        assert finding.verdict is (Verdict.GOOD if is_compiled else Verdict.BETTER)
+        assert ("without a C compiler" in finding.text) is not is_compiled
 
     def test_one_that_is_missing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         for module in [module for module in sys.modules if module.split(".")[0] == "gpiod"]:
@@ -46,9 +58,9 @@ class TestLibraries:
         )
         camera = {"driver": "aravis", "device": "192.168.77.20"}
         config = configured(cameras={"front": camera, "rear": camera})
-        (finding,) = system.libraries(config)
+        _, finding = system.libraries(config)
         assert finding.verdict is Verdict.WRONG
-        assert list(system.libraries(configured())) == []
+        assert [found.subject for found in system.libraries(configured())] == ["spot fit"]
 
 
 class TestClock:

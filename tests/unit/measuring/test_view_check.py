@@ -118,6 +118,25 @@ def test_a_spot_that_jumped_is_looked_at_and_one_that_trembles_or_moves_steadily
     assert bench.examined == [1, 3, 4, 8, 12]
 
 
+def test_a_beam_that_shakes_is_examined_like_a_still_one_and_at_once_when_it_jumps_farther(
+    bench: Bench,
+) -> None:
+    """Its spots scatter by 0.3 px, so that most lie more than half a px from where the last two point."""
+    drawn = np.random.default_rng(5)
+
+    def shaken(u_px: float = 300.0) -> Spot:
+        return replace(SPOT, u_px=u_px + drawn.normal(0, 0.3), v_px=200.0 + drawn.normal(0, 0.3))
+
+    for _ in range(400):
+        bench.push(1, spot=shaken())
+    assert len(bench.examined) < 130
+    before = bench.number
+    while bench.number < before + 5 or bench.examined[-1] >= bench.number - 1:  # two that are not due
+        bench.push(1, spot=shaken())
+    bench.push(1, spot=shaken(304.0))
+    assert bench.examined[-1] == bench.number
+
+
 def test_a_picture_that_moved_by_less_than_is_refused_adds_to_the_uncertainty(bench: Bench) -> None:
     bench.push(5)
     assert bench.check.displaced_px == 0.0
@@ -176,7 +195,7 @@ def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> N
     assert bench.push(2, camera=right) == [True, True]
     assert bench.push(2, camera=other) == [False, False]
     assert bench.push(2, camera=right) == [True, True]
-    assert bench.examined == [1, 5]  # the camera that is back is looked at anew
+    assert bench.examined == [1, 5]  # the camera that is back is looked at again
 
 
 def test_another_place_of_the_picture_is_looked_for_in_the_next_frame(bench: Bench) -> None:

@@ -56,7 +56,9 @@ async def test_a_foreign_client_reads_it(served: Served, board: Board, measured:
     async with served() as unit:
 
         def fetch() -> dict[str, object]:
-            with urllib.request.urlopen(f"http://127.0.0.1:{unit.port}/api/measurement", timeout=3) as answer:
+            with urllib.request.urlopen(
+                f"http://127.0.0.1:{unit.port}/api/measurement", timeout=60
+            ) as answer:
                 return json.load(answer)
 
         assert (await asyncio.to_thread(fetch)).items() >= as_object_now(measured, board.age_s()).items()
