@@ -9,7 +9,7 @@ SHELL := /bin/bash
 .PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
-unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries anew
+unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
 export VENV := .venv$(patsubst %,-%,$(notdir $(filter-out python3,$(PYTHON))))
 python := $(VENV)/bin/python
 LIVE_S ?= 60
@@ -63,6 +63,8 @@ test: venv ## the tests that need Python alone: five minutes on two cores, set-u
 
 test-all: programs venv kernel ## all tests, with real parts: installs Debian packages, builds a Linux kernel
 	@trap 'exit 130' INT
+	export ALTD_MADE_ONCE=$$(mktemp -d) # calibrated units, for all parts
+	trap 'rm -rf "$$ALTD_MADE_ONCE"' EXIT
 	failed=
 	part() { # NAME COMMAND...
 	    printf '\n== %s\n' "$$1"

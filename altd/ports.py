@@ -131,7 +131,7 @@ class StageNotFoundError(StageError):
 
 
 class StageLostError(StageError):
-    """The stage went away or started anew: nobody knows any more where it stands."""
+    """The stage went away or restarted: its position is unknown."""
 
 
 class StageAlarmError(StageError):

@@ -139,9 +139,9 @@ class Reason(StrEnum):
     )  # fmt: skip
     EXPOSURE_CHANGING = (
         "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD, _CHECK_FUNCTION,
-        "the exposure is being set anew",
+        "the exposure is being set",
         "wait a second; if it stays, look for light that flickers",
-        "its camera's exposure is being set anew; over within a second",
+        "its camera's exposure is being set; over within a second",
     )  # fmt: skip
     FRAME_REPEATED = (
         "frame_repeated", _TARGET, 11, StatusGroup.NOT_TRUSTED, _FAILURE,
@@ -158,7 +158,7 @@ class Reason(StrEnum):
     IMPLAUSIBLE = (
         "implausible", _TARGET, 8, StatusGroup.IMPLAUSIBLE, _FAILURE,
         "two maps of the target contradict each other",
-        "load or make the calibration anew",
+        "load or make the calibration again",
         "the target's two maps lie further apart at the spot than the calibration's bound",
     )  # fmt: skip
 
@@ -204,7 +204,7 @@ class Reason(StrEnum):
     GEOMETRY_DRIFT = (
         "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
         "cameras or targets are not where they were calibrated",
-        "look for a blow or loose screws at cameras and targets; then calibrate the unit anew",
+        "look for a blow or loose screws at cameras and targets; then calibrate the unit again",
         "the self-check found the frame LEDs so far from their references that a measurement would be off by "
         "more than `[self_check]` allows",
     )  # fmt: skip

@@ -2,8 +2,9 @@
 
 A child process records as the daemon does, with its board, its recorder and the real clock, 100 measurements
 a second, and writes down when it published which. It is killed (SIGKILL) at a random moment, again and again
-on one file. After each kill the file must be whole by SQLite's own check, hold every measurement that was
-published a second or more before the kill, and none that was not published.
+on one file. After each kill the file must be whole by SQLite's own check, hold every measurement of a batch
+that was written, every one that was published a second or more before the kill, and none that was not
+published.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
@@ -42,11 +43,21 @@ class Loss:
     measurements: int
     lost_s: float
     published: int
+    batches: int = 0
+    """Whose writing was begun."""
 
 
-def write(path: Path, first: int, note: Callable[[int, int], object]) -> NoReturn:
-    """Record for ever; ``note`` is told the number of each measurement, and its monotonic time, ns."""
-    from altd.history.batch import About
+def write(
+    path: Path,
+    first: int,
+    note: Callable[[int, int], object],
+    begin: Callable[[int, int], object] = lambda last, t_ns: None,
+) -> NoReturn:
+    """Record for ever; ``note`` is told the number of each measurement, and its monotonic time, ns.
+
+    ``begin`` is told the last number of each batch when its writing begins: the batch before it is written.
+    """
+    from altd.history.batch import About, Batch, Sample, Written
     from altd.history.columns import columns_of
     from altd.history.recorder import HistoryRecorder
     from altd.history.store import Store
@@ -58,10 +69,17 @@ def write(path: Path, first: int, note: Callable[[int, int], object]) -> NoRetur
     from altd.status.health import Health
     from altd.status.state import UnitState
 
+    class NotingStore(Store):
+        def write(self, batch: Batch) -> Written:
+            numbers = [item.measurement.sequence for item in batch.items if isinstance(item, Sample)]
+            if numbers:
+                begin(numbers[-1], time.monotonic_ns())
+            return super().write(batch)
+
     async def run() -> None:
         clock = SystemClock()
         board, health = Board(clock, 1.0, QUANTITIES), Health(clock)
-        store = Store(path, 400 * 10**6, About(columns_of(QUANTITIES, ("front", "rear"))))
+        store = NotingStore(path, 400 * 10**6, About(columns_of(QUANTITIES, ("front", "rear"))))
         state = UnitState(board, health, clock)
         recorder = HistoryRecorder(store, EventLog(clock), state.read, health.component("history"), clock)
         board.on_publish = recorder.take
@@ -109,8 +127,13 @@ def kill_once(path: Path, number: int, after_s: float) -> Loss:
     if not content:
         raise HistoryLostError(f"the recording did not begin: {said.decode()[-500:]}")
     whole = len(content) - len(content) % _NOTE.size
-    published = dict(_NOTE.iter_unpack(content[:whole]))
-    return loss_of(published, first, judged(path, first))
+    notes = list(_NOTE.iter_unpack(content[:whole]))
+    begun = [-1 - number for number, _ in notes if number < 0]
+    stored = judged(path, first)
+    if len(begun) > 1 and first + stored <= begun[-2]:
+        raise HistoryLostError(f"measurement {begun[-2]} was written and is not there")
+    loss = loss_of({number: t_ns for number, t_ns in notes if number >= 0}, first, stored)
+    return replace(loss, batches=len(begun))
 
 
 def judged(path: Path, first: int) -> int:
@@ -160,7 +183,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.write:
         path, first, notes = options.write
-        write(Path(path), int(first), lambda *said: os.write(int(notes), _NOTE.pack(*said)))
+
+        def tell(number: int, t_ns: int) -> None:
+            os.write(int(notes), _NOTE.pack(number, t_ns))
+
+        write(Path(path), int(first), tell, lambda last, t_ns: tell(-1 - last, t_ns))
     draw = random.Random(1)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.db"

@@ -70,7 +70,7 @@ def _altd_in_region_with_flat(sample: Sample) -> Place:
 
 
 def _analysis(sample: Sample) -> FrameAnalysis:
-    """The search is given, as the other libraries are given the region; the rest is made anew."""
+    """The search is given, as the other libraries are given the region; the rest is made again."""
     return FrameAnalysis(sample.frame, _SETTINGS, sample.found)
 
 

@@ -189,7 +189,7 @@ class Controller:
         return True
 
     def _reset(self, t_s: float) -> None:
-        """Stop and start anew; the line that left the travel gets its ``ok`` only now."""
+        """Stop and restart; the line that left the travel gets its ``ok`` only now."""
         ok_pending = self.machine.alarm == SOFT_LIMIT_ALARM
         self._collect_messages()
         self.machine.reset(t_s)

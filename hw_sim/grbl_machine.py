@@ -68,7 +68,7 @@ class Machine:
         self.planner.stop_dead(t_s)
 
     def reset(self, t_s: float) -> None:
-        """Stop and start anew; who was moving has lost steps, who stood on a hold has not."""
+        """Stop and restart; who was moving has lost steps, who stood on a hold has not."""
         moving, homing = self.planner.moving(t_s), self.state == "Home"
         locked = self.state == "Alarm" or moving or homing
         if moving:

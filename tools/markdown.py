@@ -24,7 +24,7 @@ _INDENTED_CODE = "    "
 
 
 def wrapped(page: str) -> str:
-    """The page with those paragraphs and list items wrapped anew that have a line which is too long."""
+    """The page with those paragraphs and list items wrapped again that have a line which is too long."""
     lines: list[str] = []
     for is_text, block in _blocks(page.split("\n")):
         lines += _filled(block) if is_text and any(map(_is_too_long, block)) else block

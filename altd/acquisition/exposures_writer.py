@@ -83,7 +83,7 @@ class ExposuresWriter:
         last_sequence, last_s = self._last
         if t_s <= last_s:
             return  # a recording stands in the order of time
-        if pair.sequence - self._first_sequence <= last_sequence:  # counted anew
+        if pair.sequence - self._first_sequence <= last_sequence:  # counted from zero again
             self._first_sequence = pair.sequence - last_sequence - 1
         sequence = pair.sequence - self._first_sequence
         self._last = sequence, t_s

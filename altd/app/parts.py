@@ -25,6 +25,7 @@ from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Inclinometer, Indicators, Lamps, Stage, SwitchingCamera
 from altd.recording.reader import open_recording
+from altd.runtime.clock import SystemClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,7 @@ class _Playbacks:
         playback = self._playbacks.get(settings.path)
         if playback is None:
             recording = open_recording(settings.path)
-            playback = Playback(recording, settings.pace == "realtime", settings.repeat)
+            playback = Playback(recording, SystemClock(), settings.pace == "realtime", settings.repeat)
             self._playbacks[settings.path] = playback
         return PlaybackCamera(name, playback)
 

@@ -143,7 +143,7 @@ def _fit_families(
 
 
 def _tensor_again(nodes: Nodes, degree: tuple[int, int] | None) -> Fit:
-    """The tensor polynomial through other nodes; its degree is chosen anew."""
+    """The tensor polynomial through other nodes; its degree is chosen again."""
     return fit_tensor_map(nodes.mm, nodes.px, convex_hull_mm(nodes.mm), degree, nodes.relative_sigma)
 
 

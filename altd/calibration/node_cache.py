@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 Item = TypeVar("Item")
 
 MAX_KEPT_BYTES = 96 << 20
-"""What 2,000 ordinary nodes take, 45 kB each. Of more nodes, or larger spots, the rest is made anew each time
+"""What 2,000 ordinary nodes take, 45 kB each. Of more nodes, or larger spots, the rest is made again whenever
 it is asked for, from its frame: that takes time, not memory."""
 
 

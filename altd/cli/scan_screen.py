@@ -26,7 +26,7 @@ class ScanScreen:
         complain(f"{self._name}: {line}")
 
     def progress(self, done: int, total: int, doing: str) -> None:
-        """Draw the bar anew; nothing in a pipe."""
+        """Draw the bar again; nothing in a pipe."""
         if not self._terminal:
             return
         bar = ("#" * (_BAR_LETTERS * done // total)).ljust(_BAR_LETTERS, ".")

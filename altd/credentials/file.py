@@ -49,7 +49,7 @@ class Credentials:
         return fits and known is not None
 
     def password_of(self, name: str) -> PasswordHash | None:
-        """The hash of his password, which no other password has, nor the same one set anew."""
+        """The hash of his password, which no other password has, nor the same one set again."""
         return self.passwords.get(name)
 
     def name_of_token(self, token: str) -> str | None:

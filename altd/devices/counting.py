@@ -8,8 +8,8 @@ class FrameCounter:
 
     A camera's own numbers run from ``first`` to ``last`` and then begin with ``first`` again: 0 to 2³² − 1
     in Video4Linux, 1 to 65535 in GigE Vision, where 0 means that a frame has no number. A number that is not
-    ahead of the last one by less than half of that range was counted anew, or not at all: the frame then
-    takes the next number. So it does after a re-opening, for nobody knows how many were lost meanwhile.
+    ahead of the last one by less than half of that range was counted from zero again, or not at all: then the
+    frame takes the next number. It does so after a re-opening too: how many were lost meanwhile is unknown.
     """
 
     def __init__(self, first: int, last: int) -> None:
@@ -18,7 +18,7 @@ class FrameCounter:
         self._last = -1
 
     def reopened(self) -> None:
-        """The camera's numbers begin anew; ours go on."""
+        """The camera's numbers start again; ours go on."""
         self._last_raw = None
 
     def number(self, raw: int) -> int:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import replace
 
 from altd.errors import BadInputError
-from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError
+from altd.ports import CameraEndedError, CameraError, CameraRefusedError, CameraTimeoutError, Clock
 from altd.recording.frames_table import Row
 from altd.recording.reader import Recording
 from altd.records import Frame
@@ -23,8 +22,9 @@ class Playback:
     of another by more than an exposure, whoever takes its frames faster.
     """
 
-    def __init__(self, recording: Recording, realtime: bool, repeat: bool) -> None:
+    def __init__(self, recording: Recording, clock: Clock, realtime: bool, repeat: bool) -> None:
         self.recording = recording
+        self.clock = clock
         self.realtime = realtime
         self.repeat = repeat
         first, last = recording.rows.first, recording.rows.last
@@ -40,7 +40,7 @@ class Playback:
         """When a row's frame is exposed, on the monotonic clock, in a playthrough of the recording."""
         with self._changed:
             if self._started_ns is None:
-                self._started_ns = time.monotonic_ns()
+                self._started_ns = self.clock.monotonic_ns()
             return self._started_ns + round(self._due_s(row, playthrough) * 1e9)
 
     def set_next(self, camera: str, row: Row | None, playthrough: int) -> None:
@@ -81,24 +81,26 @@ class PlaybackCamera:
         self._rows = playback.recording.rows.of(name)
         self._next = next(self._rows, None)
         self._failure: str | None = None
+        self._closed = threading.Event()
         playback.set_next(name, self._next, 0)
 
     def open(self) -> None:
-        """Nothing to get ready; the recording was checked when it was opened."""
+        """The recording itself was checked when it was opened."""
+        self._closed.clear()
 
     def next_frame(self, timeout_s: float) -> Frame:
         """The next frame, at its time when the pace is real time; what is overdue then is left out."""
         playback = self._playback
         playthrough, row, t_ns = self._due()
         if playback.realtime:
-            while (wait_s := (t_ns - time.monotonic_ns()) * 1e-9) < -_MAX_OVERDUE_S:
+            while (wait_s := (t_ns - playback.clock.monotonic_ns()) * 1e-9) < -_MAX_OVERDUE_S:
                 self._advance()
                 playthrough, row, t_ns = self._due()
             if wait_s > timeout_s:
-                time.sleep(timeout_s)
+                playback.clock.wait(self._closed, timeout_s)
                 raise CameraTimeoutError("the next frame is not due yet")
             if wait_s > 0:
-                time.sleep(wait_s)
+                playback.clock.wait(self._closed, wait_s)
         elif not playback.await_others(self.name, timeout_s):
             raise CameraTimeoutError("another camera's frames are not taken")
         self._advance()
@@ -112,11 +114,12 @@ class PlaybackCamera:
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None:
         """Always refused: the frames were exposed when they were recorded."""
         raise CameraRefusedError(
-            f"a recording cannot be exposed anew, with {exposure_ms:g} ms, {gain_db:g} dB"
+            f"a recording cannot be exposed again, with {exposure_ms:g} ms, {gain_db:g} dB"
         )
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """A frame that is not due yet is waited for no longer."""
+        self._closed.set()
 
     def _due(self) -> tuple[int, Row, int]:
         """The next frame's playthrough and row, and when it is exposed."""

@@ -139,11 +139,6 @@ class Reader:
             raise ValueError(f"measurements are asked for after an id, 1 to {MAX_ROWS} at once")
         return self._measurements("id > ? ORDER BY id LIMIT ?", (after, limit))
 
-    def last_measurement_id(self) -> int:
-        """The id of the newest measurement, 0 where there is none."""
-        ((number,),) = self.rows("SELECT coalesce(max(id), 0) FROM measurements")
-        return int(number)
-
     def id_of(self, sequence: int, t_ns: int) -> int | None:
         """The id of the newest measurement with this sequence and monotonic time; None: there is none."""
         sql = "SELECT max(id) FROM measurements WHERE sequence = ? AND t_ns = ?"

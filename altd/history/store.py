@@ -48,7 +48,7 @@ _US = 10**6
 
 
 class Store:
-    """The history of one daemon. After a failure the next batch opens the file anew.
+    """The history of one daemon. After a failure the next batch opens the file again.
 
     A file that is damaged or of another unit is moved aside, and a new one begun. Each opening begins an
     epoch, so that nothing that was written before is touched again.

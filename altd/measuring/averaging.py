@@ -70,7 +70,7 @@ class FrameSetWindow:
         self._passed_over.clear()
 
     def begin(self, window: int | None = None) -> None:
-        """Drop all frame sets and count to the next mean anew, from now on over ``window`` frame sets."""
+        """Drop all frame sets and count to the next mean again, from now on over ``window`` frame sets."""
         self._window = window or self._window
         self._frame_sets = deque(maxlen=self._window)
         self._passed_over = deque(maxlen=self._window)

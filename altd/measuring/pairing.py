@@ -21,7 +21,7 @@ _MAX_LAG_SAMPLES = 15
 _MAX_LAG_PERIODS = 0.55
 """A little more than half: a lag that lies just there must not change its side with every jitter."""
 _RESTART_GAP_NS = 500_000_000
-"""A camera from which nothing came for so long may have been started anew."""
+"""A camera from which nothing came for so long may have been restarted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ class Lags:
                 self._estimate(other, period_ns)
 
     def _reset(self, camera: str) -> None:
-        """After a break nobody knows the lag: the camera may have been started anew."""
+        """After a break the lag is unknown: the camera may have been restarted."""
         if camera == self._reference:
             self._reference_ns.clear()
         for other in self._pending_ns if camera == self._reference else (camera,):
@@ -212,8 +212,9 @@ class Pairer(Generic[Item]):
     def _is_late(self, new: _Waiting[Item]) -> bool:
         """Whether the frame set of a frame was given up before it came.
 
-        A number that fell back although its time did not was counted anew. When a camera goes on delivering
-        what is late, a time that was settled lay in the future: then the order begins anew with this frame.
+        A number that fell back although its time did not was counted from zero again. When a camera goes on
+        delivering what is late, a time that was settled lay in the future: then the order starts again with
+        this frame.
         """
         if self._last_out is None or self._order(new) > self._last_out:
             self._late_in_a_row[new.camera] = 0

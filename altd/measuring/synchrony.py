@@ -54,7 +54,7 @@ class SynchronyCheck:
         self._late: dict[str, int] = {}
 
     def restart(self) -> None:
-        """The cameras were started anew: what was found before does not count."""
+        """The cameras were restarted: what was found before does not count."""
         self._rows.clear()
         self._late.clear()
 

@@ -1,4 +1,4 @@
-"""``frames.csv`` of a recording: one row a frame, read anew whenever somebody goes through them."""
+"""``frames.csv`` of a recording: one row a frame, read again whenever somebody goes through them."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Frame:
     ``t_ns`` is the middle of the exposure on the monotonic clock; ``sequence`` counts the camera's exposures,
     those too that were lost. ``exposure_ms`` and ``gain_db`` are what the camera tells, else what it was set
     to, else None.
-    ``changing``: exposure or gain was being set anew, nobody knows which of the two this frame has.
+    ``changing``: exposure or gain was being set; which value this frame has is unknown.
     ``playthrough`` counts how often a recording was played before: its pictures come again by intent.
     """
 

@@ -43,7 +43,7 @@ def findings(
         if repeated := freshness.repeated(frame):
             return (Finding(f"the camera stands still: {repeated}", spoils=True),)
     if not have_one_exposure(frames):
-        return (Finding("the exposure was set anew during the check", spoils=True),)
+        return (Finding("the exposure was changed during the check", spoils=True),)
     return tuple(
         finding
         for same in ((*before, *after), lit)

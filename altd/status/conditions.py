@@ -140,7 +140,7 @@ class Condition(StrEnum):
     CALIBRATION_DUE = (
         "calibration_due", _MAINTENANCE_REQUIRED,
         "the calibration is old",
-        "calibrate anew",
+        "calibrate again",
         "the calibration is older than `calibration_due_days`",
     )  # fmt: skip
     CLOCK_WRONG = (

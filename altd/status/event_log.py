@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -53,7 +52,7 @@ class EventKind(StrEnum):
     REQUEST = "request", 1, "somebody asked the unit for something"
     RECORDING = "recording", 1, "frames of the last seconds were kept as a recording, or could not be"
     CLOCK = "clock", 3, "the time of day was set"
-    HISTORY = "history", 1, "the history itself: begun anew, moved aside, short of room, or with a gap"
+    HISTORY = "history", 1, "the history itself: started again, moved aside, short of room, or with a gap"
 
     severity: int
     meaning: str
@@ -123,7 +122,6 @@ class EventLog:
         self._room: dict[bool, int] = {}
         """How many more are noted in this time of what is asked for, and of the rest."""
         self._make_room(self._begun_ns)
-        self._changed = asyncio.Event()
 
     def note(
         self,
@@ -195,12 +193,6 @@ class EventLog:
         events = sorted((*self._asked, *self._others), key=lambda event: event.number)
         return [event for event in events if event.number > number]
 
-    async def noted_after(self, number: int) -> int:
-        """How many events were noted, once it is more than ``number``."""
-        while self._count <= number:
-            await self._changed.wait()
-        return self._count
-
     def _make_room(self, now_ns: int) -> None:
         self._begun_ns = now_ns
         self._room = {True: MAX_ASKED_IN_WINDOW, False: MAX_IN_WINDOW}
@@ -218,5 +210,3 @@ class EventLog:
         held_back, window.held_back = window.held_back, 0
         events = self._asked if event.kind in ASKED else self._others
         events.append(replace(event, number=self._count, held_back=held_back))
-        self._changed.set()
-        self._changed = asyncio.Event()

@@ -23,7 +23,7 @@ FIGURE_AGE_S = 2.5
 """A figure is of now for so long after it was observed; silence itself is observed at least every 2 s."""
 
 Message = str | Callable[[int], str]
-"""A sentence; one that holds a time is made anew when it is read, from the monotonic ns of that moment."""
+"""A sentence; one that holds a time is made again when it is read, from the monotonic ns of that moment."""
 
 
 class State(StrEnum):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from altd.files.documents import line_of
 from altd.records import Measurement, Quantities, Quantity, Value, utc_text
 from altd.records.sensors import Quality, SensorValue
 
@@ -79,11 +78,6 @@ def keys_of(quantities: Quantities) -> frozenset[str]:
     sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
     without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
     return frozenset(as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0)))
-
-
-def as_line(measurement: Measurement) -> str:
-    """The measurement as one line of JSON, without the line end; NaN is refused, not written."""
-    return line_of(as_object(measurement))
 
 
 def _values(

@@ -1,6 +1,6 @@
 """The unit's state in the four signals of NAMUR NE 107 beside good, with every cause and the availability.
 
-It is found out anew whenever it is read, from the board, the components and the watches: no task can die and
+It is found out again whenever it is read, from the board, the components and the watches: no task can die and
 leave an old state behind. The task that looks regularly serves the memory of causes and the counting.
 """
 

@@ -1,4 +1,4 @@
-"""Calibrations of the campaign's units, kept outside the tree; made anew when their code changes."""
+"""Calibrations of the campaign's units, kept outside the tree; made again when their code changes."""
 
 from __future__ import annotations
 

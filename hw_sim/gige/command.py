@@ -54,14 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=natural, default=1, help="makes the unit: same seed, same unit (default 1)"
     )
     parser.add_argument(
-        "--fps", type=_fps, default=20.0, metavar="N", help="frames a second, until set anew (default 20)"
+        "--fps", type=_fps, default=20.0, metavar="N", help="frames a second, until set again (default 20)"
     )
     parser.add_argument(
         "--bits",
         type=int,
         choices=PIXEL_FORMATS,
         default=8,
-        help="of a pixel, until set anew (default 8)",
+        help="of a pixel, until set again (default 8)",
     )
     parser.add_argument(
         "--drive", action="store_true", help="the machine goes a slow way, and vibrates; as in the demo"

@@ -1,4 +1,4 @@
-"""PNG files, spoilt; their checksums made anew, so that what is behind them is reached."""
+"""PNG files, spoilt; their checksums made again, so that what is behind them is reached."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,18 @@ from support.gpio_sim import levels_of
 from altd.cli.main import main
 
 NOTES = Path(os.environ["PIN_NOTES"])
+lock = threading.Lock()
 LABEL, LINES = os.environ["PIN_CHIP"], os.environ["PIN_LINES"].split()
 
 
 def note(what: str) -> None:
-    try:
-        levels = dict(zip(LINES, levels_of(LABEL, LINES), strict=True))
-    except FileNotFoundError:
-        return  # the chip is unplugged
-    with NOTES.open("a") as notes:
-        notes.write(json.dumps([what, levels]) + "\n")
+    with lock:  # of the threads of lamps and indicators: notes are in the order of reading
+        try:
+            levels = dict(zip(LINES, levels_of(LABEL, LINES), strict=True))
+        except FileNotFoundError:
+            return  # the chip is unplugged
+        with NOTES.open("a") as notes:
+            notes.write(json.dumps([what, levels]) + "\n")
 
 
 def noted_after(what: str, call: Callable[..., Any]) -> Callable[..., Any]:

@@ -138,7 +138,7 @@ class LedUnit:
     async def measured(self, **wanted: bool) -> Measurement:
         """The next measurement, or the next that is ``valid`` or is not."""
         board = self.daemon.board
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while True:
                 await board.published_after(board.published)
                 measurement = board.read()
@@ -148,7 +148,7 @@ class LedUnit:
 
     async def lit(self) -> None:
         """Wait until the LEDs are switched on; no measurement may come before they are dark again."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while not self.leds.line[-1][1]:  # noqa: ASYNC110  switched by a thread that knows no loop
                 await asyncio.sleep(POLL_S)
 

@@ -35,7 +35,7 @@ class Client:
 
     async def hear(self) -> tuple[int, int, bytes]:
         """Transaction, unit and protocol data unit of the next answer."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             transaction, _, length, unit = struct.unpack(">HHHB", await self._reader.readexactly(7))
             return transaction, unit, await self._reader.readexactly(length - 1)
 
@@ -44,7 +44,7 @@ class Client:
         return (await self.hear())[2]
 
     async def is_closed(self) -> bool:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             with contextlib.suppress(ConnectionError):
                 return await self._reader.read(1) == b""
         return True

@@ -163,7 +163,7 @@ async def seen(
         await shown.until_measured()
         yield shown
         await page.close()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while goes_on and asyncio.all_tasks() - before:  # noqa: ASYNC110  the unit notices that the page has left
             await asyncio.sleep(0.01)
 

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import os
+import subprocess
+import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
+
+from support.foreign import need_program
 
 from altd.config import SerialPortSettings
 
@@ -34,7 +39,7 @@ class Wire:
     def send(self, data: bytes) -> None:
         os.write(self.far, data)
 
-    async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 20.0) -> bytes:
+    async def receive(self, enough: Callable[[bytes], bool], timeout_s: float = 60.0) -> bytes:
         """What the unit sent, up to when it is enough."""
         data = b""
         async with asyncio.timeout(timeout_s):
@@ -50,3 +55,17 @@ class Wire:
             if descriptor >= 0:
                 os.close(descriptor)
         self.near = self.far = -1
+
+
+@contextmanager
+def socat_line(folder: Path) -> Iterator[tuple[Path, Path, subprocess.Popen[bytes]]]:
+    """A serial line with a device at each end, for a client that opens a device itself; the end of socat cuts it."""
+    near, far = folder / "near", folder / "far"
+    with subprocess.Popen([need_program("socat"), *(f"pty,raw,echo=0,link={end}" for end in (near, far))]) as socat:
+        try:
+            while not (near.exists() and far.exists()):
+                assert socat.poll() is None, "socat ended before it made both devices"
+                time.sleep(0.005)
+            yield near, far, socat
+        finally:
+            socat.terminate()

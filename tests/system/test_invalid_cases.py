@@ -9,6 +9,7 @@ from support.clock import FakeClock
 from support.measurements import beam_of
 
 from altd.config import Measuring
+from altd.files.documents import line_of
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.measuring.calibration import Calibration
@@ -17,7 +18,7 @@ from altd.ports import CameraTimeoutError
 from altd.publish.serial.words import status_text
 from altd.records import Measurement
 from altd.status.health import Health
-from altd.status.measurement_json import as_line
+from altd.status.measurement_json import as_object
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.faults import Fault
@@ -56,7 +57,7 @@ def measure(unit: Unit, calibration: Calibration, exposures: int = 12) -> list[M
 
 
 def numbers_in(measurement: Measurement) -> list[object]:
-    line = json.loads(as_line(measurement))
+    line = json.loads(line_of(as_object(measurement)))
     points = [value for target in ("front", "rear") for value in line[target].values()]
     return [line[name] for name in NUMBERS] + [*line["sigma"].values()] + points
 

@@ -78,7 +78,7 @@ async def test_a_camera_that_moves_on_after_it_was_corrected_is_wrong_until_the_
         assert "compensated" in codes(await running.measured(valid=True))
         running.unit.displace(FRONT, replace(MOVED, shift_px=(0.6, 0.5)))
         while "front_wrong_camera" not in codes(await running.measured(valid=False)):
-            pass  # the pause in which the unit was drawn anew
+            pass  # the pause in which the unit was drawn again
         await running.check()
         assert "compensated" in codes(await running.measured(valid=True))
 

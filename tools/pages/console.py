@@ -56,7 +56,7 @@ in which causes are those of [states](states.md). `*TST?` gives what the last se
 | Ctrl-W; Ctrl-U; Ctrl-K | erase the word before the cursor; all before it; all behind it |
 | up, down; Ctrl-P, Ctrl-N | bring back one of the last {MAX_RECALLED_LINES} lines |
 | Ctrl-C | forget the line |
-| Ctrl-L | show the line anew |
+| Ctrl-L | show the line again |
 
 Any other key does nothing, nor does what terminals and terminal servers send by themselves. Pasted lines are
 carried out one after the other; where the terminal marks a paste (bracketed paste), it becomes one line that

@@ -72,7 +72,7 @@ The same on each wire:
   for `{SERIAL}`. Write it into the controller by hand, from the serial number on the unit's label. Never
   take it from the line.
 - **session**: a number drawn by chance each time the daemon starts. When it changes, the unit was restarted,
-  and `message` and `clock` have begun anew.
+  and `message` and `clock` have started again.
 - **message**: counts the messages of this interface (Modbus TCP, each serial port, HTTP) from 1. A later
   message has a greater number; no two have the same. With several readers of one interface the numbers of
   one reader have gaps.
@@ -119,7 +119,7 @@ the telegram's own time on the line comes on top, {len(telegram) + 3} characters
 {keys}
 The CRC is over the bytes of the object as they came, from its `{{` to the last character before
 `, "crc32":`, which is the last member. So no reader has to write numbers as the unit does, and a proxy that
-writes the object anew makes the check fail:
+writes the object again makes the check fail:
 
 ```
 {line}
@@ -132,7 +132,7 @@ In JavaScript `text.slice(0, text.lastIndexOf(', "crc32": "'))` is what the CRC 
 1. **CRC**: compute it over what came. If it differs, or the length or version is another one: *corrupt*.
 2. **Unit**: if it is not the one that this controller was built for: *foreign*.
 3. **Session**: if it is not that of the messages before: *restarted*. It stays so until somebody in charge,
-   or the controller's own start procedure, begins anew.
+   or the controller's own start procedure, starts again.
 4. **Message**: subtract the last accepted number, modulo 2³². 0, or 2³¹ and more: *not newer*.
 5. **Delay**: add what the reader's clock advanced since the last message and take off what the unit's clock
    advanced; never below 0. Age and delay together above the limit: *late*.
@@ -167,7 +167,7 @@ buffer (RTU), and never take what comes later for the answer to another request.
 | corrupt, foreign, not newer, late | do not use it; keep the last good value no longer than the time-out |
 | not valid | use no number, show the reason; it is the unit's own word, and no error of the line |
 | silent | stop what is steered by the value, alarm |
-| restarted | stop, alarm or start procedure; then begin anew |
+| restarted | stop, alarm or start procedure; then start again |
 | foreign again and again | the wrong unit is connected or addressed: stop, alarm |
 | corrupt more often than once in an hour | look for the cause; a CRC-32 misses one in 4·10⁹ |
 | some lost (`lost`) | no error for who needs the newest value only; count it |

@@ -111,7 +111,7 @@ the last 31 days, and since the start.
   or a switch. It counts all of it and says it apart: who knows that the unit was meant to be off takes it
   out, `valid_s` / (`observed_s` - `lost_s.{NOT_RUNNING}`).
 - A clock that is set parts nothing: what one daemon wrote before and after belongs together. What was before
-  the start is put in its place by the time of day as it is now, anew when that is set; of a daemon whose
+  the start is put in its place by the time of day as it is now, again when that is set; of a daemon whose
   clock was wrong until its end nothing is believed, and its time counts as `{NOT_RUNNING}`.
 - Where more than {MAX_GAP_S:g} s lie between two looks the process stood still: that is lost to
   `{NOT_WATCHED}`.

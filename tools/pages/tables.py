@@ -59,7 +59,7 @@ errors are in them, and a scan held against the calibration made from it shows h
 how true it is: for that, measure another scan. Known is the mean of the stage's positions over the window.
 
 One row a node, the mean of all of its exposures (the last 1000 of more), unless `--window` or `--every` is
-given; windows never mix two nodes, and begin anew at each. Positions within half a millimetre are one node,
+given; windows never mix two nodes, and start again at each. Positions within half a millimetre are one node,
 as for `altd calibrate`. What has no position, the LED reference pairs, is not measured. `--plot` then draws
 the differences.
 

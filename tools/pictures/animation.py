@@ -23,7 +23,7 @@ class Still:
 
 
 def animated_svg(stills: Sequence[Still], columns: int, rows: int, title: str) -> str:
-    """The SVG; it begins anew at its end. Lines that stay are drawn once, over the time that they stay."""
+    """The SVG; it starts again at its end. Lines that stay are drawn once, over the time that they stay."""
     whole_s = sum(still.seconds for still in stills)
     width = columns * _LETTER_WIDTH + 2 * _MARGIN
     height = rows * _LINE_HEIGHT + 2 * _MARGIN

@@ -11,7 +11,7 @@ import math
 MEAN_S = 600.0
 """The time over which the reference and the inclination of now are averaged: shorter is vibration."""
 MAX_GAP_S = 600.0
-"""A beam that was away for longer may be another one, of a laser that was set up anew: a new reference."""
+"""A beam that was away for longer may be another one, of a laser that was set up again: a new reference."""
 INTERVAL_S = 1.0
 """From one sample to the next; further ones between them say nothing more."""
 

@@ -40,7 +40,7 @@ _CLOSE_TIMEOUT_S = 1.0
 _MIN_BACKOFF_S, _MAX_BACKOFF_S = 0.2, 1.0
 """Somebody who plugs a cable in stands beside it and waits."""
 _MAX_FAILURES = 3
-"""In a row; then the port is opened anew."""
+"""In a row; then the port is opened again."""
 
 
 class InclinationMonitor:
@@ -112,7 +112,7 @@ class InclinationMonitor:
             await thread.end(self._driver.close, _CLOSE_TIMEOUT_S)
 
     async def _read_on(self, thread: DeviceThread) -> None:
-        """Read again and again; raises what makes it worth opening the port anew."""
+        """Read again and again; raises what makes it worth opening the port again."""
         failures = 0
         due_ns = self._clock.monotonic_ns()
         while True:

@@ -98,16 +98,16 @@ class ScanFolder:
         try:
             state = State.model_validate(parse_json(read_file(file, _MAX_STATE_BYTES)))
         except BadInputError as error:
-            raise BadInputError(file, f"{error.message}; remove the folder to scan anew") from error
+            raise BadInputError(file, f"{error.message}; remove the folder to scan again") from error
         except ValueError as error:  # also pydantic's
-            raise BadInputError(file, "is no record of a scan; remove the folder to scan anew") from error
+            raise BadInputError(file, "is no record of a scan; remove the folder to scan again") from error
         for key in sorted({*state.facts, *facts}):
             then, now = state.facts.get(key), facts.get(key)
             if then != now:
                 raise BadInputError(
                     self.path,
                     f"was begun with {key} = {_shown(then)}, now it is {_shown(now)}: "
-                    "set it back, or remove the folder to scan anew",
+                    "set it back, or remove the folder to scan again",
                 )
         self._check_frames(state)
         return state

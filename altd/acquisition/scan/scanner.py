@@ -235,7 +235,7 @@ class Scanner:
             raise ScanStoppedError(
                 f"node {node}: the {camera} spot lies {shift_px:.1f} px from where it was before the "
                 f"interruption; the stage has another zero, or something was moved. Put it right, or remove "
-                f"{self._folder.path} to scan anew"
+                f"{self._folder.path} to scan again"
             )
 
     async def _go(self, x_mm: float, y_mm: float) -> None:

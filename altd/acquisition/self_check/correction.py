@@ -54,7 +54,7 @@ class Correction:
         return Appearance(self._flat_now(camera, target, transform), fingerprint)
 
     def _flat_now(self, camera: str, target: TargetCalibration, transform: Similarity) -> Flat | None:
-        """The flat that was moved last while it fits: another one begins a window anew."""
+        """The flat that was moved last while it fits: another one begins a new window."""
         if target.flat is None:
             return None
         corners = np.array([(u, v) for u in (0, target.width) for v in (0, target.height)], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The history of the checks, kept in a file so that a unit which starts anew every day finds a slow drift."""
+"""The history of the checks, kept in a file so that a unit which restarts every day finds a slow drift."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ class _Kept:
         try:
             return await self._on_disk(self._file.load)
         except BadInputError as error:
-            self._tell(f"begins anew: {error}")
+            self._tell(f"starts again: {error}")
             return History.empty()
         except TimeoutError:
             self._tell(f"not read: {_NO_ANSWER}")

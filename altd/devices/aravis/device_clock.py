@@ -24,7 +24,7 @@ _MAX_LATE_KEPT = 100
 _STEP_TIMEOUT_NS = 3_000_000_000
 """Who has come late on a line for so long, without one frame in time, was not held up."""
 _ENVELOPE_TIMEOUT_NS = 10_000_000_000
-"""An envelope that no frame has met for so long is made anew of those that came late."""
+"""An envelope that no frame has met for so long is made again of those that came late."""
 _MAX_BACK_IN_A_ROW = 3
 _SETTLING_FRAMES = 10
 """The first of all may have come late themselves."""
@@ -74,7 +74,7 @@ class DeviceClock:
         self._in_a_row_back = 0
         self._early_offset_ns: int | None = None
         self._mapped = 0
-        """Frames since the clock was mapped anew."""
+        """Frames since the clock was mapped again."""
         self._late_ns: deque[tuple[int, int]] = deque(maxlen=_MAX_LATE_KEPT)
         """When the late ones of a row were received, and their offsets."""
         self._late_since_ns = 0

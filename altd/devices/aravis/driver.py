@@ -2,7 +2,7 @@
 
 Aravis notices after six seconds that a camera is dead, and each question to a dead one takes it 2.5 s. So the
 driver asks the camera itself, by single packets, as soon as frames stay away: one that has dropped us or has
-started anew is given up and opened again at once; one that does not answer is waited for, with the stream
+restarted is given up and opened again at once; one that does not answer is waited for, with the stream
 open, for as long as it may still hold us for its controller, because then frames come again by themselves.
 """
 
@@ -44,7 +44,7 @@ _POLL_INTERVAL_S = 0.1
 _SILENCE_TIMEOUT_S = 0.3
 _SILENCE_TIMEOUT_PERIODS = 2.5
 _FRAMELESS_TIMEOUT_S = 1.0
-"""A camera that answers so long without sending a frame is opened anew."""
+"""A camera that answers so long without sending a frame is opened again."""
 _HEARTBEAT_TIMEOUT_S = 3.0
 _HEARTBEAT_MARGIN_S = 0.5
 _MAX_BLOCK_ID = 65535
@@ -153,7 +153,7 @@ class AravisCamera:
         self._settled_ns = time.monotonic_ns() + _EXPOSURE_SETTLING_PERIODS * self._period_ns
 
     def switch_output(self, line: str, on: bool) -> None:
-        """Set an output line of the camera; it is set again whenever the camera was opened anew.
+        """Set an output line of the camera; it is set again whenever the camera was opened again.
 
         From any thread; raises CameraError and, for a line that the camera does not have,
         CameraRefusedError. A camera that has just died holds the call for 2.5 s.
@@ -224,7 +224,7 @@ class AravisCamera:
                 raise CameraLostError(f"the camera at {self._address} does not answer any more")
         elif privilege == 0:
             self._answers = False  # not to us: nothing is to be stopped there
-            raise CameraLostError("the camera has started anew, or dropped us")
+            raise CameraLostError("the camera has restarted, or dropped us")
         elif self._answering_since_ns is None or opened.stream.quarantined:
             self._answering_since_ns = now_ns
         elif (

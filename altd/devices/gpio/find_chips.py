@@ -23,7 +23,7 @@ class GpioLine:
 
 @dataclass(frozen=True, slots=True)
 class GpioChip:
-    """One chip. The kernel numbers names and paths anew when chips come and go; the label stays."""
+    """One chip. The kernel numbers names and paths again when chips come and go; the label stays."""
 
     path: Path
     name: str

@@ -245,7 +245,7 @@ class GrblController:
         if isinstance(reply, Alarm):
             raise StageAlarmError(f"the stage's controller is locked: {reply}")
         if isinstance(reply, Welcome):
-            raise StageLostError("the stage's controller started anew (power?): its position is lost")
+            raise StageLostError("the stage's controller restarted (power?): its position is lost")
         return reply
 
     def _receive(self, timeout_s: float) -> Reply | None:

@@ -51,7 +51,7 @@ class _Running:
 
 
 class V4l2Camera:
-    """One camera; see ``altd.ports.Camera``. Its path is followed anew at each opening."""
+    """One camera; see ``altd.ports.Camera``. Its path is followed again at each opening."""
 
     def __init__(self, name: str, settings: V4l2CameraSettings) -> None:
         self.name = name

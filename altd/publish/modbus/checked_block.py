@@ -152,7 +152,7 @@ ROWS = (
 
 
 class CheckedBlock:
-    """The block as it is read: what ages, and the CRC, are made anew for each reading."""
+    """The block as it is read: what ages, and the CRC, are made again for each reading."""
 
     def __init__(self) -> None:
         self._image = RegisterImage(ROWS, FIRST, SIZE)

@@ -170,7 +170,7 @@ def image(
 
 
 class RegisterImage:
-    """The image as it is read: made once a measurement; only what ages is made anew for each reading."""
+    """The image as it is read: made once a measurement; only what ages is made again for each reading."""
 
     def __init__(self, rows: Sequence[Register] = REGISTERS, first: int = 0, size: int = SIZE) -> None:
         self._rows, self._first, self._size = rows, first, size

@@ -49,14 +49,14 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
         ),
         "light or view": Advice(
             "the spot's place is uncertain",
-            "clean the window; if it stays, the camera has moved: calibrate anew",
+            "clean the window; if it stays, the camera has moved: calibrate again",
         ),
     },
     Reason.WRONG_CAMERA: {
-        "the picture lies": Advice("the camera's view has moved", "fasten the camera and calibrate anew"),
+        "the picture lies": Advice("the camera's view has moved", "fasten the camera and calibrate again"),
         "hot pixels": Advice("another camera than was calibrated", _RIGHT_CAMERA),
         "expected": Advice("another camera than was calibrated", _RIGHT_CAMERA),
-        "print": Advice("the camera looks at another target", "swap the cameras' cables or calibrate anew"),
+        "print": Advice("the camera looks at another target", "swap the cameras' cables or calibrate again"),
         "surface": Advice(
             "the target looks otherwise than calibrated", "clean it; was it or the camera exchanged?"
         ),

@@ -19,7 +19,7 @@ class BadLine(Enum):
     """A line that is not worth reading, with what to tell the person."""
 
     TOO_LONG = f"line too long: at most {MAX_LINE_CHARACTERS} characters"
-    STRAY = "not plain ASCII: type it anew or check the parity"
+    STRAY = "not plain ASCII: retype it or check the parity"
     NO_TEXT = "that was no text: wrong baud rate or parity?"
 
 
@@ -66,7 +66,7 @@ class LineEditor:
         return b""
 
     def shown(self) -> bytes:
-        """The line as it stands, for a terminal that shows it anew."""
+        """The line as it stands, for a terminal that shows it again."""
         return _ascii(self._line) + _BACK * (len(self._line) - self._at)
 
     def _insert(self, character: str) -> bytes:

@@ -303,7 +303,7 @@ def clipped_grey(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def salt_noise(draw: Draw) -> Spoil:
-    """White and black pixels strewn over each frame anew."""
+    """White and black pixels, strewn differently over each frame."""
     share, seed = draw.log(1e-4, 0.1), draw.seed()
     rng = np.random.default_rng(seed)
 

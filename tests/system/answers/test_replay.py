@@ -208,7 +208,7 @@ def test_a_scan_gives_a_line_a_node_with_its_place_and_the_difference(
 def test_windows_never_mix_two_nodes(
     played_unit: PlayedUnit, scan: Path, arguments: Sequence[object], frames: list[int]
 ) -> None:
-    """They begin anew at each; three exposures are less than half of the usual window."""
+    """They start again at each; three exposures are less than half of the usual window."""
     lines = replay(scan, played_unit, *arguments).objects
     assert [line["frames"] for line in lines] == frames * len(NODES)
     known = [(line["known_x_mm"], line["known_y_mm"]) for line in lines]

@@ -134,9 +134,9 @@ def test_any_corruption_of_a_block_is_found(judge: Judge) -> None:
 def test_begin_anew_lets_structured_text_take_another_session() -> None:
     text = proof_code.FunctionBlock(proof_code.code("", "IEC 61131-3 Structured Text"))
     seen = []
-    for session, anew in ((1, False), (2, False), (2, True), (2, False), (1, False)):
+    for session, again in ((1, False), (2, False), (2, True), (2, False), (1, False)):
         registers = struct.unpack(">80H", block(len(seen) + 1, 100 * len(seen), session=session))
-        text(r=registers, my_unit=UNIT, now_ms=100 * len(seen), limit_ms=500.0, begin_anew=anew)
+        text(r=registers, my_unit=UNIT, now_ms=100 * len(seen), limit_ms=500.0, begin_anew=again)
         seen.append(proof_code.FAULTS[text.variables["fault"]])
     assert seen == ["", "restarted", "", "", "restarted"]
 

@@ -78,7 +78,7 @@ async def checks_noted(log: EventLog, number: int) -> list[Event]:
             noted = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
             if noted and noted[-1].detail.get("number") == number:
                 return noted
-            await log.noted_after(log.count)
+            await asyncio.sleep(0.05)
 
 
 async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given(
@@ -148,7 +148,7 @@ async def test_the_calibration_is_told_and_its_file_and_report_are_given(
         async with shown.page.expect_popup() as coming:
             await section.get_by_role("link", name="the report on it").click()
         popup = await coming.value
-        await popup.get_by_text("residuals").wait_for()  # a tab that only begins cannot be loaded anew
+        await popup.get_by_text("residuals").wait_for()  # a tab that only begins cannot be loaded again
         answered: list[str] = []
         popup.on("response", lambda response: answered.append(response.url.partition("/api/v1")[2]))
         await popup.reload()

@@ -202,7 +202,7 @@ async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp
             table.power_on()
 
         listener.at["node x 12.5 y -12.5 mm"] = blink
-        with pytest.raises(ScanStoppedError, match=r"node x 12.5 y -12.5 mm: .* started anew \(power\?\)"):
+        with pytest.raises(ScanStoppedError, match=r"node x 12.5 y -12.5 mm: .* restarted \(power\?\)"):
             await scanned(unit, table, tmp_path / "scan", listener, start="unlock")
         # the table now takes the place where it lost its power for its zero
         with pytest.raises(ScanStoppedError) as caught:

@@ -1,18 +1,18 @@
 from __future__ import annotations
 
 import threading
-import time
+from typing import Self
 
 import pytest
+from support.clock import FakeClock
 from support.frames import Blob, frame, light
 
-from altd.acquisition import frame_sets
 from altd.acquisition.auto_exposure.control import MAX_MARKED_FRAMES, ExposureControl
 from altd.acquisition.frame_sets import FrameSets
 from altd.config import ExposureSettings, Measuring
+from altd.measuring.pairing import Pair
 from altd.ports import CameraEndedError, CameraError, ExposureRange
 from altd.records import Frame, Origin
-from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 
 PIXELS = frame(light(Blob(300, 200))).pixels
@@ -28,6 +28,7 @@ class Camera:
     exposure_range = None
     identity = None
 
+    clock: FakeClock
     start_ns = 0
 
     def __init__(
@@ -38,6 +39,7 @@ class Camera:
         self.lost = lost
         self.last = last
         self.number = -1
+        self.closed = threading.Event()
 
     def open(self) -> None: ...
 
@@ -48,7 +50,8 @@ class Camera:
         if self.number > self.last:
             raise CameraEndedError("the recording is at its end")
         t_ns = self.start_ns + self.number * PERIOD_NS
-        time.sleep(max(t_ns + PERIOD_NS // 2 - time.monotonic_ns(), 0) * 1e-9)  # it is read out at its end
+        read_out_ns = t_ns + PERIOD_NS // 2
+        self.clock.wait(self.closed, max(read_out_ns - self.clock.now_ns, 0) * 1e-9)
         return Frame(self.name, self.number, t_ns, PIXELS, changing=self.number in self.changing)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None: ...
@@ -56,17 +59,31 @@ class Camera:
     def close(self) -> None: ...
 
 
-def of(*cameras: Camera) -> FrameSets:
-    start_ns = time.monotonic_ns()
-    for camera in cameras:
-        camera.start_ns = start_ns
-    return FrameSets(cameras, Measuring(), Health(SystemClock()))
+class Running:
+    """Frame sets of cameras on a clock that the test drives."""
+
+    def __init__(self, *cameras: Camera, exposure: dict[str, ExposureControl] | None = None) -> None:
+        self.clock = FakeClock.of_loop(threads=len(cameras))
+        for camera in cameras:
+            camera.clock, camera.start_ns = self.clock, self.clock.now_ns
+        self._sets = FrameSets(cameras, Measuring(), Health(self.clock), exposure)
+
+    async def __aenter__(self) -> Self:
+        await self._sets.__aenter__()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.clock.end()
+        await self._sets.__aexit__()
+
+    async def after(self, t_ns: int, count: int) -> list[Pair[Frame]]:
+        return await self.clock.run(self._sets.after(t_ns, count))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.7, 0.999])
 async def test_no_exposure_that_was_under_way_is_taken(share: float) -> None:
     front, rear = Camera("front"), Camera("rear")
-    async with of(front, rear) as cameras:
+    async with Running(front, rear) as cameras:
         settled_ns = front.start_ns + round((7 + share) * PERIOD_NS)
         taken = await cameras.after(settled_ns, 3)
     begins_ns = [pair.t_ns - PERIOD_NS // 2 for pair in taken]
@@ -77,7 +94,7 @@ async def test_no_exposure_that_was_under_way_is_taken(share: float) -> None:
 
 async def test_an_exposure_that_one_camera_lost_is_left_out() -> None:
     front, rear = Camera("front", lost=(5,)), Camera("rear", lost=(7,))
-    async with of(front, rear) as cameras:
+    async with Running(front, rear) as cameras:
         taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
     assert [pair.sequence for pair in taken] == [6, 8, 9]
     assert all(set(pair.items) == {"front", "rear"} for pair in taken)
@@ -85,7 +102,7 @@ async def test_an_exposure_that_one_camera_lost_is_left_out() -> None:
 
 async def test_an_exposure_during_which_a_camera_was_being_set_is_left_out() -> None:
     front, rear = Camera("front", changing=(5,)), Camera("rear", changing=(7,))
-    async with of(front, rear) as cameras:
+    async with Running(front, rear) as cameras:
         taken = await cameras.after(front.start_ns + round(3.9 * PERIOD_NS), 3)
     assert [pair.sequence for pair in taken] == [6, 8, 9]
 
@@ -100,9 +117,8 @@ async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_
             asked.append((exposure_ms, gain_db))
 
     front, rear = Settable("front"), Camera("rear")
-    front.start_ns = rear.start_ns = time.monotonic_ns()
     exposure = {"front": ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)}
-    async with FrameSets((front, rear), Measuring(), Health(SystemClock()), exposure) as cameras:
+    async with Running(front, rear, exposure=exposure) as cameras:
         taken = await cameras.after(front.start_ns - PERIOD_NS, 3)
     assert asked == [(3.0, 0.0)]
     assert taken[0].sequence > MAX_MARKED_FRAMES
@@ -110,20 +126,17 @@ async def test_the_exposure_is_set_when_a_camera_is_opened_and_counts_from_then_
 
 
 async def test_a_camera_at_its_end_is_named() -> None:
-    async with of(Camera("front"), Camera("rear", last=3)) as cameras:
+    async with Running(Camera("front"), Camera("rear", last=3)) as cameras:
         with pytest.raises(CameraError, match="camera rear: the recording is at its end"):
             await cameras.after(0, 100)
 
 
-async def test_a_silent_camera_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_sets, "FRAME_SET_TIMEOUT_S", 0.3)
-    silence = threading.Event()
-
+async def test_a_silent_camera_is_named() -> None:
     class Silent(Camera):
         def next_frame(self, timeout_s: float) -> Frame:
-            silence.wait(0.05)
+            self.clock.wait(self.closed, 0.05)
             raise CameraError("no link")
 
-    async with of(Camera("front"), Silent("rear")) as cameras:
+    async with Running(Camera("front"), Silent("rear")) as cameras:
         with pytest.raises(CameraError, match=r"^camera rear: no link"):
             await cameras.after(0, 1)

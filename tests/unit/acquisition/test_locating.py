@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from support.clock import stop
+from support.clock import FakeClock, stop
 from support.frames import Blob, frame, light
 from support.located import SPOT, located
 
-from altd.acquisition import locating
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl, ExposureFigures
 from altd.acquisition.buffers import Buffers
@@ -32,6 +30,7 @@ from altd.vision.localise import locate
 
 PIXELS = frame(light(Blob(300, 200))).pixels
 PERIOD_NS = 10_000_000
+LONG_S = 60.0  # only a hang takes that long
 
 
 def shot(sequence: int) -> Frame:
@@ -69,15 +68,10 @@ class Bench:
         )
 
     async def take(self) -> list[int]:
-        async with asyncio.timeout(5.0):
-            return [one.sequence for one in await self.located.take(wake_for_each=False)]
+        return [one.sequence for one in await self.located.take(wake_for_each=False)]
 
-
-async def until(condition: Callable[[], bool], limit_s: float = 5.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.005)
+    async def begun(self) -> None:
+        assert await asyncio.to_thread(self.locator.begun.wait, LONG_S)
 
 
 async def test_what_is_located_in_the_thread_wakes_the_loop() -> None:
@@ -105,7 +99,7 @@ def test_the_exposure_is_shown_what_was_found_and_nothing_of_a_frame_that_is_not
 
 
 class TickingCamera:
-    """Exposes every 10 ms; like a driver with one buffer it loses what is not fetched in time."""
+    """Exposes every 10 ms, and is asked for the next frame at once; ``expose`` lets it go on."""
 
     name = "front"
     origin = Origin.CAMERA
@@ -114,16 +108,29 @@ class TickingCamera:
     exposure_range = None
     identity = None
 
-    def __init__(self) -> None:
-        self.begin_ns = time.monotonic_ns()
+    def __init__(self, clock: FakeClock) -> None:
+        self.clock = clock
         self.last = 0
+        self.is_over = False
+        self.allowed, self.asked = threading.Semaphore(0), threading.Semaphore(0)
 
     def open(self) -> None: ...
 
     def next_frame(self, timeout_s: float) -> Frame:
-        time.sleep(max((self.begin_ns + (self.last + 1) * PERIOD_NS - time.monotonic_ns()) * 1e-9, 0.0))
-        self.last = (time.monotonic_ns() - self.begin_ns) // PERIOD_NS
-        return Frame("front", self.last, self.begin_ns + self.last * PERIOD_NS, PIXELS)
+        self.asked.release()
+        self.allowed.acquire()
+        if self.is_over:
+            self.allowed.release()
+            raise CameraTimeoutError("no frame")
+        self.last += 1
+        self.clock.now_ns += PERIOD_NS
+        return Frame("front", self.last, self.clock.now_ns, PIXELS)
+
+    def expose(self, count: int) -> None:
+        """So many frames, each of which is in its slot when this returns."""
+        for _ in range(count):
+            self.allowed.release()
+            assert self.asked.acquire(timeout=LONG_S)
 
     def set_exposure(self, exposure_ms: float, gain_db: float) -> None: ...
 
@@ -132,26 +139,32 @@ class TickingCamera:
 
 async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_the_rest_counted() -> None:
     """Locating takes five periods; that holds up neither the driver nor what comes next."""
-    camera, ages_ns = TickingCamera(), list[int]()
+    clock = FakeClock(PERIOD_NS)
+    camera, ages, done = TickingCamera(clock), list[int](), threading.Event()
 
     def slowly(frame: Frame) -> None:
-        ages_ns.append((camera.begin_ns + camera.last * PERIOD_NS) - frame.t_ns)
-        time.sleep(0.05)
+        if not ages:
+            assert camera.asked.acquire(timeout=LONG_S)
+        ages.append(camera.last - frame.sequence)
+        if len(ages) < 15:
+            camera.expose(5)
+        else:
+            done.set()
 
     bench = Bench(Locator(slowly))
-    component = Health(SystemClock()).component("camera front")
+    component = Health(clock).component("camera front")
     acquiring = asyncio.create_task(acquire(camera, bench.frames, component))
-    taken: list[int] = []
-    while len(taken) < 15:
-        taken += await bench.take()
-    await stop(acquiring)
+    assert await asyncio.to_thread(camera.asked.acquire, timeout=LONG_S)
+    camera.allowed.release()
+    assert await asyncio.to_thread(done.wait, LONG_S)
+    camera.is_over = True
+    camera.allowed.release()
     await stop(bench.task)
-    lost = component.counters.get("lost", 0)
-    assert lost <= 0.1 * camera.last  # by the driver: the machine was busy
-    assert max(ages_ns) <= 2 * PERIOD_NS
-    begun = len(bench.locator.frames)
-    assert 3 * begun <= bench.frames.dropped["front"] <= 6 * begun
-    assert taken == sorted(set(taken))
+    await stop(acquiring)
+    assert [frame.sequence for frame in bench.locator.frames] == list(range(1, 75, 5))
+    assert set(ages) == {0}
+    assert bench.frames.dropped["front"] == 14 * 4
+    assert "lost" not in component.counters
 
 
 async def test_a_defect_in_the_localiser_is_raised() -> None:
@@ -161,42 +174,44 @@ async def test_a_defect_in_the_localiser_is_raised() -> None:
         await bench.task
 
 
-async def test_a_frame_that_is_never_done_is_a_defect(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locating, "_CHECK_INTERVAL_S", 0.01)
-    monkeypatch.setattr(locating, "_JOIN_TIMEOUT_S", 0.1)
-    may_end = threading.Event()
-    bench = Bench(Locator(lambda frame: may_end.wait(10)))
+async def test_a_frame_that_is_never_done_is_a_defect() -> None:
+    clock, may_end = FakeClock.of_loop(), threading.Event()
+    bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
     bench.frames.put(shot(7), wait=False)
-    with pytest.raises(LocatingStalledError, match=r"camera front: exposure 7 is not located within 0\.2 s"):
+    await bench.begun()
+    await clock.until(bench.task.done)
+    with pytest.raises(LocatingStalledError, match=r"camera front: exposure 7 is not located within 5 s"):
         await bench.task
+    clock.end()
     may_end.set()
 
 
-async def test_a_process_that_was_stopped_meanwhile_has_not_located_longer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Stopped as a whole, it finds an old frame in hand; here the loop alone stands still."""
-    monkeypatch.setattr(locating, "_CHECK_INTERVAL_S", 0.02)
-    may_end = threading.Event()
-    bench = Bench(Locator(lambda frame: may_end.wait(10)))
+async def test_a_process_that_was_stopped_meanwhile_has_not_located_longer() -> None:
+    """Stopped as a whole, it finds an old frame in hand."""
+    clock, may_end = FakeClock.of_loop(), threading.Event()
+    bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
     bench.frames.put(shot(7), wait=False)
-    await until(bench.locator.begun.is_set)
-    time.sleep(1.0)  # noqa: ASYNC251  more than twice what is allowed
-    await asyncio.sleep(0.1)
+    await bench.begun()
+    await clock.jump(3600.0)
+    await clock.advance(1.0)
     may_end.set()
     assert await bench.take() == [7]
-    await stop(bench.task)
+    await clock.stop(bench.task)
+    clock.end()
 
 
-async def test_frame_after_frame_in_hand_is_no_stall(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locating, "_CHECK_INTERVAL_S", 0.005)
-    bench = Bench(Locator(lambda frame: time.sleep(0.02)), waits=True)
+async def test_frame_after_frame_in_hand_is_no_stall() -> None:
+    clock, may_go_on = FakeClock.of_loop(), threading.Semaphore(0)
+    bench = Bench(Locator(lambda frame: may_go_on.acquire()), waits=True)
     taken = 0
-    for number in range(30):
+    for number in range(10):
         bench.frames.put(shot(number), wait=False)
+        await clock.advance(3.0)
+        may_go_on.release()
         taken += len(await bench.take())
-    assert taken == 30
-    await stop(bench.task)
+    assert taken == 10
+    await clock.stop(bench.task)
+    clock.end()
 
 
 async def test_shutting_down_waits_for_a_picture_of_twelve_megapixels_and_no_longer() -> None:
@@ -206,22 +221,22 @@ async def test_shutting_down_waits_for_a_picture_of_twelve_megapixels_and_no_lon
     ended = threading.Event()
     bench = Bench(Locator(lambda frame: [locate(large) for _ in range(5)] and ended.set()))
     bench.frames.put(shot(1), wait=False)
-    await until(bench.locator.begun.is_set)
+    await bench.begun()
     bench.frames.put(shot(2), wait=False)
     await stop(bench.task)
     assert ended.is_set()
     assert [frame.sequence for frame in bench.locator.frames] == [1]
 
 
-async def test_a_localiser_that_hangs_does_not_hold_the_shutdown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locating, "_JOIN_TIMEOUT_S", 0.2)
-    may_end = threading.Event()
-    bench = Bench(Locator(lambda frame: may_end.wait(10)))
+async def test_a_localiser_that_hangs_does_not_hold_the_shutdown() -> None:
+    clock, may_end = FakeClock.of_loop(), threading.Event()
+    bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
     bench.frames.put(shot(1), wait=False)
-    await until(bench.locator.begun.is_set)
-    began_s = time.monotonic()
-    await stop(bench.task)
-    assert time.monotonic() - began_s < 1.0
+    await bench.begun()
+    began_ns = clock.now_ns
+    await clock.stop(bench.task)
+    assert clock.now_ns - began_ns < 3.5e9
+    clock.end()
     may_end.set()
 
 
@@ -240,14 +255,14 @@ class EndingCamera(TickingCamera):
 
 
 async def test_all_frames_of_a_camera_that_ends_are_located_and_then_the_thread_ends_too() -> None:
-    bench = Bench(Locator(lambda frame: time.sleep(0.01)), waits=True)
-    component = Health(SystemClock()).component("camera front")
-    acquiring = asyncio.create_task(acquire(EndingCamera(), bench.frames, component))
+    bench = Bench(Locator(), waits=True)
+    clock = FakeClock(PERIOD_NS)
+    component = Health(clock).component("camera front")
+    acquiring = asyncio.create_task(acquire(EndingCamera(clock), bench.frames, component))
     acquiring.add_done_callback(lambda _: bench.frames.end("front"))
     taken: list[int] = []
     while len(taken) < 3:
         taken += await bench.take()
     assert taken == [1, 2, 3]
-    async with asyncio.timeout(5.0):
-        await asyncio.gather(acquiring, bench.task)
+    await asyncio.gather(acquiring, bench.task)
     assert await bench.take() == []  # woken, so that nothing waits in a slot for ever

@@ -48,7 +48,7 @@ class Shown:
         return frame
 
     async def newer(self, **seen: int) -> list[Picture]:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             return list(await self.pictures.newer(seen))
 
 

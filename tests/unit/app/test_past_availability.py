@@ -48,7 +48,7 @@ class Restarted:
         return cast("dict[str, Any]", self.availability.as_object()["last_hour"])
 
     async def until(self, true: Callable[[], bool]) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while not true():
                 await self.clock.advance(LOOK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time
@@ -131,7 +131,7 @@ async def test_a_daemon_counts_what_its_history_holds(tmp_path: Path) -> None:
     health.state = state.read
     hour: dict[str, Any] = {}
     async with past.recorded():
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while not hour.get("valid_s"):
                 await unit.clock.advance(LOOK_INTERVAL_S)
                 await asyncio.sleep(0.01)  # the disk's thread, in real time

@@ -49,7 +49,7 @@ async def told(settings: Config, celsius: float | Exception | None) -> tuple[Hea
     upkeep = Upkeep(settings, evidence.calibration(), cameras(celsius), health, SystemClock())
     async with asyncio.TaskGroup() as tasks:
         running = tasks.create_task(started(upkeep))
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(60):
             while any(component.state == "starting" for component in health) or not list(health):  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
         causes = [f"{cause.kind} {cause.of} {cause.detail}" for watch in upkeep.watches for cause in watch(0)]

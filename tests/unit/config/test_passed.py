@@ -112,4 +112,4 @@ async def test_what_the_kernel_refuses_would_have_ended_the_daemon(text: str, tm
     http = daemon.config.http.model_copy(update={"host": "0.0.0.0"})
     daemon.config = daemon.config.model_copy(update={"http": http})
     with pytest.raises(BadInputError, match="Address already in use"):
-        await asyncio.wait_for(daemon.run(), 5)
+        await asyncio.wait_for(daemon.run(), 60)

@@ -263,7 +263,7 @@ def test_a_foreign_client_reads_the_simulated_sensors(
         sensor.roll_deg, sensor.noise_deg = -12.5, 0.0
         command = [need_program("mbpoll"), "-m", "rtu", "-b", baud, "-P", "none", "-a", address, "-0", "-1"]
         command += ["-t", f"{table}:hex", "-r", register, "-c", 1, sensor.device]
-        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=10)
+        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, timeout=60)
     assert f"[{register}]: \t0x{expected:04X}" in done.stdout, done.stdout + done.stderr
 
 

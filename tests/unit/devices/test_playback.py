@@ -2,15 +2,15 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
 from pathlib import Path
 
 import pytest
+from support.clock import FakeClock
 from support.recordings import write_beams
 
 from altd.devices.playback import Playback, PlaybackCamera
 from altd.errors import BadInputError
-from altd.ports import CameraEndedError, CameraError, CameraTimeoutError
+from altd.ports import CameraEndedError, CameraError, CameraTimeoutError, Stop
 from altd.recording.reader import open_recording
 
 
@@ -19,8 +19,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_beams(tmp_path_factory.mktemp("playback") / "rec", [(0, 0, 0, 0), (5, 5, 0, 0)], exposures=4)
 
 
-def cameras(recording: Path, realtime: bool = False, repeat: bool = False) -> list[PlaybackCamera]:
-    playback = Playback(open_recording(recording), realtime, repeat)
+class Clock(FakeClock):
+    """Time passes at once for a thread that waits."""
+
+    def wait(self, stop: Stop, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+
+def cameras(
+    recording: Path, realtime: bool = False, repeat: bool = False, clock: FakeClock | None = None
+) -> list[PlaybackCamera]:
+    playback = Playback(open_recording(recording), clock or FakeClock(), realtime, repeat)
     return [PlaybackCamera(name, playback) for name in ("front", "rear")]
 
 
@@ -40,13 +49,14 @@ def test_at_the_fast_pace_no_camera_runs_ahead_of_a_slow_one(recording: Path) ->
     taken: list[tuple[str, int]] = []
 
     def take(camera: PlaybackCamera, pause_s: float) -> None:
+        pause = threading.Event()
         while len(taken) < 60:
             try:
                 frame = camera.next_frame(0.05)
             except CameraTimeoutError:
                 continue
             taken.append((frame.camera, frame.sequence))
-            time.sleep(pause_s)
+            pause.wait(pause_s)
 
     threads = [threading.Thread(target=take, args=arguments) for arguments in ((front, 0.0), (rear, 0.005))]
     for thread in threads:
@@ -68,13 +78,12 @@ def test_a_camera_whose_partner_is_not_taken_times_out(recording: Path) -> None:
 
 
 def test_in_real_time_frames_come_at_their_times(recording: Path) -> None:
-    front, _ = cameras(recording, realtime=True)
-    times = []
-    for _ in range(4):
-        frame = front.next_frame(1.0)
-        assert frame.t_ns <= time.monotonic_ns()
-        times.append(frame.t_ns)
-    assert [later - times[0] for later in times] == [0, 50_000_000, 100_000_000, 150_000_000]
+    front, _ = cameras(recording, realtime=True, clock=(clock := Clock(10**9)))
+    for number in range(4):
+        assert front.next_frame(1.0).t_ns == clock.now_ns == 10**9 + number * 50_000_000
+    with pytest.raises(CameraTimeoutError, match="not due yet"):
+        front.next_frame(0.02)
+    assert front.next_frame(1.0).t_ns == clock.now_ns == 10**9 + 4 * 50_000_000
 
 
 def test_repeating_goes_on_counting(recording: Path) -> None:
@@ -89,16 +98,15 @@ def test_repeating_goes_on_counting(recording: Path) -> None:
 
 def test_a_camera_that_the_recording_does_not_have_is_refused(recording: Path) -> None:
     with pytest.raises(BadInputError, match="has no frames of camera 'side'"):
-        PlaybackCamera("side", Playback(open_recording(recording), True, False))
+        PlaybackCamera("side", Playback(open_recording(recording), FakeClock(), True, False))
 
 
 def test_in_real_time_what_is_overdue_is_left_out(recording: Path) -> None:
-    front, _ = cameras(recording, realtime=True, repeat=True)
-    first = front.next_frame(1.0)
-    time.sleep(1.2)  # as when the process was held
+    front, _ = cameras(recording, realtime=True, repeat=True, clock=(clock := Clock(10**9)))
+    assert front.next_frame(1.0).sequence == 0
+    clock.now_ns += 1_210_000_000  # as when the process was held
     frame = front.next_frame(1.0)
-    assert 0 <= time.monotonic_ns() - frame.t_ns < 1_000_000_000
-    assert frame.sequence == (frame.t_ns - first.t_ns) // 50_000_000 > 10
+    assert (frame.sequence, frame.t_ns) == (15, 10**9 + 15 * 50_000_000)  # half a second is not overdue
 
 
 def test_each_turn_through_a_recording_is_a_playthrough_of_its_own(recording: Path) -> None:

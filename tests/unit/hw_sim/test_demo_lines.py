@@ -1,11 +1,21 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 
 import pytest
 
 from hw_sim.demo_lines import Line
+
+
+async def heard(descriptor: int, length: int) -> bytes:
+    data = b""
+    while len(data) < length:
+        with contextlib.suppress(BlockingIOError):
+            data += os.read(descriptor, 100)
+        await asyncio.sleep(0.002)
+    return data
 
 
 async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -> None:
@@ -20,9 +30,8 @@ async def test_a_line_carries_both_ways_and_keeps_nothing_for_who_comes_late() -
                 await asyncio.sleep(0.1)
                 os.write(unit, b"out " + round_)
                 os.write(far, b"in " + round_)
-                await asyncio.sleep(0.1)
-                assert os.read(far, 100) == b"out " + round_
-                assert os.read(unit, 100) == b"in " + round_
+                assert await heard(far, 5) == b"out " + round_
+                assert await heard(unit, 4) == b"in " + round_
                 os.write(unit, b"not read " + round_)
                 await asyncio.sleep(0.1)
                 os.close(far)

@@ -13,6 +13,7 @@ from support.clock import FakeClock
 from support.located import located
 
 from altd.config import Measuring
+from altd.files.documents import line_of
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.gate import Gate
@@ -22,7 +23,7 @@ from altd.publish.serial.words import measurement_text, watch_head, watch_line
 from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, Measurement, Quantities, Quantity, Spot, Value
 from altd.status.board import Board
-from altd.status.measurement_json import as_line
+from altd.status.measurement_json import as_object
 from altd.tables.columns import measurement_columns
 
 QUANTITIES = Quantities(
@@ -76,12 +77,12 @@ def test_the_chain_measures_its_quantities(measurement: Measurement) -> None:
 def test_why_it_does_not_solve_a_window_is_published() -> None:
     refused = measured(evidence.calibration(), 301.0)
     assert (refused.valid, refused.status[0].detail) == (False, "too far to the right")
-    assert json.loads(as_line(refused))["along_px"] is None
+    assert json.loads(line_of(as_object(refused)))["along_px"] is None
 
 
 def test_json_has_its_keys_with_its_decimals_and_no_other(measurement: Measurement) -> None:
     document = json.loads(
-        as_line(replace(measurement, values=measurement.values | {"heat_deg": Value(20.00049)}))
+        line_of(as_object(replace(measurement, values=measurement.values | {"heat_deg": Value(20.00049)})))
     )
     own = set(document) - {"sequence", "time", "t_s", "frames", "valid", "status"}
     assert own == {"along_px", "heat_deg", "sigma", "front"}

@@ -22,7 +22,7 @@ def answered(path: Path, serve: Callable[[socket.socket], None]) -> Iterator[Pat
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
         server.bind(str(path))
         server.listen()
-        server.settimeout(5.0)
+        server.settimeout(60)
 
         def work() -> None:
             with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Calls in real threads; how late each comes back decides the test."""
+"""Calls in real threads. No limit decides a test: a call that is held comes back when the test lets it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import gc
 import threading
-import time
 import weakref
 from functools import partial
 
@@ -14,7 +13,7 @@ import pytest
 
 from altd.runtime.threads import DeviceThread, call_in_thread
 
-SLOW_MACHINE_S = 0.5
+LONG_S = 60.0  # only a hang takes that long
 
 
 def raise_it() -> None:
@@ -30,7 +29,7 @@ class Gate:
 
     def __call__(self) -> str:
         self.entered.set()
-        self.may_end.wait(10)
+        self.may_end.wait(LONG_S)
         return "through"
 
 
@@ -56,7 +55,7 @@ async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(b
     async def ask() -> None:
         hand = Hand()
         watched.add(hand)
-        within_s = 0.05 if end == "times out" else 10.0
+        within_s = 0.05 if end == "times out" else LONG_S
         with contextlib.suppress(LookupError, TimeoutError):
             if by == "device":
                 await thread.call(work, hand, within_s=within_s)
@@ -68,14 +67,14 @@ async def test_what_a_call_has_in_hand_is_let_go_without_the_garbage_collector(b
     try:
         asked = asyncio.create_task(ask())
         if end == "is cancelled":
-            assert await asyncio.to_thread(gate.entered.wait, 10)
+            assert await asyncio.to_thread(gate.entered.wait, LONG_S)
             asked.cancel()
         await asyncio.wait({asked})
         del asked
         gate.may_end.set()
-        assert await thread.end(lambda: None, 10.0)
+        assert await thread.end(lambda: None, LONG_S)
         for worker in [each for each in threading.enumerate() if each.name == "worker"]:
-            await asyncio.to_thread(worker.join, 10)
+            await asyncio.to_thread(worker.join, LONG_S)
         await asyncio.sleep(0)  # what the thread gave the loop
         assert not watched
     finally:
@@ -91,8 +90,7 @@ async def test_a_call_in_a_thread_gives_its_result_or_what_it_raises() -> None:
 async def test_the_loop_goes_on_while_a_call_is_held_and_who_left_is_told_nothing() -> None:
     gate = Gate()
     waiting = asyncio.ensure_future(call_in_thread(gate, "worker"))
-    await asyncio.sleep(0.01)
-    assert gate.entered.is_set()
+    assert await asyncio.to_thread(gate.entered.wait, LONG_S)
     waiting.cancel()
     gate.may_end.set()
     with pytest.raises(asyncio.CancelledError):
@@ -110,7 +108,7 @@ def test_a_call_that_outlives_its_loop_ends_its_thread_without_a_word(
     asyncio.run(leave())
     (thread,) = [thread for thread in threading.enumerate() if thread.name == "worker"]
     gate.may_end.set()
-    thread.join(2.0)
+    thread.join(LONG_S)
     assert not thread.is_alive()
     assert capsys.readouterr() == ("", "")
 
@@ -118,13 +116,13 @@ def test_a_call_that_outlives_its_loop_ends_its_thread_without_a_word(
 async def test_a_device_s_calls_come_one_after_the_other_in_one_thread() -> None:
     thread = DeviceThread("device")
     names = await asyncio.gather(
-        *(thread.call(lambda: threading.current_thread().name, within_s=1.0) for _ in range(5))
+        *(thread.call(lambda: threading.current_thread().name, within_s=LONG_S) for _ in range(5))
     )
     assert names == ["device"] * 5
     with pytest.raises(ZeroDivisionError):
-        await thread.call(raise_it, within_s=1.0)
-    assert await thread.call(pow, 2, 5, within_s=1.0) == 32
-    assert await thread.end(lambda: None, 1.0)
+        await thread.call(raise_it, within_s=LONG_S)
+    assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
+    assert await thread.end(lambda: None, LONG_S)
 
 
 async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody() -> None:
@@ -136,29 +134,27 @@ async def test_what_a_call_raises_after_who_asked_has_left_is_told_nobody() -> N
         gate()
         raise_it()
 
-    asked = asyncio.create_task(thread.call(fail, within_s=10.0))
-    assert await asyncio.to_thread(gate.entered.wait, 10)
+    asked = asyncio.create_task(thread.call(fail, within_s=LONG_S))
+    assert await asyncio.to_thread(gate.entered.wait, LONG_S)
     asked.cancel()
     with pytest.raises(asyncio.CancelledError):
         await asked
     del asked
     gate.may_end.set()
-    assert await thread.call(pow, 2, 5, within_s=10.0) == 32
+    assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
     gc.collect()
     assert told == []
-    assert await thread.end(lambda: None, 10.0)
+    assert await thread.end(lambda: None, LONG_S)
 
 
 async def test_a_call_that_takes_too_long_times_out_and_so_does_the_next_until_it_is_back() -> None:
     thread, gate = DeviceThread("device"), Gate()
     for _ in range(2):
-        began_s = time.monotonic()
         with pytest.raises(TimeoutError):
             await thread.call(gate, within_s=0.05)
-        assert time.monotonic() - began_s < 0.05 + SLOW_MACHINE_S
     gate.may_end.set()
-    assert await thread.call(pow, 2, 5, within_s=1.0) == 32
-    assert await thread.end(lambda: None, 1.0)
+    assert await thread.call(pow, 2, 5, within_s=LONG_S) == 32
+    assert await thread.end(lambda: None, LONG_S)
 
 
 async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(
@@ -170,14 +166,13 @@ async def test_what_a_call_raises_after_who_asked_has_left_is_logged_nowhere(
         gate()
         raise OSError("of interest to nobody")
 
-    waiting = asyncio.ensure_future(device.call(fail, within_s=5.0))
-    async with asyncio.timeout(5):
-        await asyncio.to_thread(gate.entered.wait, 5)
+    waiting = asyncio.ensure_future(device.call(fail, within_s=LONG_S))
+    assert await asyncio.to_thread(gate.entered.wait, LONG_S)
     waiting.cancel()
     await asyncio.wait({waiting})
     gate.may_end.set()
-    assert await device.call(lambda: "next", within_s=5.0) == "next"
-    await device.end(lambda: None, 5.0)
+    assert await device.call(lambda: "next", within_s=LONG_S) == "next"
+    await device.end(lambda: None, LONG_S)
     del waiting
     gc.collect()
     assert caplog.records == []
@@ -190,7 +185,7 @@ async def test_the_end_of_a_thread_that_is_held_is_not_waited_for() -> None:
     assert not await thread.end(closed.set, 0.05)
     assert not closed.is_set()
     gate.may_end.set()
-    assert await asyncio.to_thread(closed.wait, 2.0)
+    assert await asyncio.to_thread(closed.wait, LONG_S)
 
 
 def test_a_device_thread_whose_loop_is_gone_ends() -> None:
@@ -203,5 +198,5 @@ def test_a_device_thread_whose_loop_is_gone_ends() -> None:
     asyncio.run(leave())
     (thread,) = [thread for thread in threading.enumerate() if thread.name == "device"]
     gate.may_end.set()
-    thread.join(2.0)
+    thread.join(LONG_S)
     assert not thread.is_alive()

@@ -80,4 +80,4 @@ def test_a_picture_that_comes_again_is_no_exposure() -> None:
 def test_frames_of_two_exposures_are_not_compared(change: dict[str, float | None]) -> None:
     taken = shots()
     taken[7] = replace(taken[7], **change)  # type: ignore[arg-type]
-    assert found(taken) == (Finding("the exposure was set anew during the check", spoils=True),)
+    assert found(taken) == (Finding("the exposure was changed during the check", spoils=True),)

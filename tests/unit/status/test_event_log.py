@@ -49,14 +49,6 @@ def test_a_reader_has_a_cursor_and_learns_what_it_missed(log: EventLog, clock: F
     assert log.after(log.count) == []
 
 
-async def test_who_waits_is_woken_by_the_next_event(log: EventLog) -> None:
-    waiting = asyncio.create_task(log.noted_after(0))
-    await asyncio.sleep(0)
-    assert not waiting.done()
-    log.note(EventKind.STARTED, "started")
-    assert await waiting == 1
-
-
 def test_a_million_of_one_kind_cost_some_and_the_last_is_told(log: EventLog, clock: FakeClock) -> None:
     for number in range(1_000_000 // 100):
         clock.now_ns += 10**6

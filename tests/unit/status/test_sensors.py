@@ -10,6 +10,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import BEAM, beam_of, measurement
 
+from altd.files.documents import line_of
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.http.page import page_of
 from altd.publish.modbus.registers import REGISTERS, Snapshot, image
@@ -19,7 +20,7 @@ from altd.reasons import Reason
 from altd.records import Measurement
 from altd.records.sensors import Quality, SensorValue
 from altd.status.board import Board
-from altd.status.measurement_json import as_line, as_object
+from altd.status.measurement_json import as_object
 
 FITTED = QUANTITIES.with_sensor("roll_deg")
 GOOD = SensorValue(
@@ -111,7 +112,7 @@ class TestFaces:
         assert document["sensors"] == {"roll_deg": {"quality": "good", "age_s": 0.1}}
 
     def test_json_says_why_there_is_none(self) -> None:
-        document = json.loads(as_line(with_roll(FROZEN)))
+        document = json.loads(line_of(as_object(with_roll(FROZEN))))
         assert document["roll_deg"] is document["sigma"]["roll_deg"] is None
         assert document["sensors"] == {"roll_deg": {"quality": "frozen", "age_s": None}}
         assert document["status"] == ["roll_missing"]

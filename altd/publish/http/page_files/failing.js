@@ -2,7 +2,7 @@
 
 const AGAIN_MS = 2000;
 
-// Where something throws that nobody catches, `root` is emptied, and the page loaded anew.
+// After an error that is not caught, `root` is emptied and the page is loaded again.
 export function guard(root, world = globalThis) {
   let hasFailed = false;
   const fail = () => {

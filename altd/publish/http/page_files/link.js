@@ -7,7 +7,7 @@
 export const LOOK_MS = 500, FORGET_MS = 200, QUIET_MS = 400, ANSWER_MS = 1200, OLD_MS = 1400;
 const MEASUREMENT = "/api/v1/measurement", STATUS = "/api/v1/status", STREAM = "/api/v1/stream";
 
-// Of two numbers of messages, which begin anew after 32 bits.
+// Of two numbers of messages, which start again after 32 bits.
 const isLater = (message, last) => ((message - last) | 0) > 0;
 
 // `show` is called with {words, measurement, status}; words are empty while the unit answers.

@@ -40,7 +40,7 @@ function Trends({ unit }) {
     ${span === LIVE ? html`<${LiveTrends} memory=${memory} />` : html`<${PastTrends} key=${`${unit} ${span}`} span=${span} />`}</section>`;
 }
 
-// Who is logged in, asked for anew after a change and while the unit answers.
+// Who is logged in, asked for again after a change and while the unit answers.
 function useSession(isAnswering) {
   const [session, setSession] = useState(null);
   const look = async () => { const found = await asked("/api/v1/session"); setSession(found.error ? null : found); };

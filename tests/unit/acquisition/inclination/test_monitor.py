@@ -6,11 +6,10 @@ import asyncio
 import itertools
 import random
 import threading
-import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 
 import pytest
-from support.clock import stop
+from support.clock import FakeClock
 from support.measurements import BEAM, beam_of, measurement
 
 from altd.acquisition.inclination import monitor
@@ -31,7 +30,6 @@ from altd.ports import (
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.records.sensors import Quality
-from altd.runtime.clock import SystemClock
 from altd.status.health import Component, Health, State
 
 INTERVAL_S = 0.05
@@ -43,11 +41,11 @@ class Sensor:
     name = "a sensor"
     accuracy = InclinometerAccuracy(0.1, 10.0, 40.0, 0.15, 0.1, 0.01)
 
-    def __init__(self) -> None:
+    def __init__(self, clock: FakeClock) -> None:
+        self.clock = clock
         self.failure: Exception | None = None
         self.refuses_to_open: Exception | None = None
-        self.hang = threading.Event()
-        self.hang.set()
+        self.hang: threading.Event | None = None
         self.opened = self.closed = 0
         self.pitch_deg: float | None = None
         self._number = itertools.count()
@@ -59,12 +57,13 @@ class Sensor:
             raise self.refuses_to_open
 
     def read(self) -> InclinometerReading:
-        self.hang.wait()
+        if self.hang:
+            self.clock.hold(self.hang)
         if self.failure:
             raise self.failure
         angle_deg = 2.0 + self._random.gauss(0.0, 0.02)
         words = (next(self._number),)
-        return InclinometerReading(time.monotonic_ns(), angle_deg, self.pitch_deg, 20.0, words)
+        return InclinometerReading(self.clock.monotonic_ns(), angle_deg, self.pitch_deg, 20.0, words)
 
     def close(self) -> None:
         self.closed += 1
@@ -74,8 +73,9 @@ class Bench:
     """A keeper that runs, and what a measurement gets of it."""
 
     def __init__(self) -> None:
-        self.sensor = Sensor()
-        self.component: Component = Health(SystemClock()).component("inclinometer")
+        self.clock = FakeClock.of_loop()
+        self.sensor = Sensor(self.clock)
+        self.component: Component = Health(self.clock).component("inclinometer")
         table = {
             "driver": "balluff_bsi_r11a0",
             "device": "/dev/ttyS9",
@@ -89,7 +89,7 @@ class Bench:
             QUANTITIES,
             Installation(sign_pitch=-1, offset_pitch_deg=0.5),
             self.component,
-            SystemClock(),
+            self.clock,
         )
         self.task = asyncio.create_task(self.monitor.run())
 
@@ -100,24 +100,23 @@ class Bench:
     def quality(self) -> Quality:
         return self.now().from_sensors["roll_deg"].quality
 
-    async def wait_for(self, reached: Callable[[], bool], timeout_s: float = 3.0) -> None:
-        async with asyncio.timeout(timeout_s):
-            while not reached():  # noqa: ASYNC110  nothing says that a thread has got on
-                await asyncio.sleep(0.005)
+    async def end(self) -> None:
+        await self.clock.stop(self.task)
+        self.clock.end()
 
 
 @pytest.fixture
 async def bench(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bench]:
     monkeypatch.setattr(monitor, "_CALL_TIMEOUT_S", 0.3)
     bench = Bench()
+    bench.clock.watch_devices(monkeypatch)
     yield bench
-    bench.sensor.hang.set()
-    await stop(bench.task)
+    await bench.end()
     assert bench.sensor.closed > 0
 
 
 async def known(bench: Bench) -> None:
-    await bench.wait_for(lambda: bench.quality is Quality.GOOD)
+    await bench.clock.until(lambda: bench.quality is Quality.GOOD)
 
 
 async def test_before_the_first_reading_there_is_no_roll_and_a_beam() -> None:
@@ -126,7 +125,7 @@ async def test_before_the_first_reading_there_is_no_roll_and_a_beam() -> None:
     assert shown.number("roll_deg") is None
     assert beam_of(shown) == BEAM
     assert [str(fault) for fault in shown.status] == ["roll_missing"]
-    await stop(bench.task)
+    await bench.end()
 
 
 async def test_what_is_read_stands_in_the_measurement_with_sigma_and_age(bench: Bench) -> None:
@@ -157,7 +156,7 @@ async def test_a_failure_that_does_not_pass_ends_roll_at_once(
 ) -> None:
     await known(bench)
     bench.sensor.failure = bench.sensor.refuses_to_open = error
-    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 0.2)
+    await bench.clock.until(lambda: bench.now().number("roll_deg") is None, 0.2)
     assert bench.quality is quality
     assert bench.component.state is State.FAILED
     assert str(error) in bench.component.message
@@ -179,30 +178,31 @@ async def test_an_answer_that_is_lost_does_no_harm_but_many_end_roll(
     await known(bench)
     failures = bench.component.counters.get("failures", 0)
     bench.sensor.failure = error
-    await bench.wait_for(lambda: bench.component.counters.get("failures", 0) > failures)
+    await bench.clock.until(lambda: bench.component.counters.get("failures", 0) > failures)
     assert bench.now().number("roll_deg") is not None
-    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 1.0)
+    await bench.clock.until(lambda: bench.now().number("roll_deg") is None, 1.0)
     assert bench.quality is quality
-    await bench.wait_for(lambda: bench.sensor.opened > 1)
+    await bench.clock.until(lambda: bench.sensor.opened > 1)
     bench.sensor.failure = None
     await known(bench)
 
 
 async def test_a_port_that_hangs_holds_up_nobody_and_its_roll_grows_old(bench: Bench) -> None:
     await known(bench)
-    bench.sensor.hang.clear()
-    await bench.wait_for(lambda: bench.now().number("roll_deg") is None, 0.5)
+    bench.sensor.hang = threading.Event()
+    await bench.clock.until(lambda: bench.now().number("roll_deg") is None, 0.5)
     assert bench.quality in (Quality.OLD, Quality.NO_PORT)
-    await bench.wait_for(lambda: bench.quality is Quality.NO_PORT, 1.0)
+    await bench.clock.until(lambda: bench.quality is Quality.NO_PORT, 1.0)
     assert "hangs" in bench.component.message
-    bench.sensor.hang.set()
+    bench.clock.release(bench.sensor.hang)
+    bench.sensor.hang = None
     await known(bench)
 
 
 async def test_a_missing_port_is_looked_for_again(bench: Bench) -> None:
     bench.sensor.refuses_to_open = InclinometerNotFoundError("there is no such port now")
     bench.sensor.failure = bench.sensor.refuses_to_open
-    await bench.wait_for(lambda: bench.quality is Quality.NO_PORT)
+    await bench.clock.until(lambda: bench.quality is Quality.NO_PORT)
     bench.sensor.refuses_to_open = bench.sensor.failure = None
     await known(bench)
 

@@ -103,7 +103,7 @@ class Unit:
 
     async def written(self, count: int) -> KeptRecording:
         """The newest recording, once there are so many."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while len(self.keeper.recordings) < count:  # noqa: ASYNC110  a real disk, not this clock
                 await asyncio.sleep(0.005)
         return self.keeper.recordings[0]
@@ -123,7 +123,7 @@ class Disk:
 
         def held(writer: ExposuresWriter, pair: Pair[Frame]) -> None:
             self.is_written.set()
-            assert self.goes_on.wait(20)
+            assert self.goes_on.wait(60)
             if is_full:
                 raise OSError(28, "No space left on device")
             write(writer, pair)
@@ -153,7 +153,7 @@ def no_garbage_collector() -> Iterator[None]:
 async def running(unit: Unit) -> AsyncIterator[Unit]:
     task = asyncio.create_task(unit.keeper.run())
     try:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while unit.component.state is State.STARTING:  # noqa: ASYNC110  a real disk, not this clock
                 await asyncio.sleep(0.001)
         yield unit
@@ -300,7 +300,7 @@ async def test_a_folder_that_cannot_be_had_is_told_and_nothing_else_happens(tmp_
         assert "recordings cannot be kept" in unit.component.message
         unit.causes.append(FAULT)
         await unit.expose(20)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while not unit.component.counters:  # noqa: ASYNC110  a real disk, not this clock
                 await asyncio.sleep(0.005)
         assert unit.component.message.startswith("spot_missing front was not recorded: ")
@@ -315,7 +315,7 @@ async def test_a_disk_that_hangs_while_a_recording_is_read_holds_nothing(
         await unit.expose(40)
         kept = await unit.keeper.keep("asked")
         assert (await unit.keeper.files(kept.name))[-1] == "recording.json"
-        monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(20))
+        monkeypatch.setattr(unit.store, "content", lambda *_: hangs.wait(60))
         try:
             with pytest.raises(NotKeptError, match="does not answer"):
                 await unit.keeper.content(kept.name, "recording.json")
@@ -362,7 +362,7 @@ async def test_frames_are_let_go_without_the_garbage_collector_however_a_recordi
             frames = await unit.expose_watched(20)
             asked = asyncio.create_task(unit.keeper.keep("asked"))
             if how == "cancelled":
-                assert await asyncio.to_thread(disk.is_written.wait, 10)
+                assert await asyncio.to_thread(disk.is_written.wait, 60)
                 asked.cancel()
             (end,) = await asyncio.gather(asked, return_exceptions=True)
             assert isinstance(end, ENDS[how]), end
@@ -381,7 +381,7 @@ async def test_recordings_that_wait_for_one_another_hold_no_frames(
         with no_garbage_collector():
             await unit.expose(20)
             first = asyncio.create_task(unit.keeper.keep("first"))
-            assert await asyncio.to_thread(disk.is_written.wait, 10)
+            assert await asyncio.to_thread(disk.is_written.wait, 60)
             frames = await unit.expose_watched(20)
             second = asyncio.create_task(unit.keeper.keep("second"))
             await unit.expose(60)

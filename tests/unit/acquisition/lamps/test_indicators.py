@@ -123,7 +123,7 @@ class TestPanel:
 
     async def seen(self, row: Row, clock: FakeClock, *wanted: Indicator) -> None:
         """Wait until these are lit; the driver has a thread of its own, which takes no fake time."""
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(60):
             while row.lit != frozenset(wanted):
                 await clock.advance(0.08)
                 await asyncio.sleep(0.001)

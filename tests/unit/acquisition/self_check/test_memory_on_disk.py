@@ -51,11 +51,11 @@ async def test_a_forged_file_is_told_once_and_begins_anew(
 
 
 async def is_begun_anew(unit: Unit, warnings: list[str]) -> None:
-    """One warning that names the file; then it is written anew and good."""
+    """One warning that names the file; then it is written again and good."""
     tomorrow = FIRST + timedelta(days=1)
     assert await unit.run((0.0, tomorrow), (0.0, tomorrow)) == ""
     (warning,) = warnings
-    assert warning.startswith(f"self-check history: begins anew: {unit.path}: ")
+    assert warning.startswith(f"self-check history: starts again: {unit.path}: ")
     assert unit.component.state is State.OK
     assert unit.days() == 1
     assert [entry.name for entry in unit.path.parent.iterdir()] == [NAME]

@@ -6,7 +6,6 @@ import os
 import socket
 import struct
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -78,12 +77,10 @@ class TestQuestions:
             "echo",
         ],
     )
-    def test_what_is_no_answer_is_none_in_time(self, answer: Callable[[bytes], list[bytes]]) -> None:
+    def test_what_is_no_answer_is_none(self, answer: Callable[[bytes], list[bytes]]) -> None:
         with answering(answer):
-            began_s = time.monotonic()
             assert gvcp_client.control_privilege(ELSEWHERE, 0.1) is None
             assert gvcp_client.discover_at(ELSEWHERE, 0.1) is None
-            assert time.monotonic() - began_s < 1.0
 
     def test_no_two_have_the_same_number(self) -> None:
         """Who does not see the question cannot forge its answer."""

@@ -17,13 +17,13 @@ def looking(unit: Unit, **options: Any) -> contextlib.AbstractAsyncContextManage
 
 
 async def first(browser: ClientConnection) -> Any:
-    async with asyncio.timeout(5.0):
+    async with asyncio.timeout(60):
         return json.loads(await browser.recv())
 
 
 async def answered(browser: ClientConnection, ask: str = "next") -> tuple[dict[str, Any], bytes]:
     """The header of the next message, and what is behind it."""
-    async with asyncio.timeout(5.0):  # asyncio.wait_for of Python 3.11 may lose a cancellation
+    async with asyncio.timeout(60):  # asyncio.wait_for of Python 3.11 may lose a cancellation
         await browser.send(ask)
         message = await browser.recv()
     assert isinstance(message, bytes)

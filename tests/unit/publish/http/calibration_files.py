@@ -20,8 +20,10 @@ class Files:
         self.no_report = ""
         self.goes_on = asyncio.Event()
         self.goes_on.set()
+        self.asked = 0
 
     async def calibration(self) -> bytes:
+        self.asked += 1
         await self.goes_on.wait()
         if self.refuses:
             raise NoCalibrationFileError(self.refuses)

@@ -64,7 +64,7 @@ class Unit:
         reader, writer = await self.connect()
         writer.write(request)
         try:
-            return await asyncio.wait_for(reader.read(), 5.0)
+            return await asyncio.wait_for(reader.read(), 60)
         except ConnectionError:
             return b""
         finally:
@@ -94,7 +94,7 @@ class Unit:
             with contextlib.suppress(ConnectionError):
                 await writer.wait_closed()
 
-    async def until(self, holds: Callable[[], bool], timeout_s: float = 3.0) -> None:
+    async def until(self, holds: Callable[[], bool], timeout_s: float = 60.0) -> None:
         async with asyncio.timeout(timeout_s):
             while not holds():  # noqa: ASYNC110  the condition lies in the code under test
                 await asyncio.sleep(0.005)
@@ -107,18 +107,18 @@ class Events:
     reader: asyncio.StreamReader
 
     async def head(self) -> bytes:
-        return await asyncio.wait_for(self.reader.readuntil(b"\r\n\r\n"), 3.0)
+        return await asyncio.wait_for(self.reader.readuntil(b"\r\n\r\n"), 60)
 
     async def block(self) -> str:
         """The next block; chunked framing has one chunk a block here."""
-        size = await asyncio.wait_for(self.reader.readline(), 3.0)
+        size = await asyncio.wait_for(self.reader.readline(), 60)
         data = await self.reader.readexactly(int(size, 16) + 2)
         assert data.endswith(b"\n\n\r\n")
         return data[:-4].decode()
 
     async def event(self) -> tuple[str, Any]:
         """The next event: its id and its object."""
-        async with asyncio.timeout(3.0):  # comments come all the while
+        async with asyncio.timeout(60):  # comments come all the while
             while not (block := await self.block()).startswith("id: "):
                 pass
         first, second = block.split("\n")

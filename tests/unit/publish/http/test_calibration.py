@@ -82,7 +82,7 @@ async def test_few_are_given_at_a_time(served: Served, files: Files) -> None:
     files.goes_on.clear()
     async with served() as unit:
         waiting = [asyncio.create_task(unit.ask(PATHS[0])) for _ in range(MAX_DOWNLOADS)]
-        await asyncio.sleep(0.1)
+        await unit.until(lambda: files.asked == MAX_DOWNLOADS)
         for path in (*PATHS, "/api/v1/diagnostics"):
             answer = await unit.ask(path)
             assert (answer.status, answer.json) == (503, {"error": "2 downloads are under way already"})

@@ -126,7 +126,7 @@ async def test_one_whose_file_is_deleted_or_replaced_says_so_and_serves_again(
 
 
 async def until(true: Callable[[], bool]) -> None:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while not true():  # noqa: ASYNC110  a real file, not this clock
             await asyncio.sleep(0.002)
 
@@ -140,7 +140,7 @@ async def test_who_never_reads_is_cut_off_as_on_the_network(
         client.setblocking(False)
         await asyncio.get_running_loop().sock_connect(client, str(path))
         await asyncio.get_running_loop().sock_sendall(client, b"GET /api/stream HTTP/1.1\r\nHost: a\r\n\r\n")
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60):
             with contextlib.suppress(BrokenPipeError):
                 while True:
                     board.publish(measured)

@@ -32,7 +32,7 @@ async def test_nor_are_pictures(served: Served) -> None:
                 host="127.0.0.1",
                 port=unit.port,
                 additional_headers=headers,
-                open_timeout=5,
+                open_timeout=60,
             ):
                 pass
     assert refused.value.response.status_code == 421

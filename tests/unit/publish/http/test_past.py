@@ -149,7 +149,7 @@ async def read(unit: Unit, last_id: str | None, count: int) -> list[Event]:
     header = "" if last_id is None else f"Last-Event-ID: {last_id}\r\n"
     writer.write(f"GET /api/v1/stream HTTP/1.1\r\nHost: unit\r\n{header}\r\n".encode())
     found: list[Event] = []
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         await reader.readuntil(b"\r\n\r\n")
         while len(found) < count:
             size = int(await reader.readline(), 16)

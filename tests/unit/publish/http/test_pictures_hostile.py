@@ -30,7 +30,7 @@ async def test_what_is_no_request_for_a_picture_ends_the_connection(
         await first(browser)
         await browser.send(ask)
         with pytest.raises(ConnectionClosed) as closed:
-            await asyncio.wait_for(browser.recv(), 5.0)
+            await asyncio.wait_for(browser.recv(), 60)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code in (1003, 1009)
         await unit.until(lambda: unit.publisher.open_viewers == 0)
@@ -43,7 +43,7 @@ async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
         for _ in range(5):
             reader, writer = await unit.connect()
             writer.write(HANDSHAKE)
-            async with asyncio.timeout(5.0):
+            async with asyncio.timeout(60):
                 await reader.readuntil(b"\r\n\r\n")
             writer.write(b"\x89\x80\x00\x00\x00\x00" * 300)
             leaving = writer.get_extra_info("socket")
@@ -60,7 +60,7 @@ async def test_what_is_to_be_said_after_too_large_a_message_is_no_defect(
     async with served() as unit:
         reader, writer = await unit.connect()
         writer.write(HANDSHAKE)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(60):
             await reader.readuntil(b"\r\n\r\n")
             writer.write(before + b"\x81\xfe\x01\x2c\x00\x00\x00\x00" + b"n" * 300)
             await asyncio.sleep(0.05)
@@ -77,7 +77,7 @@ async def test_who_speaks_before_the_unit_has_agreed_and_leaves_is_noticed(
     async with served() as unit:
         reader, writer = await unit.connect()
         writer.write(HANDSHAKE + b"\x89\x80\x00\x00\x00\x00" * 1000)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(60):
             await reader.readuntil(b"\r\n\r\n")
         await unit.until(lambda: unit.publisher.open_viewers == 1)
         writer.close()
@@ -97,11 +97,11 @@ async def test_who_sends_more_than_a_browser_is_cut_off_before_it_is_parsed(
         await first(browser)
         reader, writer = await unit.connect()
         writer.write(HANDSHAKE)
-        async with asyncio.timeout(5.0):
+        async with asyncio.timeout(60):
             await reader.readuntil(b"\r\n\r\n")
         writer.write(b"\x01\x80\x00\x00\x00\x00" + more * 40_000)
         with contextlib.suppress(ConnectionError):
-            async with asyncio.timeout(5.0):
+            async with asyncio.timeout(60):
                 heard = await reader.read()
             assert heard.count(b"\x8a\x00") < 350, "2048 bytes have room for 341 empty pings"
         writer.close()

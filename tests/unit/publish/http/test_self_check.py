@@ -53,7 +53,7 @@ async def test_who_asks_gets_what_a_check_says_that_began_afterwards(served: Ser
     assert desk.begin() == 1
     async with served() as unit:
         answering = asyncio.create_task(post(unit))
-        await asyncio.wait_for(asked.wait(), 5.0)
+        await asyncio.wait_for(asked.wait(), 60)
         desk.put_up(report(1))  # it was under way before it was asked for
         await asyncio.sleep(0.05)
         assert not answering.done()

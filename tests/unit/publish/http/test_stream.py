@@ -85,7 +85,7 @@ async def test_a_slow_client_skips_and_then_gets_the_newest(
                 board.publish(replace(measured, sequence=sequence))
                 await asyncio.sleep(0)
             received = b""
-            async with asyncio.timeout(3.0):
+            async with asyncio.timeout(60):
                 while b"id: 1999\n" not in received:
                     received += await loop.sock_recv(client, 65536)
         ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
@@ -126,7 +126,7 @@ async def test_a_stalled_client_is_cut_off(
                 board.publish(replace(measured, sequence=sequence))
                 await asyncio.sleep(0)
             assert unit.publisher.open_streams == 1
-            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=5.0)
+            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=60)
 
 
 async def test_only_so_many_streams_are_served(

@@ -59,7 +59,7 @@ def client(certificate: Path) -> ssl.SSLContext:
 
 
 def fetched(port: int, context: ssl.SSLContext, path: str = "/api/v1/status") -> http.client.HTTPResponse:
-    connection = http.client.HTTPSConnection("127.0.0.1", port, timeout=5, context=context)
+    connection = http.client.HTTPSConnection("127.0.0.1", port, timeout=60, context=context)
     connection.request("GET", path)
     answer = connection.getresponse()
     answer.read()
@@ -72,7 +72,7 @@ async def name_shown(unit: Unit, context: ssl.SSLContext) -> str:
 
     def ask() -> str:
         with (
-            socket.create_connection(("127.0.0.1", unit.port), timeout=5) as raw,
+            socket.create_connection(("127.0.0.1", unit.port), timeout=60) as raw,
             context.wrap_socket(raw, server_hostname="127.0.0.1") as secured,
         ):
             found = secured.getpeercert()
@@ -125,15 +125,15 @@ def _handshake(ours: ssl.SSLContext, theirs: ssl.SSLContext) -> None:
 async def test_a_handshake_that_does_not_come_holds_nobody_up(
     served: Served, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(server, "HANDSHAKE_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(server, "HANDSHAKE_TIMEOUT_S", 3.0)
     async with served(certificate=files[0], key=files[1]) as unit:
         silent = [await unit.connect() for _ in range(server.MAX_HANDSHAKES - 1)]
         began = time.perf_counter()
         assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
-        assert time.perf_counter() - began < 0.5, "it waited for the others"
+        assert time.perf_counter() - began < 3.0, "it waited for the others"
         for reader, writer in silent:
             with contextlib.suppress(ConnectionError):
-                assert await asyncio.wait_for(reader.read(), 3.0) == b""
+                assert await asyncio.wait_for(reader.read(), 60) == b""
             writer.close()
         assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
     assert caplog.records == []
@@ -169,7 +169,7 @@ async def test_garbage_instead_of_a_handshake_logs_nothing(
         writer.write(garbage)
         with contextlib.suppress(ConnectionError):
             writer.write_eof()
-            await asyncio.wait_for(reader.read(), 3.0)
+            await asyncio.wait_for(reader.read(), 60)
         writer.close()
         await unit.until(lambda: component.counters.get("handshakes_failed", 0) == 1)
         assert (await asyncio.to_thread(fetched, unit.port, client(files[0]))).status == 200
@@ -183,7 +183,7 @@ async def test_a_request_that_comes_with_the_handshake_is_answered(served: Serve
         ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
         tls = client(files[0]).wrap_bio(ours, theirs, server_hostname="127.0.0.1")
         heard = b""
-        with socket.create_connection(("127.0.0.1", port), timeout=5) as raw:
+        with socket.create_connection(("127.0.0.1", port), timeout=60) as raw:
             while True:
                 try:
                     tls.do_handshake()
@@ -233,7 +233,7 @@ def slow_stream(port: int, context: ssl.SSLContext) -> ssl.SSLSocket:
     """A client that asked for the stream and has room for little."""
     raw = socket.socket()
     raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    raw.settimeout(10)
+    raw.settimeout(60)
     raw.connect(("127.0.0.1", port))
     secured = context.wrap_socket(raw, server_hostname="127.0.0.1")
     secured.sendall(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
@@ -250,7 +250,7 @@ async def test_a_stalled_client_is_cut_off_with_tls_too(
             for sequence in range(500):
                 board.publish(replace(measured, sequence=sequence))
                 await asyncio.sleep(0)
-            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=6.0)
+            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=60)
 
 
 async def test_a_renewed_certificate_is_shown_without_a_restart(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
@@ -112,8 +111,8 @@ async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
         for number in range(2000):
             flooding.send(frame(NOW, transaction=number))
         for _ in range(5):
-            async with asyncio.timeout(2.0):
-                assert await reading.ask(status) == bytes.fromhex("04 02 0002")  # nothing was measured yet
+            assert await reading.ask(status) == bytes.fromhex("04 02 0002")  # nothing was measured yet
+        assert len(asked) < 1000
         for number in range(2000):
             assert await flooding.hear() == (number, UNIT, NOW)
     assert len(asked) == 2000  # each is answered; the schedule makes one check of them

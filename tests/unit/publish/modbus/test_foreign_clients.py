@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import re
 import subprocess
 import zlib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from support.clock import FakeClock
 from support.foreign import need_program
 from support.modbus_wire import UNIT, Measured
 from support.serving import serving
+from support.wire import socat_line
 
 from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.rtu import ModbusRtuPublisher
@@ -27,25 +26,10 @@ from tools.pages import modbus as page
 
 async def mbpoll(*arguments: object) -> list[str]:
     """The lines with values that mbpoll prints, of registers counted from 0 with the high word first."""
-    command = [need_program("mbpoll"), "-0", "-1", "-B", *map(str, arguments)]
-    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=10)
+    command = [need_program("mbpoll"), "-0", "-1", "-B", "-o", "10", *map(str, arguments)]
+    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout + done.stderr
     return [line for line in done.stdout.splitlines() if re.match(r"\[\d+\]", line)]
-
-
-@pytest.fixture
-def line(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
-    """A serial line with a device at each end."""
-    ours, theirs = tmp_path / "unit", tmp_path / "controller"
-    ends = [f"pty,raw,echo=0,link={end}" for end in (ours, theirs)]
-    with subprocess.Popen([need_program("socat"), *ends]) as socat:
-        try:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                while not (ours.exists() and theirs.exists()):
-                    socat.wait(0.02)
-            yield ours, theirs
-        finally:
-            socat.terminate()
 
 
 @pytest.mark.parametrize("table", [3, 4])
@@ -84,19 +68,16 @@ async def test_the_checked_block_as_mbpoll_reads_it_passes_its_crc(
 
 
 async def test_over_rtu_mbpoll_reads_the_same(
-    line: tuple[Path, Path],
-    board: Board,
-    component: Component,
-    measured: Measured,
+    tmp_path: Path, board: Board, component: Component, measured: Measured
 ) -> None:
     board.publish(measured())
-    unit, controller = line
-    port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
-    at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
-    async with serving(ModbusRtuPublisher(port, board, component)):
-        values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)
-        assert values == ["[20]: \t10.012", "[22]: \t4.987", "[24]: \t1.1459", "[26]: \t-1.7184"]
-        assert len(await mbpoll("-t", "4:hex", "-r", 0, "-c", 120, *at)) == 120
+    with socat_line(tmp_path) as (unit, controller, _):
+        port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
+        at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
+        async with serving(ModbusRtuPublisher(port, board, component)):
+            values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)
+            assert values == ["[20]: \t10.012", "[22]: \t4.987", "[24]: \t1.1459", "[26]: \t-1.7184"]
+            assert len(await mbpoll("-t", "4:hex", "-r", 0, "-c", 120, *at)) == 120
 
 
 async def test_mbpoll_is_told_why_a_write_is_refused(tcp: ModbusTcpPublisher) -> None:
@@ -113,5 +94,5 @@ async def test_mbpoll_is_told_why_a_write_is_refused(tcp: ModbusTcpPublisher) ->
         "127.0.0.1",
         "1",
     ]
-    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=10)
+    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
     assert "Illegal function" in done.stdout + done.stderr

@@ -200,7 +200,7 @@ async def test_a_client_that_never_takes_its_answers_is_left_waiting_and_delays_
             assert answered < 30_000, "answers pile up"
         for count in range(20):
             board.publish(measured(sequence=count))
-            async with asyncio.timeout(1):
+            async with asyncio.timeout(60):
                 assert words(await client.ask(struct.pack(">BHH", 4, 8, 2))) == (0, count)
     finally:
         greedy.close()
@@ -228,7 +228,7 @@ async def test_a_crowd_with_many_requests_gets_one_answer_a_turn_of_the_loop(
         for client in crowd:
             client.send(frame(ONE) * 20)
         answered = [0]
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while answered[-1] < 400:
                 await asyncio.sleep(0)
                 answered.append(component.counters.get("requests", 0))

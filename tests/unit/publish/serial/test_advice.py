@@ -90,7 +90,7 @@ def test_another_camera_is_told_from_one_that_has_moved() -> None:
     moved = Fault(
         Reason.WRONG_CAMERA, "front", "the picture lies u +2.00 v +0.00 px from where it was calibrated"
     )
-    assert "calibrate anew" in advice(moved, [moved]).remedy
+    assert "calibrate again" in advice(moved, [moved]).remedy
 
 
 def test_a_spot_that_is_too_wide_is_one_of_focus() -> None:

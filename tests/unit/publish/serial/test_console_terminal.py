@@ -52,7 +52,7 @@ class Picocom:
     async def await_prompt(self) -> None:
         """Press Enter until it and the line are there."""
         seen = b""
-        async with asyncio.timeout(20.0):
+        async with asyncio.timeout(60):
             while not seen.endswith(b"> "):
                 os.write(self.screen, b"\r")
                 await asyncio.sleep(0.3)
@@ -62,7 +62,7 @@ class Picocom:
     async def press(self, keys: bytes, shown: bytes) -> bytes:
         """Press keys one by one; gives what the screen got, once it ends so."""
         seen = b""
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60):
             for key in re.findall(rb"\x1b[O\[][0-9;]*[A-Za-z~]|.", keys, re.DOTALL):
                 os.write(self.screen, key)
                 await asyncio.sleep(0.03)
