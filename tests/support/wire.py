@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from support.foreign import need_program
-
 from altd.config import SerialPortSettings
+from support.foreign import need_program
 
 
 @dataclass
@@ -59,9 +58,11 @@ class Wire:
 
 @contextmanager
 def socat_line(folder: Path) -> Iterator[tuple[Path, Path, subprocess.Popen[bytes]]]:
-    """A serial line with a device at each end, for a client that opens a device itself; the end of socat cuts it."""
+    """A serial line between two devices, for a client that opens one itself; socat's end cuts it."""
     near, far = folder / "near", folder / "far"
-    with subprocess.Popen([need_program("socat"), *(f"pty,raw,echo=0,link={end}" for end in (near, far))]) as socat:
+    with subprocess.Popen(
+        [need_program("socat"), *(f"pty,raw,echo=0,link={end}" for end in (near, far))]
+    ) as socat:
         try:
             while not (near.exists() and far.exists()):
                 assert socat.poll() is None, "socat ended before it made both devices"
