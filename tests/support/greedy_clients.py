@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import socket
 import struct
-from collections.abc import AsyncIterator
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
 
 HANDSHAKE = (
     b"GET /api/v1/pictures HTTP/1.1\r\nHost: unit\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -20,6 +24,41 @@ _RECEIVE_BYTES = 2048
 _REGISTERS = 10
 _POLL_S = 0.02
 _PAUSE_S = 0.1
+
+
+_WATCH = """
+import time
+before = time.monotonic()
+while True:
+    time.sleep(0.005)
+    before, late_s = time.monotonic(), time.monotonic() - before
+    if late_s > 0.02:
+        print(late_s, flush=True)
+"""
+
+
+@dataclass
+class Stalls:
+    """For how long the machine gave a process that only sleeps no processor, s."""
+
+    each_s: tuple[float, ...] = ()
+
+    def periods(self, period_s: float) -> int:
+        """How many exposures of a program with deadlines they may have taken."""
+        return sum(math.ceil(stall_s / period_s) for stall_s in self.each_s)
+
+
+@contextlib.contextmanager
+def watched_machine() -> Iterator[Stalls]:
+    """The stalls of the machine within, known at the end."""
+    stalls = Stalls()
+    with subprocess.Popen([sys.executable, "-c", _WATCH], stdout=subprocess.PIPE, text=True) as watching:
+        assert watching.stdout is not None
+        try:
+            yield stalls
+        finally:
+            watching.terminate()
+            stalls.each_s = tuple(map(float, watching.stdout))
 
 
 def get(path: str) -> bytes:
