@@ -9,8 +9,7 @@ from typing import Self
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.latest_frames import keep_mark
-from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.frame_pairs import FramePairs
 from altd.config import Measuring
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Camera, CameraError, Clock
@@ -46,26 +45,31 @@ class FrameSets:
         self._acquiring: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        names = tuple(self._components)
-        self._latest = LatestOfEach[Frame](names, self.clock, keep_mark)
         settings = self._measuring
-        self._pairer: Pairer[Frame] = Pairer(
-            names, settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
+        pairer: Pairer[Frame] = Pairer(
+            tuple(self._components), settings.pair_by, settings.max_skew_ns, settings.max_lag_ns
         )
+        self._loop, self._arrived = asyncio.get_running_loop(), asyncio.Event()
+        self._pairs = FramePairs(pairer, self._wake, self.clock)
         self._acquiring = [
             asyncio.create_task(
-                acquire(camera, self._latest, self._components[camera.name], self._exposure.get(camera.name))
+                acquire(camera, self._pairs, self._components[camera.name], self._exposure.get(camera.name))
             )
             for camera in self.cameras
         ]
         for task in self._acquiring:
-            task.add_done_callback(lambda _: self._latest.wake())
+            task.add_done_callback(lambda _: self._arrived.set())
         return self
 
     async def __aexit__(self, *_: object) -> None:
         for task in self._acquiring:
             task.cancel()
         await asyncio.gather(*self._acquiring, return_exceptions=True)
+
+    def _wake(self) -> None:
+        """Let the reader look, from the thread of a camera."""
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the process is going down
+            self._loop.call_soon_threadsafe(self._arrived.set)
 
     @property
     def clock(self) -> Clock:
@@ -76,7 +80,7 @@ class FrameSets:
     def is_at_end(self) -> bool:
         """Whether no camera delivers any more, or a driver has failed, and all that they gave was taken."""
         ended = [task.done() for task in self._acquiring]
-        return self._latest.is_empty and (all(ended) or self._failure is not None)
+        return self._pairs.is_empty and (all(ended) or self._failure is not None)
 
     def check(self) -> None:
         """Raise a driver's own failure; a camera that was lost, or is at its end, is none."""
@@ -94,17 +98,12 @@ class FrameSets:
         Raises CameraError for a camera that could not be opened at all for FRAME_SET_TIMEOUT_S; until then
         nothing is settled.
         """
-        frames: list[Frame] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_CHECK_INTERVAL_S):
-                frames = await self._latest.take(wake_for_each=self._pairer.is_waiting)
-        if self._lacks_camera():
-            return []
-        return [
-            pair
-            for frame in frames
-            for pair in self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
-        ]
+                await self._arrived.wait()
+        self._arrived.clear()
+        pairs = self._pairs.take()
+        return [] if self._lacks_camera() else pairs
 
     async def after(self, t_ns: int, count: int) -> list[Pair[Frame]]:
         """The next ``count`` frame sets that were begun after ``t_ns``, each with the frames of all cameras.

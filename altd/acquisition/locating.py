@@ -1,19 +1,21 @@
-"""One thread per camera locates the spot in its newest frame; the event loop only pairs what it found."""
+"""The thread that locates the spots of the newest frame set; the event loop takes what it found."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
 
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.buffers import Buffers
+from altd.acquisition.frame_pairs import FramePairs
+from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.records import Frame, NoSpot, Spot
 from altd.runtime.threads import call_in_thread
 
-MAX_WAITING_FRAMES = 8
-"""What was located waits for a loop that comes late, so many of a camera: it is small, and was the work."""
+MAX_WAITING_PAIRS = 8
+"""What was located waits for a loop that comes late, so many frame sets; then the thread waits for it."""
 _CHECK_INTERVAL_S = 0.25
 _MAX_CHECKS = 20
 """One frame that is still being located after so many checks, 5 s, never will be. Checks are counted and not
@@ -25,40 +27,116 @@ class LocatingStalledError(Exception):
     """A frame that is never done: a defect, which a new process may not have."""
 
 
-async def locate_frames(
-    buffers: Buffers,
-    locator: SpotLocator,
-    exposure: ExposureControl | None = None,
-    waits: bool = False,
-    show: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
-) -> None:
-    """Locate the spot in each of a camera's frames, until cancelled or until they are at their end.
+class LocatedPairs:
+    """What was located in ``frames``, from the thread to the event loop, in which it is to be made."""
 
-    ``exposure`` is shown each of them, and ``show`` is called with each and its spot, in the thread.
-    ``waits``: none is to be dropped. Raises what the locator raises, and
-    LocatingStalledError when it does not return.
+    def __init__(self, frames: FramePairs) -> None:
+        self.frames = frames
+        self._loop = asyncio.get_running_loop()
+        self._ready = asyncio.Event()
+        self._pairs: deque[Pair[Located]] = deque()
+        self._taken = threading.Condition()
+        self._is_closed = False
+
+    def put(self, pair: Pair[Located]) -> None:
+        """Hand over a frame set, from the thread; waits for a loop that has not taken those before."""
+        with self._taken:
+            while len(self._pairs) >= MAX_WAITING_PAIRS and not self._is_closed:
+                self._taken.wait()
+            self._pairs.append(pair)
+        try:
+            self._loop.call_soon_threadsafe(self.wake)
+        except RuntimeError:
+            return  # the loop is closed: the process is going down
+
+    async def take(self) -> list[Pair[Located]]:
+        """All frame sets that wait, oldest first; may be none."""
+        await self._ready.wait()
+        self._ready.clear()
+        with self._taken:
+            pairs = list(self._pairs)
+            self._pairs.clear()
+            self._taken.notify_all()
+        return pairs
+
+    def wake(self) -> None:
+        """Let the reader look, from the loop, whatever there is."""
+        self._ready.set()
+
+    def close(self) -> None:
+        """Let threads go that wait; frames that come later are not kept."""
+        self.frames.close()
+        with self._taken:
+            self._is_closed = True
+            self._taken.notify_all()
+
+
+class Locating:
+    """Locates the spots of frame sets in a thread.
+
+    ``exposures`` are shown each frame with what was found in it, by camera, and ``show`` is called with each
+    frame and its spot, in the thread.
     """
-    worker = _Worker(buffers, locator, exposure, waits, show)
-    done = call_in_thread(worker.run, f"locate-{locator.camera}")
-    done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
-    same, checks = None, 0
-    try:
-        while not (await asyncio.wait({done}, timeout=_CHECK_INTERVAL_S))[0]:
-            in_hand = worker.in_hand
-            checks = checks + 1 if in_hand is not None and in_hand is same else 0
-            same = in_hand
-            if in_hand is not None and checks >= _MAX_CHECKS:
-                raise LocatingStalledError(
-                    f"camera {locator.camera}: exposure {in_hand.sequence} is not located within "
-                    f"{_MAX_CHECKS * _CHECK_INTERVAL_S:g} s"
-                )
-    finally:
-        worker.stop.set()
-        if not done.done():
-            buffers.close()
-        await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
-    done.result()
-    buffers.located.wake()  # nothing follows that would
+
+    def __init__(
+        self,
+        locators: Mapping[str, SpotLocator],
+        exposures: Mapping[str, ExposureControl],
+        show: Callable[[Frame, Spot | NoSpot], None] = lambda frame, spot: None,
+    ) -> None:
+        self._locators = locators
+        self._exposures = exposures
+        self._show = show
+        self._arrived = threading.Event()
+        self._stop = threading.Event()
+        self._in_hand: Frame | None = None
+
+    def arrived(self) -> None:
+        """Frame sets wait to be located; from any thread."""
+        self._arrived.set()
+
+    async def run(self, located: LocatedPairs) -> None:
+        """Locate the spots of each frame set until cancelled or until nothing follows.
+
+        Raises what a locator raises, and LocatingStalledError when one does not return.
+        """
+        done = call_in_thread(lambda: self._locate_all(located), "locate")
+        done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
+        same, checks = None, 0
+        try:
+            while not (await asyncio.wait({done}, timeout=_CHECK_INTERVAL_S))[0]:
+                in_hand = self._in_hand
+                checks = checks + 1 if in_hand is not None and in_hand is same else 0
+                same = in_hand
+                if in_hand is not None and checks >= _MAX_CHECKS:
+                    raise LocatingStalledError(
+                        f"camera {in_hand.camera}: exposure {in_hand.sequence} is not located within "
+                        f"{_MAX_CHECKS * _CHECK_INTERVAL_S:g} s"
+                    )
+        finally:
+            self._stop.set()
+            located.close()
+            await asyncio.wait({done}, timeout=_JOIN_TIMEOUT_S)
+        done.result()
+        located.wake()  # nothing follows that would
+
+    def _locate_all(self, located: LocatedPairs) -> None:
+        is_at_end = False
+        while not is_at_end:
+            self._arrived.wait()
+            self._arrived.clear()
+            is_at_end = located.frames.is_at_end  # asked before what waits is taken
+            for pair in located.frames.take():
+                if self._stop.is_set():
+                    return
+                located.put(pair.of(self._locate))
+
+    def _locate(self, frame: Frame) -> Located:
+        self._in_hand = frame
+        located = locate_frame(frame, self._locators[frame.camera], self._exposures.get(frame.camera))
+        self._in_hand = None
+        self._show(frame, located.spot)
+        return located
 
 
 def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None) -> Located:
@@ -67,31 +145,3 @@ def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl |
     if exposure is not None and located.found is not None:
         exposure.sample(frame, located.found)
     return located
-
-
-class _Worker:
-    """The thread's side; ``in_hand`` is the frame that is being located."""
-
-    def __init__(
-        self,
-        buffers: Buffers,
-        locator: SpotLocator,
-        exposure: ExposureControl | None,
-        waits: bool,
-        show: Callable[[Frame, Spot | NoSpot], None],
-    ) -> None:
-        self.stop = threading.Event()
-        self.in_hand: Frame | None = None
-        self._frames, self._located = buffers.frames, buffers.located
-        self._locator = locator
-        self._exposure = exposure
-        self._waits = waits
-        self._show = show
-
-    def run(self) -> None:
-        while (frame := self._frames.take(self._locator.camera)) is not None and not self.stop.is_set():
-            self.in_hand = frame
-            located = locate_frame(frame, self._locator, self._exposure)
-            self.in_hand = None
-            self._located.put(located, self._waits)
-            self._show(frame, located.spot)

@@ -1,64 +1,56 @@
-"""The pipeline task: what the cameras' threads located, through the chain onto the board."""
+"""The pipeline task: what was located in the frame sets, through the chain onto the board."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from altd.acquisition.buffers import Buffers
+from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.self_check.service import SelfChecks
 from altd.measuring.chain import MeasuringChain
+from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, State
+from altd.status.maintenance import SpotTrends
 
 _HEARTBEAT_S = 4.0
 """The pipeline is woken at least every ``silent_after_s``, which is 2 s at most."""
 
 
+@dataclass(eq=False)
 class Pipeline:
     """One daemon's pipeline.
 
     When no camera delivers, the board says so every ``chain.silent_after_s``. ``progress`` is called each
     time an exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames
-    that are taken and come to nothing do not. ``checks`` are shown what was located, and have a say in what
-    is put on the board.
+    that are taken and come to nothing do not. ``checks`` and ``trends`` are shown what was located;
+    ``checks`` have a say in what is put on the board.
     """
 
-    def __init__(
-        self,
-        buffers: Buffers,
-        chain: MeasuringChain,
-        board: Board,
-        component: Component,
-        progress: Callable[[], None] = lambda: None,
-        checks: SelfChecks | None = None,
-    ) -> None:
-        self._buffers = buffers
-        self._located = buffers.located
-        self._chain = chain
-        self._board = board
-        self._component = component
-        self._clock = component.clock
-        self._checks = checks
-        self._silent_after_s = chain.silent_after_s
-        self._progress = progress
-        self.observe: Callable[[Located], None] = lambda located: None
-        """Is shown all that was located."""
+    located: LocatedPairs
+    chain: MeasuringChain
+    board: Board
+    component: Component
+    progress: Callable[[], None] = lambda: None
+    checks: SelfChecks | None = None
+    trends: SpotTrends | None = None
+
+    def __post_init__(self) -> None:
+        self._clock = self.component.clock
+        self._silent_after_s = self.chain.silent_after_s
         self._heard_ns = self._clock.monotonic_ns()
         """When something came or, if that was later, when it was last said that nothing does."""
-        self._is_silent = True
 
     async def run(self) -> None:
         """Measure until cancelled; a failure here ends the daemon."""
-        self._component.expect(_HEARTBEAT_S)
+        self.component.expect(_HEARTBEAT_S)
         ticking = asyncio.create_task(self._tick(), name="silence-tick")
         try:
             while True:
-                # after a silence nobody knows whose frame comes next
-                each = self._is_silent or self._chain.awaits_partner
-                self._measure(await self._located.take(wake_for_each=each))
+                self._measure(await self.located.take())
         finally:
             ticking.cancel()
             await asyncio.gather(ticking, return_exceptions=True)
@@ -68,47 +60,49 @@ class Pipeline:
         while True:
             left_s = self._silent_after_s - self._silent_for_s()
             if left_s <= 0:
-                self._located.wake()
+                self.located.wake()
                 left_s = self._silent_after_s
             await self._clock.sleep(left_s)
 
     def _silent_for_s(self) -> float:
-        self._heard_ns = max(self._heard_ns, self._located.delivered_ns or 0)
+        self._heard_ns = max(self._heard_ns, self.located.frames.delivered_ns)
         return (self._clock.monotonic_ns() - self._heard_ns) * 1e-9
 
-    def _measure(self, located: list[Located]) -> None:
-        self._component.is_alive()
+    def _measure(self, pairs: list[Pair[Located]]) -> None:
+        self.component.is_alive()
         is_silent = self._silent_for_s() >= self._silent_after_s
-        if not located and not is_silent:
+        if not pairs and not is_silent:
             return
-        self._is_silent = is_silent
-        before = self._chain.frame_sets, self._board.published
-        for one in located:
-            if self._checks is not None:
-                self._checks.look(one)
-            self.observe(one)
-            for measurement in self._chain.add(one):
-                self._put_up(measurement)
+        before = self.chain.frame_sets, self.board.published
+        for pair in pairs:
+            for located in pair.all_items:
+                if self.checks is not None:
+                    self.checks.look(located)
+                if self.trends is not None:
+                    self.trends.add(located)
+            measurement = self.chain.add(pair)
+            if measurement is not None:
+                self._publish(measurement)
         if is_silent:
             self._heard_ns = self._clock.monotonic_ns()
-            self._put_up(self._chain.silence(self._heard_ns))
-        not_told = dict.fromkeys(self._component.figures)
-        self._component.observe(not_told | self._chain.step() | self._chain.views())
-        self._component.counters["late_frames"] = self._chain.late_frames
-        for camera, dropped in self._buffers.dropped.items():
-            self._component.counters[f"dropped_{camera}"] = dropped
-        if (self._chain.frame_sets, self._board.published) != before:
-            self._progress()
+            self._publish(self.chain.silence(self._heard_ns))
+        not_told = dict.fromkeys(self.component.figures)
+        self.component.observe(not_told | self.chain.step() | self.chain.views())
+        self.component.counters["late_frames"] = self.chain.late_frames
+        for camera, dropped in self.located.frames.dropped.items():
+            self.component.counters[f"dropped_{camera}"] = dropped
+        if (self.chain.frame_sets, self.board.published) != before:
+            self.progress()
 
-    def _put_up(self, measurement: Measurement) -> None:
-        if self._checks is not None:
-            checked = self._checks.pass_on(measurement)
+    def _publish(self, measurement: Measurement) -> None:
+        if self.checks is not None:
+            checked = self.checks.pass_on(measurement)
             if checked is None:
                 return
             measurement = checked
-        self._board.publish(measurement)
-        self._component.count("measurements")
+        self.board.publish(measurement)
+        self.component.count("measurements")
         if measurement.valid:
-            self._component.count("valid")
+            self.component.count("valid")
         state = State.OK if measurement.valid else State.DEGRADED
-        self._component.set_state(state, lambda now_ns: self._chain.seen())
+        self.component.set_state(state, lambda now_ns: self.chain.seen())

@@ -10,15 +10,14 @@ from pathlib import Path
 import cv2
 
 from altd import __version__
-from altd.acquisition.acquiring import FrameSink, acquire
+from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.buffers import Buffers
+from altd.acquisition.frame_pairs import FramePairs
 from altd.acquisition.inclination.monitor import InclinationMonitor
+from altd.acquisition.kept_frames.ring import FrameRing
 from altd.acquisition.lamps.frame_leds import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
-from altd.acquisition.locating import MAX_WAITING_FRAMES, locate_frames
+from altd.acquisition.locating import LocatedPairs, Locating
 from altd.acquisition.pictures import Pictures
 from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.self_check.exposing import CheckExposer
@@ -191,55 +190,57 @@ class Daemon:
             raise refused from None
 
     def _measure(self, tasks: asyncio.TaskGroup, manager: ServiceManager) -> None:
-        """A thread acquires the frames of a camera, another one locates the spot in the newest of them."""
-        frames = LatestFrames(self._cameras)
-        buffers = Buffers(frames, LatestOfEach(self._cameras, self.clock, room=MAX_WAITING_FRAMES))
+        """A thread acquires the frames of a camera, one more locates the spots of the newest frame set."""
         pictures = Pictures(self._calibrations, self.clock)
         self.health.pictures.open(pictures)
         tasks.create_task(pictures.run(), name="pictures")
-        kept = self._kept(tasks, frames)
-        sink = kept if self.checks is None else self._marked(tasks, kept)
+        locating = Locating(self.chain.locators, self._exposure, pictures.put)
+        pairs = FramePairs(
+            self.chain.pairer, locating.arrived, self.clock, self._marks(tasks), self._ring(tasks)
+        )
+        located = LocatedPairs(pairs)
         for name, camera in self._cameras.items():
             exposure, health = self._exposure.get(name), self.health.component(f"camera {name}")
-            acquiring = tasks.create_task(acquire(camera, sink, health, exposure), name=health.name)
-            acquiring.add_done_callback(partial(_end_of, frames, name))
-            locating = locate_frames(buffers, self.chain.locators[name], exposure, camera.waits, pictures.put)
-            tasks.create_task(locating, name=f"locate {name}")
+            acquiring = tasks.create_task(acquire(camera, pairs, health, exposure), name=health.name)
+            acquiring.add_done_callback(partial(_end_of, pairs, name))
+        tasks.create_task(locating.run(located), name="locate")
         pipeline = Pipeline(
-            buffers,
+            located,
             self.chain,
             self.board,
             self.health.component(MEASURING),
             manager.progress,
             self.checks,
+            self._upkeep.trends,
         )
-        pipeline.observe = self._upkeep.observe
         tasks.create_task(pipeline.run(), name="pipeline")
 
-    def _kept(self, tasks: asyncio.TaskGroup, frames: FrameSink) -> FrameSink:
-        """What keeps the last seconds of frames on their way into the slots, where it may."""
+    def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
+        """What keeps the last seconds of frames, where it may."""
         desk, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
         if not self.config.kept_frames.memory_mb:
             desk.unavailable = "kept_frames.memory_mb is 0"
-            return frames
+            return None
         if folder is None:
             desk.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
-            return frames
-        ring = frame_ring(self.config, self._cameras, frames)
+            return None
+        ring = frame_ring(self.config, self._cameras)
         keeper = frame_keeper(self.config, self._cameras, ring, folder, self.state, self.health)
         keeper.note = self.past.note_recording
         tasks.create_task(keeper.run(), name="kept frames")
         return ring
 
-    def _marked(self, tasks: asyncio.TaskGroup, frames: FrameSink) -> MarkedFrames:
-        """What marks the frames under LEDs on their way into the slots; the checks begin."""
-        assert self.checks is not None and self.lamps is not None  # noqa: PT018, S101  asked before
+    def _marks(self, tasks: asyncio.TaskGroup) -> MarkedFrames | None:
+        """What marks the frames under LEDs, where the unit checks itself; the checks begin."""
+        if self.checks is None:
+            return None
+        assert self.lamps is not None  # noqa: S101  asked before
         leds = self.checks.leds
-        marked = MarkedFrames(frames, leds, self._cameras)
+        marks = MarkedFrames(leds, self._cameras)
         exposures, fps = self.config.self_check.exposures, fps_of(self.config)
-        exposer = CheckExposer(self.lamps, leds, marked, self.clock, exposures, fps)
-        tasks.create_task(self.checks.run(exposer, self.lamps, marked), name="self-check")
-        return marked
+        exposer = CheckExposer(self.lamps, leds, marks, self.clock, exposures, fps)
+        tasks.create_task(self.checks.run(exposer, self.lamps, marks), name="self-check")
+        return marks
 
     async def _lights(self) -> None:
         """Keep lamps and indicators, until cancelled."""
@@ -313,9 +314,9 @@ def daemon_of(config: Config, place: Path) -> Daemon:
     return daemon
 
 
-def _end_of(frames: LatestFrames, camera: str, _: object) -> None:
+def _end_of(pairs: FramePairs, camera: str, _: object) -> None:
     """No more frames come from a camera."""
-    frames.end(camera)
+    pairs.end(camera)
 
 
 def _expected(camera: AnyCameraSettings | None) -> CameraIdentity | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from altd.acquisition.acquiring import FrameSink
 from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.kept_frames.keeper import FrameKeeper, Source
 from altd.acquisition.kept_frames.ring import FrameRing
@@ -30,11 +29,11 @@ def folder_of_recordings(config: Config, state_folder: Path | None) -> Path | No
     return state_folder / RECORDINGS
 
 
-def frame_ring(config: Config, cameras: Mapping[str, Camera], sink: FrameSink) -> FrameRing:
-    """The ring before ``sink``, as large as the config says."""
+def frame_ring(config: Config, cameras: Mapping[str, Camera]) -> FrameRing:
+    """The ring, as large as the config says."""
     settings = config.kept_frames
     length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
-    return FrameRing(sink, settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
+    return FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
 
 
 def frame_keeper(

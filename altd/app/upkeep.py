@@ -9,7 +9,6 @@ from altd.acquisition.temperatures import CameraThermometer, watch_temperature
 from altd.config import AravisCameraSettings, Config
 from altd.devices.hwmon import HwmonThermometer
 from altd.measuring.calibration import Calibration
-from altd.measuring.spot_locator import Located
 from altd.ports import Camera, Clock, TemperatureCamera, Thermometer
 from altd.status.health import Health
 from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimits, Temperatures
@@ -40,12 +39,13 @@ class Upkeep:
                 inside = CameraThermometer(camera)
                 self._thermometers.append(inside)
                 limits[inside.name] = TemperatureLimits(of_camera.min_celsius, of_camera.max_celsius)
-        self._target_of = {target.camera: target.name for target in config.targets}
-        self._trends = SpotTrends(self._target_of.values(), config.maintenance)
+        self.trends = SpotTrends(
+            {target.camera: target.name for target in config.targets}, config.maintenance
+        )
         self.watches: tuple[Watch, ...] = (
             CalibrationAge(calibration.created, config.maintenance.calibration_due_days, clock.utc),
             Temperatures(limits, health.component),
-            self._trends,
+            self.trends,
         )
 
     def start(self, tasks: asyncio.TaskGroup) -> None:
@@ -54,7 +54,3 @@ class Upkeep:
             component = self._health.component(f"temperature {thermometer.name}")
             watching = watch_temperature(thermometer, component, self._clock)
             tasks.create_task(watching, name=component.name)
-
-    def observe(self, located: Located) -> None:
-        """Take what was located in a frame."""
-        self._trends.add(self._target_of[located.camera], located)

@@ -75,13 +75,14 @@ _UNKNOWN = Provenance()
 
 
 class MeasuringChain:
-    """Locates spots, pairs, averages, maps and fits the beam; pure but for its memory of the window.
+    """Pairs frames, locates spots, averages, maps and fits the beam; pure but for its memory of the window.
 
     Every measurement says what ``provenance`` gives as the frames' origin, and whether the calibration is of
     simulated frames.
 
-    ``locators`` locate the spots, by camera. ``push`` calls them itself; who calls them from threads of their
-    own hands on to ``add`` what they found, and neither shares anything with the other.
+    ``push`` does all of it. A daemon does the three steps on threads of their own: ``pairer`` makes frame
+    sets, ``locators`` locate the spots, by camera, and ``add`` takes what they found. The steps share nothing
+    but the figures that ``pairer`` counts.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class MeasuringChain:
         self._measuring = measuring
         self._instrument = instrument
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
-        self._pairer: Pairer[Located] = Pairer(
+        self.pairer: Pairer[Frame] = Pairer(
             tuple(self._views),
             measuring.pair_by,
             measuring.max_skew_ns,
@@ -141,17 +142,12 @@ class MeasuringChain:
     @property
     def late_frames(self) -> int:
         """Frames that came after their exposure was given up."""
-        return self._pairer.late
+        return self.pairer.late
 
     @property
     def lost_pairs(self) -> int:
         """Frame sets that lack a camera's frame, or all of them; it never falls."""
-        return self._pairer.lost_pairs
-
-    @property
-    def awaits_partner(self) -> bool:
-        """Whether a frame waits for that of another camera."""
-        return self._pairer.is_waiting
+        return self.pairer.lost_pairs
 
     def seen(self) -> str:
         """What each camera saw last, in words: for the technician who aims the beam."""
@@ -166,7 +162,7 @@ class MeasuringChain:
         first = next(iter(self._views))
         lags = {
             f"lag_{camera}_ms": None if {first, camera} & self._silent() else round(lag_ns * 1e-6, 2)
-            for camera, lag_ns in list(self._pairer.lags_ns.items())[1:]
+            for camera, lag_ns in list(self.pairer.lags_ns.items())[1:]
         }
         skew_ns = None if self._silent() else self._last_skew_ns
         return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
@@ -186,19 +182,32 @@ class MeasuringChain:
 
     def push(self, frame: Frame) -> list[Measurement]:
         """Take one frame; returns the measurements that it completes. LED exposures are not measured."""
-        return self.add(self.locators[frame.camera].locate(frame))
-
-    def add(self, located: Located) -> list[Measurement]:
-        """Take what one frame holds; returns the measurements that it completes."""
-        self._now_ns = self._last_frame_ns[located.camera] = located.t_ns
-        if not located.leds_on:
-            self._last_spots[self._views[located.camera].target] = located.spot
-        self._view_status[located.camera] = located.view
-        return self._measure(self._pairer.add(located.camera, located.sequence, located.t_ns, located))
+        return self._measured(self.pairer.add(frame.camera, frame.sequence, frame.t_ns, frame))
 
     def flush(self) -> list[Measurement]:
         """Settle what still waits for a partner, at the end of a recording."""
-        return self._measure(self._pairer.flush())
+        return self._measured(self.pairer.flush())
+
+    def _measured(self, pairs: Sequence[Pair[Frame]]) -> list[Measurement]:
+        measurements = (self.add(pair.of(self.located)) for pair in pairs)
+        return [measurement for measurement in measurements if measurement is not None]
+
+    def located(self, frame: Frame) -> Located:
+        """What one frame holds."""
+        return self.locators[frame.camera].locate(frame)
+
+    def add(self, pair: Pair[Located]) -> Measurement | None:
+        """Take what the frames of one frame set hold; returns the measurement that it completes."""
+        self._now_ns = max(located.t_ns for located in pair.all_items)
+        for located in pair.all_items:
+            self._last_frame_ns[located.camera] = located.t_ns
+            if not located.leds_on:
+                self._last_spots[self._views[located.camera].target] = located.spot
+            self._view_status[located.camera] = located.view
+        if self._is_passed_over(pair):
+            return None
+        measurement = self._after(self._frame_set(pair))
+        return None if measurement is None else self._gate.admit(measurement)
 
     def silence(self, t_ns: int) -> Measurement:
         """The measurement of a moment at which no camera delivers."""
@@ -210,12 +219,6 @@ class MeasuringChain:
         silent = _SILENT
         self._last_spots = dict.fromkeys(self._targets, silent)
         return self._invalid(last, t_ns, tuple(silent.fault(target) for target in self._targets))
-
-    def _measure(self, pairs: Sequence[Pair[Located]]) -> list[Measurement]:
-        measurements = (
-            self._after(self._frame_set(pair)) for pair in pairs if not self._is_passed_over(pair)
-        )
-        return [self._gate.admit(measurement) for measurement in measurements if measurement is not None]
 
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
         """Whether the frame LEDs were lit, or switched, in any frame of an exposure.

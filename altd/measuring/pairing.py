@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from statistics import median
 from typing import Generic, Literal, TypeVar
 
 from altd.reasons import Reason
 
 Item = TypeVar("Item")
+Made = TypeVar("Made")
 
 _PARTNER_TIMEOUT_FRAMES = 4
 """A frame waits for its partner until its own camera has delivered this many more. When more of a camera's
@@ -30,7 +31,8 @@ class Pair(Generic[Item]):
 
     ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
     steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
-    behind ``t_ns``.
+    behind ``t_ns``. ``unpaired`` holds the items of cameras that are out of step: nothing is measured with
+    them, but they show what the cameras see.
     """
 
     sequence: int
@@ -39,6 +41,18 @@ class Pair(Generic[Item]):
     items: Mapping[str, Item]
     missing: Mapping[str, Reason]
     behind_ns: Mapping[str, int]
+    unpaired: Mapping[str, Item] = field(default_factory=dict)
+
+    @property
+    def all_items(self) -> tuple[Item, ...]:
+        """What came from the cameras, paired or not; at least one."""
+        return (*self.items.values(), *self.unpaired.values())
+
+    def of(self, make: Callable[[Item], Made]) -> Pair[Made]:
+        """The same frame set of what ``make`` makes of each item."""
+        items = {camera: make(item) for camera, item in self.items.items()}
+        unpaired = {camera: make(item) for camera, item in self.unpaired.items()}
+        return Pair(self.sequence, self.t_ns, self.skew_ns, items, self.missing, self.behind_ns, unpaired)
 
 
 @dataclass(slots=True)
@@ -135,7 +149,7 @@ class Pairer(Generic[Item]):
         max_skew_ns: int,
         max_lag_ns: int,
     ) -> None:
-        self._cameras = cameras
+        self.cameras = cameras
         self._lags = Lags(cameras) if by == "time" else None
         self._max_skew_ns = max_skew_ns
         self._max_lag_ns = max_lag_ns
@@ -153,11 +167,6 @@ class Pairer(Generic[Item]):
         """Items that came after their frame set was given up."""
         self.lost_pairs = 0
         """Frame sets that lack a camera's frame or, by the gaps between the numbers, all of them."""
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether an item waits for its partner."""
-        return any(self._waiting.values())
 
     @property
     def lags_ns(self) -> Mapping[str, int]:
@@ -181,7 +190,7 @@ class Pairer(Generic[Item]):
         self._waiting[camera].append(new)
         settled: list[Pair[Item]] = []
         group = self._group_of(new)
-        if len(group) == len(self._cameras):
+        if len(group) == len(self.cameras):
             settled += self._settle_older(group)
             settled.append(self._settle(group))
         elif len(self._waiting[camera]) > _PARTNER_TIMEOUT_FRAMES:
@@ -230,7 +239,7 @@ class Pairer(Generic[Item]):
     def _group_of(self, one: _Waiting[Item]) -> dict[str, _Waiting[Item]]:
         """What waits and belongs to the same frame set as ``one``, by camera."""
         group = {}
-        for camera in self._cameras:
+        for camera in self.cameras:
             for other in self._waiting[camera]:
                 if self._together(one, other):
                     group[camera] = other
@@ -267,12 +276,13 @@ class Pairer(Generic[Item]):
         aligned = [waiting.aligned_ns for waiting in group.values()]
         skew_ns = max(aligned) - min(aligned)
         gap = 0 if self._last_number is None else max(sequence - self._last_number - 1, 0)
-        self.lost_pairs += gap + (len(group) < len(self._cameras) or skew_ns > self._max_skew_ns)
+        self.lost_pairs += gap + (len(group) < len(self.cameras) or skew_ns > self._max_skew_ns)
         self._last_number = sequence
-        if skew_ns > self._max_skew_ns:
-            return Pair(sequence, t_ns, skew_ns, {}, dict.fromkeys(self._cameras, Reason.OUT_OF_STEP), {})
-        missing = {c: self._why_missing(c, min(aligned)) for c in self._cameras if c not in group}
         items = {camera: waiting.item for camera, waiting in group.items()}
+        if skew_ns > self._max_skew_ns:
+            missing = dict.fromkeys(self.cameras, Reason.OUT_OF_STEP)
+            return Pair(sequence, t_ns, skew_ns, {}, missing, {}, items)
+        missing = {c: self._why_missing(c, min(aligned)) for c in self.cameras if c not in group}
         behind_ns = {camera: waiting.t_ns - t_ns for camera, waiting in group.items()}
         return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns)
 

@@ -6,7 +6,7 @@ wrong then.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -98,20 +98,25 @@ def _passed_limit(celsius: float, limits: TemperatureLimits, before: Condition |
 
 
 class SpotTrends:
-    """The trends of each target's light, residuals and dust, against what they may become."""
+    """The trends of each target's light, residuals and dust, against what they may become.
 
-    def __init__(self, targets: Iterable[str], limits: Maintenance) -> None:
-        self._targets = tuple(targets)
+    ``targets`` names the target of each camera.
+    """
+
+    def __init__(self, targets: Mapping[str, str], limits: Maintenance) -> None:
+        self._target_of = targets
+        self._targets = tuple(targets.values())
         self.light = {target: Trend() for target in self._targets}
         self.residual = {target: Trend() for target in self._targets}
         self.dust = {target: DustShare() for target in self._targets}
         self._limits = limits
         self._warned: set[tuple[Condition, str]] = set()
 
-    def add(self, target: str, located: Located) -> None:
-        """Take what was located in a frame of a target's camera."""
+    def add(self, located: Located) -> None:
+        """Take what was located in a frame."""
         if isinstance(located.spot, NoSpot):
             return
+        target = self._target_of[located.camera]
         if located.light_per_ms is not None:
             self.light[target].add(located.t_ns, located.light_per_ms)
         if located.dust is not None:

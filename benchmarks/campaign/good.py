@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 
@@ -18,7 +18,7 @@ import numpy as np
 from altd.config import Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
-from altd.records import FloatArray, Frame, NoSpot
+from altd.records import FloatArray, Frame, Measurement, NoSpot
 from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
 from benchmarks.campaign.scene import Noise, mean_image, noisy_image
@@ -201,6 +201,18 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
     return count
 
 
+def _measured(chain: MeasuringChain, frame: Frame, count: Count) -> Iterator[Measurement]:
+    """The measurement that a frame completes; what is found in the frames is counted."""
+    for pair in chain.pairer.add(frame.camera, frame.sequence, frame.t_ns, frame):
+        located = pair.of(chain.located)
+        for one in located.all_items:
+            count.frames += one.found is not None
+            if isinstance(one.found, NoSpot):
+                count.frames_refused[f"{one.camera}_{one.found.reason}"] += 1
+        if (measurement := chain.add(located)) is not None:
+            yield measurement
+
+
 def _measure_burst(
     good: _GoodUnit, chain: MeasuringChain, start_ns: int, rng: np.random.Generator, count: Count
 ) -> None:
@@ -209,11 +221,7 @@ def _measure_burst(
         t_ns = start_ns + k * PERIOD_NS
         truth.append(good.truth(t_ns))
         for camera in CAMERAS:
-            located = chain.locators[camera].locate(good.frame(camera, t_ns // PERIOD_NS, t_ns, rng))
-            count.frames += located.found is not None
-            if isinstance(located.found, NoSpot):
-                count.frames_refused[f"{camera}_{located.found.reason}"] += 1
-            for measurement in chain.add(located):
+            for measurement in _measured(chain, good.frame(camera, t_ns // PERIOD_NS, t_ns, rng), count):
                 if k < WINDOW - 1:  # a window that is still filling is no measurement of the unit's life
                     continue
                 times_ns = t_ns + PERIOD_NS * np.arange(1.0 - WINDOW, 1.0)

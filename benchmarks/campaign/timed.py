@@ -8,16 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.acquisition.buffers import Buffers
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.pipeline import Pipeline
 from altd.acquisition.timestamps import StampCheck
 from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
-from altd.measuring.spot_locator import Located
 from altd.records import FloatArray, Frame, Measurement, PixelArray
 from altd.status.board import Board
 from altd.status.health import Health
@@ -92,7 +90,6 @@ async def _read(
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
     instrument = BeamInstrument(rig.calibration, measuring)
     board = Board(clock, Measuring().stale_after_s, instrument.quantities)
-    located = LatestOfEach[Located](CAMERAS, clock)
     chain = MeasuringChain(
         [View(name, name) for name in rig.calibration.target_names],
         rig.calibration,
@@ -100,7 +97,9 @@ async def _read(
         instrument,
     )
     component = Health(clock).component("measuring")
-    pipeline = Pipeline(Buffers(LatestFrames(CAMERAS), located), chain, board, component)
+    pairs = FramePairs(chain.pairer, lambda: None, clock)
+    located = LocatedPairs(pairs)
+    pipeline = Pipeline(located, chain, board, component)
     task = asyncio.create_task(pipeline.run())
     found: list[tuple[int, Measurement | None]] = []
     waiting = list(arrivals)
@@ -119,7 +118,9 @@ async def _read(
                 continue
             frame = Frame(one.camera, one.sequence, t_ns, pixels, rig.bits)
             if not stamps[one.camera].refusal(frame, clock.monotonic_ns()):
-                located.put(chain.locators[one.camera].locate(frame), wait=False)
+                pairs.put(frame, wait=False)
+            for pair in pairs.take():
+                located.put(pair.of(chain.located))
             await clock.settle()
         await clock.pass_to(now_ns, at_one_blow=was_held)
         await clock.settle()

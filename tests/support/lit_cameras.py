@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from altd.acquisition.acquiring import FrameSink
 from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.self_check.frames import MarkedFrames
 from altd.ports import LampsError
 from altd.records import Frame
 from altd.status.health import Health
@@ -60,19 +58,6 @@ class QuickLamps(FrameLamps):
         self.leds.lit = False
 
 
-@dataclass
-class Sink:
-    """Takes the frames that are handed on."""
-
-    frames: list[Frame] = field(default_factory=list)
-
-    def put(self, frame: Frame, wait: bool) -> None:
-        self.frames.append(frame)
-
-    def close(self) -> None:
-        pass
-
-
 class LitCameras:
     """Two cameras at 20 exposures a second; a frame comes 5 ms after its middle."""
 
@@ -83,9 +68,10 @@ class LitCameras:
         self.silent: set[str] = set()
         self.changing: set[int] = set()
         self.exposure_ms = 2.0
+        self.marked: list[Frame] = []
 
-    async def expose(self, sink: FrameSink, count: int = 1) -> None:
-        """Let so many exposures pass, and hand their frames to a sink."""
+    async def expose(self, marks: MarkedFrames, count: int = 1) -> None:
+        """Let so many exposures pass, and have their frames marked."""
         for _ in range(count):
             await self.clock.advance(PERIOD_S - 0.005)
             t_ns, lit = self.clock.monotonic_ns(), self.leds.lit
@@ -97,6 +83,6 @@ class LitCameras:
                     frame = Frame(
                         camera, self.sequence, t_ns, pixels, exposure_ms=self.exposure_ms, changing=changing
                     )
-                    sink.put(frame, False)
+                    self.marked.append(marks.mark(frame))
             self.sequence += 1
             await settle()

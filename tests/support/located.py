@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.measuring.view_check import ViewStatus
 from altd.records import Spot
@@ -13,3 +14,9 @@ def located(camera: str, sequence: int, t_ns: int = 0, breaks: int = 0) -> Locat
     """A good spot in one frame."""
     view = ViewStatus(camera, False, None, "", "", False, None, t_ns)
     return Located(camera, sequence, t_ns, SPOT, breaks, SPOT, view)
+
+
+def paired(*of_cameras: Located) -> Pair[Located]:
+    """What all cameras found at one instant."""
+    first = of_cameras[0]
+    return Pair(first.sequence, first.t_ns, 0, {one.camera: one for one in of_cameras}, {}, {})

@@ -14,11 +14,12 @@ import numpy as np
 from altd.config import Installation, Measuring
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.spot_locator import Located
 from altd.records import Measurement, Spot
 from hw_sim.beam import BeamPose
 from hw_sim.motion import Drive, Oscillation, Vibration, make_path, make_vibration
 from support import evidence
-from support.located import located
+from support.located import located, paired
 
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 PERIOD_NS = 50_000_000
@@ -56,11 +57,14 @@ class Machine:
         measurements: list[Measurement] = []
         for number in numbers:
             t_ns = number * PERIOD_NS
+            seen: list[Located] = []
             for row, (name, z_mm) in enumerate((("front", 0.0), ("rear", evidence.DISTANCE_MM))):
                 px = evidence.straight_px(name, np.array([self.pose(t_ns).at(z_mm)]))[0]
                 u, v = px + self._map_error_px[row] + self._rng.normal(0.0, NOISE_PX, 2)
                 spot = Spot(float(u), float(v), NOISE_PX, 40.0, 200.0)
-                measurements += chain.add(replace(located(name, number, t_ns), spot=spot))
+                seen.append(replace(located(name, number, t_ns), spot=spot))
+            measurement = chain.add(paired(*seen))
+            measurements += [measurement] if measurement else []
         return measurements
 
 

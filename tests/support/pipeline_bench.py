@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import asyncio
 
-from altd.acquisition.buffers import Buffers
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
+from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.pipeline import Pipeline
 from altd.instruments.beam.quantities import QUANTITIES
+from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located
 from altd.reasons import Reason
-from altd.records import Measurement
+from altd.records import Frame, Measurement
 from altd.status.board import Board
 from altd.status.health import Health
 from support.clock import FakeClock
-from support.located import located
+from support.located import located, paired
 from support.measurements import measurement
 
 
 class Chain:
-    """Stands in for the measuring chain: a measurement for every frame of the rear camera."""
+    """Stands in for the measuring chain: a measurement for every frame set with the rear camera."""
 
     silent_after_s = 0.4
     late_frames = 0
-    awaits_partner = False
 
     def __init__(self) -> None:
         self.broken = False
@@ -32,10 +31,10 @@ class Chain:
         self.spot = "spot_missing"
         self.shift: dict[str, float | str] = {}
 
-    def add(self, one: Located) -> list[Measurement]:
+    def add(self, pair: Pair[Located]) -> Measurement | None:
         if self.broken:
             raise ZeroDivisionError("a defect")
-        return [measurement(one.sequence, one.t_ns)] if one.camera == "rear" else []
+        return measurement(pair.sequence, pair.t_ns) if "rear" in pair.items else None
 
     def silence(self, t_ns: int) -> Measurement:
         return measurement(0, t_ns, Reason.CAMERA_SILENT)
@@ -56,13 +55,14 @@ class Bench:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.board = Board(self.clock, 1.0, QUANTITIES)
-        self.located = LatestOfEach[Located](("front", "rear"), self.clock)
-        self.frames = LatestFrames(("front", "rear"))
+        pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
+        self.pairs = FramePairs(pairer, lambda: None, self.clock)
+        self.located = LocatedPairs(self.pairs)
         self.chain = Chain()
         self.component = Health(self.clock).component("measuring")
         self.progress = 0
         self.pipeline = Pipeline(
-            Buffers(self.frames, self.located),
+            self.located,
             self.chain,  # type: ignore[arg-type]  # it stands in for one
             self.board,
             self.component,
@@ -73,5 +73,7 @@ class Bench:
     def count(self) -> None:
         self.progress += 1
 
-    def put(self, camera: str, sequence: int) -> None:
-        self.located.put(located(camera, sequence, self.clock.monotonic_ns()), wait=False)
+    def put(self, *cameras: str, sequence: int) -> None:
+        """Frames of one exposure come, and are located at once."""
+        t_ns = self.pairs.delivered_ns = self.clock.monotonic_ns()
+        self.located.put(paired(*(located(camera, sequence, t_ns) for camera in cameras)))

@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.latest_frames import keep_mark
-from altd.acquisition.latest_of_each import LatestOfEach
 from altd.config import ExposureSettings
 from altd.ports import CameraTimeoutError, ExposureRange
 from altd.records import Frame, Origin
@@ -102,8 +100,22 @@ class SettableCamera(ScriptedCamera):
         return Frame("front", taken.sequence, taken.t_ns, pixels)
 
 
-def newest(clock: FakeClock) -> LatestOfEach[Frame]:
-    return LatestOfEach(["front"], clock, keep_mark)
+class AllFrames:
+    """Keeps every frame that nobody has taken."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+
+    def put(self, frame: Frame, wait: bool) -> None:
+        self.frames.append(frame)
+
+    def close(self) -> None: ...
+
+    async def take(self, clock: FakeClock) -> list[Frame]:
+        """What was put since it was asked last; time passes until there is something."""
+        await clock.until(lambda: self.frames)
+        taken, self.frames = self.frames, []
+        return taken
 
 
 def exposure_of(exposure_ms: float = 10.0) -> ExposureControl:

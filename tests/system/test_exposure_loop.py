@@ -21,6 +21,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.instruments.beam.solver import Beam
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.spot_locator import Located
 from altd.reasons import Reason
 from altd.records import Frame, Measurement, NoSpot, Spot
 from hw_sim.beam import BeamPose, Laser
@@ -79,13 +80,17 @@ class Loop:
                 if exposure.is_due:
                     assert not isinstance(exposure.apply(camera), Refused)
                 taken = exposure.mark(self._next(camera.name))
-                located = locate_frame(taken, self.chain.locators[camera.name], exposure)
-                assert located is not None
-                if located.found is not None:
-                    self.seen.append((self.number, taken, located.found))
-                self.measured += [(self.number, m) for m in self.chain.add(located)]
+                for pair in self.chain.pairer.add(taken.camera, taken.sequence, taken.t_ns, taken):
+                    measurement = self.chain.add(pair.of(self.located))
+                    self.measured += [(self.number, measurement)] if measurement else []
             self.number += 1
         return first
+
+    def located(self, frame: Frame) -> Located:
+        located = locate_frame(frame, self.chain.locators[frame.camera], self.exposure[frame.camera])
+        if located.found is not None:
+            self.seen.append((self.number, frame, located.found))
+        return located
 
     def set_power(self, power_mw: float) -> None:
         self.unit.config = replace(self.unit.config, laser=Laser(power_mw=power_mw))

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from altd.acquisition.acquiring import FrameSink
 from altd.records import CameraIdentity, Frame
 
 
@@ -18,7 +17,7 @@ class _Kept:
 
 
 class FrameRing:
-    """Stands before a sink: what is put is handed on, and kept for a while.
+    """Keeps frames for a while.
 
     Nothing is copied: a frame is frozen and owns its pixels. ``max_bytes`` bounds the pixels that are kept,
     ``length_ns`` how far they reach back; ``identity`` tells which camera delivers now.
@@ -26,12 +25,10 @@ class FrameRing:
 
     def __init__(
         self,
-        sink: FrameSink,
         max_bytes: int,
         length_ns: int,
         identity: Callable[[str], CameraIdentity | None],
     ) -> None:
-        self._sink = sink
         self._max_bytes = max_bytes
         self._length_ns = length_ns
         self._identity = identity
@@ -44,8 +41,8 @@ class FrameRing:
         """What the kept pixels take."""
         return self._bytes
 
-    def put(self, frame: Frame, wait: bool) -> None:
-        """Keep a frame and hand it on, from the thread of its camera."""
+    def keep(self, frame: Frame) -> None:
+        """Keep a frame, from the thread of its camera."""
         kept = _Kept(frame, self._identity(frame.camera))
         with self._lock:
             if self._kept and frame.t_ns < self._kept[-1].frame.t_ns - self._length_ns:
@@ -56,11 +53,6 @@ class FrameRing:
                 self._bytes > self._max_bytes or frame.t_ns - self._kept[0].frame.t_ns > self._length_ns
             ):
                 self._bytes -= self._kept.popleft().frame.pixels.nbytes
-        self._sink.put(frame, wait)
-
-    def close(self) -> None:
-        """Let a thread go that waits."""
-        self._sink.close()
 
     def between(self, since_ns: int, until_ns: int) -> deque[Frame]:
         """The kept frames of these instants, in the order in which they came.

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from altd.acquisition.acquiring import FrameSink
 from altd.acquisition.self_check.light import LedLog, Light
 from altd.records import Frame
 
@@ -32,15 +31,12 @@ class _Order:
 
 
 class MarkedFrames:
-    """Stands before a sink: what is put is handed on, with ``leds_on`` as the log of the LEDs says.
-
-    To be made within the event loop.
+    """Marks frames with ``leds_on`` as the log of the LEDs says. To be made within the event loop.
 
     A frame is marked also where the LEDs were only being switched: it is neither on nor off.
     """
 
-    def __init__(self, sink: FrameSink, leds: LedLog, cameras: Iterable[str]) -> None:
-        self._sink = sink
+    def __init__(self, leds: LedLog, cameras: Iterable[str]) -> None:
         self._leds = leds
         self._lock = threading.Lock()
         self._loop = asyncio.get_running_loop()
@@ -49,19 +45,15 @@ class MarkedFrames:
         self.marked = {light: dict.fromkeys(self._cameras, 0) for light in (Light.ON, Light.SWITCHED)}
         """Frames per camera that are not measured."""
 
-    def put(self, frame: Frame, wait: bool) -> None:
-        """Hand a frame on, from the thread of its camera."""
+    def mark(self, frame: Frame) -> Frame:
+        """The frame, marked where it has to be, from the thread of its camera."""
         light = self._leds.of(frame)
         if light is not Light.OFF:
             self.marked[light][frame.camera] += 1
         if frame.leds_on is (light is Light.OFF):
             frame = replace(frame, leds_on=light is not Light.OFF)
         self._keep(frame, light)
-        self._sink.put(frame, wait)
-
-    def close(self) -> None:
-        """Let a thread go that waits."""
-        self._sink.close()
+        return frame
 
     async def take(self, light: Light, count: int, after_ns: int) -> Taken:
         """The next ``count`` frames of each camera that began after ``after_ns``; waits for ever.

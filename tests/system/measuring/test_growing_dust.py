@@ -75,7 +75,7 @@ class LivedIn:
             measuring,
             BeamInstrument(calibration, measuring),
         )
-        trends = SpotTrends(CAMERAS, Maintenance())
+        trends = SpotTrends({camera: camera for camera in CAMERAS}, Maintenance())
         period = Period(set(), {})
         for pose in poses(seed):
             self.unit.place(pose)
@@ -84,10 +84,12 @@ class LivedIn:
             for exposure in range(WINDOW):
                 t_ns = self._t_ns + exposure * PERIOD_NS
                 for camera in CAMERAS:
-                    located = chain.locators[camera].locate(self.unit.expose(camera, t_ns // PERIOD_NS, t_ns))
-                    trends.add(camera, located)
-                    for last in chain.add(located):  # noqa: B007  the last one is of this place alone
-                        pass
+                    frame = self.unit.expose(camera, t_ns // PERIOD_NS, t_ns)
+                    for pair in chain.pairer.add(camera, frame.sequence, t_ns, frame):
+                        located = pair.of(chain.located)
+                        for one in located.all_items:
+                            trends.add(one)
+                        last = chain.add(located) or last
             assert last is not None
             self._judge(last, pose, period)
         period.told = {(str(cause.kind), cause.of) for cause in trends(self._t_ns)}

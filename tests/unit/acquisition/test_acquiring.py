@@ -6,7 +6,7 @@ import threading
 
 import pytest
 from support.clock import FakeClock
-from support.scripted_camera import PERIOD_S, ScriptedCamera, SettableCamera, exposure_of, newest
+from support.scripted_camera import PERIOD_S, AllFrames, ScriptedCamera, SettableCamera, exposure_of
 
 from altd.acquisition.acquiring import acquire
 from altd.ports import (
@@ -23,7 +23,7 @@ from altd.status.health import Component, State
 
 async def test_a_lost_camera_is_closed_and_opened_again(component: Component, clock: FakeClock) -> None:
     camera = ScriptedCamera(clock, "frame", CameraError("unplugged"), "frame")
-    frames = newest(clock)
+    frames = AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component))
     await clock.until(lambda: component.state is State.FAILED)
     assert component.message == "unplugged; trying again"
@@ -38,7 +38,7 @@ async def test_the_journal_hears_of_a_lost_camera_once(
     component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, *[CameraError("unplugged")] * 2, "frame")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.OK)
     await clock.stop(task)
     assert caplog.messages == ["camera front: unplugged; trying again"]
@@ -46,12 +46,12 @@ async def test_the_journal_hears_of_a_lost_camera_once(
 
 async def test_a_source_at_its_end_ends_quietly(component: Component, clock: FakeClock) -> None:
     camera = ScriptedCamera(clock, "frame", "frame", CameraEndedError("the recording is at its end"))
-    frames = newest(clock)
+    frames = AllFrames()
     await clock.run(acquire(camera, frames, component))
     await clock.until(lambda: component.state is State.ENDED)
     assert component.counters["frames"] == 2
     assert camera.calls == ["open", "close"]
-    assert [f.sequence for f in await clock.run(frames.take(wake_for_each=False))] == [2]
+    assert [f.sequence for f in await frames.take(clock)] == [1, 2]
 
 
 async def test_every_frame_is_counted_also_when_it_ends_between_two_reports(
@@ -79,9 +79,7 @@ async def test_a_defect_in_a_driver_ends_the_daemon_not_just_the_thread(
     component: Component, clock: FakeClock
 ) -> None:
     with pytest.raises(ZeroDivisionError):
-        await clock.run(
-            acquire(ScriptedCamera(clock, "frame", ZeroDivisionError()), newest(clock), component)
-        )
+        await clock.run(acquire(ScriptedCamera(clock, "frame", ZeroDivisionError()), AllFrames(), component))
 
 
 @pytest.mark.parametrize("call", ["open", "next_frame", "set_exposure", "close"])
@@ -97,7 +95,7 @@ async def test_a_camera_that_hangs_does_not_hold_the_shutdown(
         raise CameraError("too late")
 
     monkeypatch.setattr(camera, call, hang)
-    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure_of()))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component, exposure_of()))
     await clock.until(held.is_set)
     began_ns = clock.now_ns
     await clock.stop(task)
@@ -127,7 +125,7 @@ async def test_a_camera_that_cannot_be_opened_is_tried_again_and_says_why(
             raise error
 
     monkeypatch.setattr(camera, "open", refuse)
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.FAILED)
     assert component.message == sentence
     await clock.until(lambda: component.state is State.OK)
@@ -141,7 +139,7 @@ async def test_the_journal_hears_each_of_two_failures_that_alternate_once(
     component: Component, caplog: pytest.LogCaptureFixture, clock: FakeClock
 ) -> None:
     script = [CameraLostError("unplugged"), CameraNotFoundError("nothing there")] * 2
-    task = asyncio.create_task(acquire(ScriptedCamera(clock, *script, "frame"), newest(clock), component))
+    task = asyncio.create_task(acquire(ScriptedCamera(clock, *script, "frame"), AllFrames(), component))
     await clock.until(lambda: component.state is State.OK)
     await clock.stop(task)
     assert caplog.messages == [
@@ -157,7 +155,7 @@ async def test_a_failure_is_news_again_when_the_camera_was_well_for_long(
     camera = ScriptedCamera(
         clock, *frames, CameraLostError("unplugged"), *frames, CameraLostError("unplugged")
     )
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("failures") == 2 and component.state is State.OK)
     await clock.stop(task)
     assert caplog.messages == ["camera front: lost: unplugged; trying again"] * 2
@@ -167,7 +165,7 @@ async def test_a_camera_is_heard_of_while_it_fails_and_not_once_nobody_looks_aft
     component: Component, clock: FakeClock
 ) -> None:
     task = asyncio.create_task(
-        acquire(ScriptedCamera(clock, *[CameraError("unplugged")] * 50), newest(clock), component)
+        acquire(ScriptedCamera(clock, *[CameraError("unplugged")] * 50), AllFrames(), component)
     )
     await clock.until(lambda: component.state is State.FAILED)
     heard_ns = component.heard_ns

@@ -1,9 +1,10 @@
-"""Threads that locate spots: slow ones, hanging ones, broken ones, and their end."""
+"""The thread that locates spots: slow, hanging, broken, and its end."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -16,15 +17,19 @@ from support.located import SPOT, located
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl, ExposureFigures
-from altd.acquisition.buffers import Buffers
-from altd.acquisition.latest_frames import LatestFrames
-from altd.acquisition.latest_of_each import LatestOfEach
-from altd.acquisition.locating import LocatingStalledError, locate_frame, locate_frames
+from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.locating import (
+    MAX_WAITING_PAIRS,
+    LocatedPairs,
+    Locating,
+    LocatingStalledError,
+    locate_frame,
+)
 from altd.config import ExposureSettings
+from altd.measuring.pairing import Pairer
 from altd.measuring.spot_locator import Located
 from altd.ports import CameraEndedError, CameraTimeoutError
 from altd.records import Frame, Origin
-from altd.runtime.clock import SystemClock
 from altd.status.health import Health
 from altd.vision.localise import locate
 
@@ -55,20 +60,25 @@ class Locator:
 
 
 class Bench:
-    """The thread between its two slots."""
+    """The thread between frames and loop."""
 
-    def __init__(
-        self, locator: Locator, exposure: ExposureControl | None = None, waits: bool = False
-    ) -> None:
+    def __init__(self, locator: Locator) -> None:
         self.locator = locator
-        self.frames = LatestFrames(["front"])
-        self.located: LatestOfEach[Located] = LatestOfEach(["front"], SystemClock())
-        self.task = asyncio.create_task(
-            locate_frames(Buffers(self.frames, self.located), locator, None, waits)  # type: ignore[arg-type]
-        )
+        locating = Locating({"front": locator}, {})  # type: ignore[dict-item]
+        pairer: Pairer[Frame] = Pairer(("front",), "sequence", 10_000_000, 30_000_000)
+        self.pairs = FramePairs(pairer, locating.arrived, FakeClock())
+        self.located = LocatedPairs(self.pairs)
+        self.task = asyncio.create_task(locating.run(self.located))
+
+    def put(self, number: int) -> None:
+        self.pairs.put(shot(number), wait=False)
 
     async def take(self) -> list[int]:
-        return [one.sequence for one in await self.located.take(wake_for_each=False)]
+        return [pair.sequence for pair in await self.located.take()]
+
+    async def take_for_ever(self) -> None:
+        while True:
+            await self.take()
 
     async def begun(self) -> None:
         assert await asyncio.to_thread(self.locator.begun.wait, LONG_S)
@@ -78,9 +88,9 @@ async def test_what_is_located_in_the_thread_wakes_the_loop() -> None:
     bench = Bench(Locator(lambda frame: threads.add(threading.current_thread().name)))
     threads: set[str] = set()
     for number in range(3):
-        bench.frames.put(shot(number), wait=False)
+        bench.put(number)
         assert await bench.take() == [number]
-    assert threads == {"locate-front"}
+    assert threads == {"locate"}
     await stop(bench.task)
 
 
@@ -153,7 +163,8 @@ async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_t
 
     bench = Bench(Locator(slowly))
     component = Health(clock).component("camera front")
-    acquiring = asyncio.create_task(acquire(camera, bench.frames, component))
+    acquiring = asyncio.create_task(acquire(camera, bench.pairs, component))
+    taking = asyncio.create_task(bench.take_for_ever())
     assert await asyncio.to_thread(camera.asked.acquire, timeout=LONG_S)
     camera.allowed.release()
     assert await asyncio.to_thread(done.wait, LONG_S)
@@ -161,15 +172,32 @@ async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_t
     camera.allowed.release()
     await stop(bench.task)
     await stop(acquiring)
+    await stop(taking)
     assert [frame.sequence for frame in bench.locator.frames] == list(range(1, 75, 5))
     assert set(ages) == {0}
-    assert bench.frames.dropped["front"] == 14 * 4
+    assert bench.pairs.dropped["front"] == 14 * 4
     assert "lost" not in component.counters
+
+
+async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_counted() -> None:
+    bench = Bench(Locator())
+    for number in range(3 * MAX_WAITING_PAIRS):
+        bench.put(number)
+        while len(bench.locator.frames) <= min(number, MAX_WAITING_PAIRS):
+            time.sleep(0.001)  # noqa: ASYNC251  the loop is held up
+    assert await bench.take() == list(range(MAX_WAITING_PAIRS))
+    last = 3 * MAX_WAITING_PAIRS - 1
+    taken: list[int] = []
+    while last not in taken:
+        taken += await bench.take()
+    assert taken == [MAX_WAITING_PAIRS, last]
+    assert bench.pairs.dropped["front"] == last - MAX_WAITING_PAIRS - 1
+    await stop(bench.task)
 
 
 async def test_a_defect_in_the_localiser_is_raised() -> None:
     bench = Bench(Locator(lambda frame: 1 / 0))
-    bench.frames.put(shot(1), wait=False)
+    bench.put(1)
     with pytest.raises(ZeroDivisionError):
         await bench.task
 
@@ -177,7 +205,7 @@ async def test_a_defect_in_the_localiser_is_raised() -> None:
 async def test_a_frame_that_is_never_done_is_a_defect() -> None:
     clock, may_end = FakeClock.of_loop(), threading.Event()
     bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
-    bench.frames.put(shot(7), wait=False)
+    bench.put(7)
     await bench.begun()
     await clock.until(bench.task.done)
     with pytest.raises(LocatingStalledError, match=r"camera front: exposure 7 is not located within 5 s"):
@@ -190,7 +218,7 @@ async def test_a_process_that_was_stopped_meanwhile_has_not_located_longer() -> 
     """Stopped as a whole, it finds an old frame in hand."""
     clock, may_end = FakeClock.of_loop(), threading.Event()
     bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
-    bench.frames.put(shot(7), wait=False)
+    bench.put(7)
     await bench.begun()
     await clock.jump(3600.0)
     await clock.advance(1.0)
@@ -202,10 +230,10 @@ async def test_a_process_that_was_stopped_meanwhile_has_not_located_longer() -> 
 
 async def test_frame_after_frame_in_hand_is_no_stall() -> None:
     clock, may_go_on = FakeClock.of_loop(), threading.Semaphore(0)
-    bench = Bench(Locator(lambda frame: may_go_on.acquire()), waits=True)
+    bench = Bench(Locator(lambda frame: may_go_on.acquire()))
     taken = 0
     for number in range(10):
-        bench.frames.put(shot(number), wait=False)
+        bench.put(number)
         await clock.advance(3.0)
         may_go_on.release()
         taken += len(await bench.take())
@@ -220,9 +248,9 @@ async def test_shutting_down_waits_for_a_picture_of_twelve_megapixels_and_no_lon
     large = Frame("front", 1, 0, pixels)
     ended = threading.Event()
     bench = Bench(Locator(lambda frame: [locate(large) for _ in range(5)] and ended.set()))
-    bench.frames.put(shot(1), wait=False)
+    bench.put(1)
     await bench.begun()
-    bench.frames.put(shot(2), wait=False)
+    bench.put(2)
     await stop(bench.task)
     assert ended.is_set()
     assert [frame.sequence for frame in bench.locator.frames] == [1]
@@ -231,7 +259,7 @@ async def test_shutting_down_waits_for_a_picture_of_twelve_megapixels_and_no_lon
 async def test_a_localiser_that_hangs_does_not_hold_the_shutdown() -> None:
     clock, may_end = FakeClock.of_loop(), threading.Event()
     bench = Bench(Locator(lambda frame: may_end.wait(LONG_S)))
-    bench.frames.put(shot(1), wait=False)
+    bench.put(1)
     await bench.begun()
     began_ns = clock.now_ns
     await clock.stop(bench.task)
@@ -255,11 +283,11 @@ class EndingCamera(TickingCamera):
 
 
 async def test_all_frames_of_a_camera_that_ends_are_located_and_then_the_thread_ends_too() -> None:
-    bench = Bench(Locator(), waits=True)
+    bench = Bench(Locator())
     clock = FakeClock(PERIOD_NS)
     component = Health(clock).component("camera front")
-    acquiring = asyncio.create_task(acquire(EndingCamera(clock), bench.frames, component))
-    acquiring.add_done_callback(lambda _: bench.frames.end("front"))
+    acquiring = asyncio.create_task(acquire(EndingCamera(clock), bench.pairs, component))
+    acquiring.add_done_callback(lambda _: bench.pairs.end("front"))
     taken: list[int] = []
     while len(taken) < 3:
         taken += await bench.take()

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 from support.clock import FakeClock
-from support.scripted_camera import PERIOD_S, ScriptedCamera, newest
+from support.scripted_camera import PERIOD_S, AllFrames, ScriptedCamera
 
 from altd.acquisition.acquiring import acquire
 from altd.ports import CameraLostError, CameraTimeoutError
@@ -18,7 +18,7 @@ async def test_a_camera_that_times_out_stays_open_and_is_said_to(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.DEGRADED)
     clock.release(camera.hang)
     await clock.until(lambda: component.state is State.OK)
@@ -40,7 +40,7 @@ async def test_the_time_without_a_frame_counts_from_the_last_frame_on(
     """Whatever happens between: time-outs, a held driver, another opening."""
     frame_ns = clock.now_ns + 2 * round(PERIOD_S * 1e9)
     camera = ScriptedCamera(clock, *script)
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("frames") == 2)
     await clock.until(lambda: not camera.script)
     await clock.advance(0.9 - (clock.now_ns - frame_ns) * 1e-9)
@@ -59,7 +59,7 @@ async def test_a_camera_that_never_delivered_counts_from_when_it_was_wanted(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.DEGRADED)
     await clock.advance(12.0)
     assert component.message.endswith("no frame for 12 s")
@@ -71,7 +71,7 @@ async def test_a_camera_that_is_back_but_delivers_nothing_is_no_longer_said_to_h
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", CameraLostError("unplugged"), CameraTimeoutError("late"), "hang")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.FAILED)
     await clock.until(lambda: component.state is State.DEGRADED)
     assert re.fullmatch(r"no frame for \d\.\d s", component.message)
@@ -84,7 +84,7 @@ async def test_a_driver_that_is_held_in_a_call_is_said_to_within_a_second(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", "hang")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.state is State.OK)
     await clock.until(lambda: component.state is State.DEGRADED, within_s=1.0)
     assert re.fullmatch(r"the driver does not return; no frame for \d\.\d s", component.message)
@@ -116,7 +116,7 @@ async def test_a_source_whose_frames_nobody_takes_is_well(component: Component, 
 
 async def test_a_single_lost_frame_is_one(component: Component, clock: FakeClock) -> None:
     camera = ScriptedCamera(clock, "frame", 1, "frame")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("lost") == 1 and component.state is State.DEGRADED)
     assert component.message == "1 frame lost in the last second"
     await clock.stop(task)
@@ -126,7 +126,7 @@ async def test_lost_frames_are_counted_and_spoken_of_for_a_second(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", 2, "frame", 1, "frame")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("frames", 0) >= 5)
     assert component.state is State.DEGRADED
     assert component.message == "3 frames lost in the last second"
@@ -141,7 +141,7 @@ async def test_losses_are_forgotten_even_when_no_frame_follows(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", 2, *[CameraTimeoutError("late")] * 2, "frame", "hang")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("lost") == 2)
     await clock.until(lambda: component.message.startswith("the driver does not return; no frame for "))
     clock.release(camera.hang)
@@ -153,7 +153,7 @@ async def test_a_camera_that_starts_to_count_anew_has_lost_nothing(
     component: Component, clock: FakeClock
 ) -> None:
     camera = ScriptedCamera(clock, "frame", -500, "frame", CameraLostError("unplugged"), 700, "frame")
-    task = asyncio.create_task(acquire(camera, newest(clock), component))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component))
     await clock.until(lambda: component.counters.get("frames", 0) >= 6)
     assert "lost" not in component.counters
     await clock.stop(task)

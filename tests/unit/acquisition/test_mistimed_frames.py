@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 from support.clock import FakeClock
-from support.scripted_camera import LyingCamera, ScriptedCamera, newest
+from support.scripted_camera import AllFrames, LyingCamera, ScriptedCamera
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.control import ExposureControl
@@ -27,11 +27,11 @@ async def test_a_frame_whose_time_cannot_be_true_is_counted_said_and_left_out(
     component: Component, off_s: float, why: str, clock: FakeClock
 ) -> None:
     camera = LyingCamera(clock, 0.0, 0.0, off_s)
-    frames = newest(clock)
+    frames = AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while component.counters.get("mistimed", 0) < 1 or len(taken) < 5:
-        taken += await clock.run(frames.take(wake_for_each=False))
+        taken += await frames.take(clock)
     assert all(earlier.t_ns < later.t_ns for earlier, later in itertools.pairwise(taken))
     assert max(frame.t_ns for frame in taken) <= clock.now_ns
     assert component.counters["mistimed"] == 1
@@ -50,9 +50,9 @@ async def test_a_mark_of_a_change_outlives_a_frame_whose_time_cannot_be_true(
 ) -> None:
     camera = SettableLyingCamera(clock, 3600.0)
     exposure = ExposureControl(ExposureSettings(exposure_ms=3.0), 20.0, 20)
-    frames = newest(clock)
+    frames = AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component, exposure))
-    (first,) = await clock.run(frames.take(wake_for_each=False))
+    (first,) = await frames.take(clock)
     assert first.changing
     await clock.until(lambda: component.counters.get("mistimed") == 1)
     await clock.stop(task)
@@ -63,11 +63,11 @@ async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is
 ) -> None:
     """Exposure 2 came and was left out; the camera stays open."""
     camera = ScriptedCamera(clock, "frame", CameraMistimedError(2, "exposure 2 came late"), 1, *["frame"] * 9)
-    frames = newest(clock)
+    frames = AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component))
     taken: list[Frame] = []
     while len(taken) < 5:
-        taken += await clock.run(frames.take(wake_for_each=False))
+        taken += await frames.take(clock)
     await clock.until(lambda: component.counters.get("mistimed") == 1)
     assert "lost" not in component.counters
     assert component.message == "not measured: exposure 2 came late"
@@ -78,8 +78,8 @@ async def test_a_frame_of_which_nobody_knows_the_time_is_counted_and_said_and_is
 async def test_a_source_that_waits_has_a_clock_of_its_own(component: Component, clock: FakeClock) -> None:
     camera = LyingCamera(clock, *[3600.0] * 20)
     camera.waits = True
-    frames = newest(clock)
+    frames = AllFrames()
     task = asyncio.create_task(acquire(camera, frames, component))
-    assert len(await clock.run(frames.take(wake_for_each=False))) == 1
+    assert len(await frames.take(clock)) == 1
     assert "mistimed" not in component.counters
     await clock.stop(task)

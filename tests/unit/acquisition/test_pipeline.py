@@ -5,6 +5,7 @@ import pytest
 from support.clock import settle, stop
 from support.pipeline_bench import Bench
 
+from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.records import Frame, Measurement
 from altd.status.health import State
@@ -21,7 +22,7 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
     assert [str(fault) for fault in latest.status] == ["camera_silent"]
     assert bench.component.state is State.DEGRADED
     assert bench.component.message == "front: spot_missing"
-    bench.put("rear", 1)
+    bench.put("rear", sequence=1)
     await bench.clock.advance(0.01)
     assert bench.component.state is State.OK
     await stop(bench.task)
@@ -30,14 +31,13 @@ async def test_silence_is_said_every_0_4_s_and_ends_with_the_next_frame() -> Non
 async def test_what_is_seen_is_told_of_the_moment_and_a_figure_that_is_told_no_more_is_not_known() -> None:
     bench = Bench()
     bench.chain.shift = {"view_shift_front_px": 0.25}
-    bench.put("rear", 1)
+    bench.put("rear", sequence=1)
     await bench.clock.advance(0.01)
     assert bench.component.figures == {"skew_ms": 0.25, "view_shift_front_px": 0.25}
     bench.chain.shift = {}
     bench.chain.spot = "ambiguous"
     assert bench.component.message == "front: ambiguous"
-    bench.put("front", 2)
-    bench.put("rear", 2)
+    bench.put("front", "rear", sequence=2)
     await bench.clock.advance(0.01)
     assert bench.component.figures == {"skew_ms": 0.25, "view_shift_front_px": None}
     await stop(bench.task)
@@ -47,7 +47,7 @@ async def test_what_is_seen_is_told_of_the_moment_and_a_figure_that_is_told_no_m
 async def test_silence_is_said_at_its_deadline_whenever_the_last_frame_came(moment_s: float) -> None:
     bench = Bench()
     await bench.clock.advance(moment_s)
-    bench.put("front", 1)
+    bench.put("front", sequence=1)
     await bench.clock.advance(0.399)
     assert bench.board.published == 0
     await bench.clock.advance(0.002)
@@ -66,7 +66,7 @@ async def test_nobody_is_woken_before_the_deadline() -> None:
 
     bench.clock.sleep = counted  # type: ignore[method-assign]
     for number in range(200):
-        bench.put("front", number)
+        bench.put("front", sequence=number)
         await bench.clock.advance(0.05)
     assert len(slept) <= 200 * 0.05 / 0.3
     await stop(bench.task)
@@ -75,7 +75,7 @@ async def test_nobody_is_woken_before_the_deadline() -> None:
 async def test_frames_that_come_to_nothing_are_no_progress() -> None:
     bench = Bench()
     for number in range(100):
-        bench.put("front", number)
+        bench.put("front", sequence=number)
         await bench.clock.advance(0.05)
     assert (bench.board.published, bench.progress) == (0, 0)
     await stop(bench.task)
@@ -85,14 +85,13 @@ async def test_an_exposure_that_moves_on_is_progress_before_its_mean_is_due() ->
     bench = Bench()
     add = bench.chain.add
 
-    def paired(one: Located) -> list[Measurement]:
+    def moves_on(pair: Pair[Located]) -> Measurement | None:
         bench.chain.frame_sets += 1
-        return add(one)
+        return add(pair)
 
-    bench.chain.add = paired  # type: ignore[method-assign]
-    bench.chain.awaits_partner = True
+    bench.chain.add = moves_on  # type: ignore[method-assign]
     for number in range(10):
-        bench.put("front", number)
+        bench.put("front", sequence=number)
         await bench.clock.advance(0.05)
     assert (bench.board.published, bench.progress) == (0, 10)
     await stop(bench.task)
@@ -101,39 +100,34 @@ async def test_an_exposure_that_moves_on_is_progress_before_its_mean_is_due() ->
 async def test_a_defect_in_the_chain_ends_the_pipeline() -> None:
     bench = Bench()
     bench.chain.broken = True
-    bench.put("front", 1)
+    bench.put("front", sequence=1)
     with pytest.raises(ZeroDivisionError):
         await bench.task
 
 
-async def test_a_lone_frame_that_waits_for_its_partner_is_measured_before_silence_is_said() -> None:
+def shot(camera: str, number: int) -> Frame:
+    return Frame(camera, number, number, np.zeros((4, 4), np.uint8))
+
+
+async def test_silence_counts_from_the_last_frame_also_where_that_waits_for_its_partner() -> None:
     bench = Bench()
-    for number in range(3):
-        bench.put("front", number)
-        bench.put("rear", number)
-        await bench.clock.advance(0.05)
-    taken: list[str] = []
-    add, silence = bench.chain.add, bench.chain.silence
-    bench.chain.add = lambda one: taken.append(f"{one.camera} {one.sequence}") or add(one)  # type: ignore[method-assign]
-    bench.chain.silence = lambda t_ns: taken.append("silence") or silence(t_ns)  # type: ignore[method-assign]
-    bench.put("front", 3)
+    await bench.clock.advance(0.3)
+    bench.pairs.put(shot("front", 1), wait=False)
     await bench.clock.advance(0.399)
-    assert taken == []
+    assert bench.board.published == 0
     await bench.clock.advance(0.002)
-    assert taken == ["front 3", "silence"]
+    assert bench.board.published == 1
     await stop(bench.task)
 
 
-async def test_what_waits_to_be_located_and_is_replaced_counts_as_dropped_too() -> None:
+async def test_frames_that_nobody_took_in_time_count_as_dropped() -> None:
     bench = Bench()
     for number in range(4):
-        bench.frames.put(Frame("front", number, number, np.zeros((4, 4), np.uint8)), wait=False)
-    for number in range(3):
-        bench.put("front", number)  # the loop has no turn in between
-    bench.put("rear", 2)
+        for camera in ("front", "rear"):
+            bench.pairs.put(shot(camera, number), wait=False)
+    bench.put("front", "rear", sequence=4)
     await bench.clock.advance(0.01)
-    assert bench.frames.dropped["front"] == bench.located.dropped["front"] == 2
-    assert (bench.component.counters["dropped_front"], bench.component.counters["dropped_rear"]) == (4, 0)
+    assert (bench.component.counters["dropped_front"], bench.component.counters["dropped_rear"]) == (3, 3)
     await stop(bench.task)
 
 

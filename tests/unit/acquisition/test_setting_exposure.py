@@ -4,25 +4,12 @@ import asyncio
 
 import pytest
 from support.clock import FakeClock
-from support.scripted_camera import SettableCamera, exposure_of, newest
+from support.scripted_camera import AllFrames, SettableCamera, exposure_of
 
 from altd.acquisition.acquiring import acquire
 from altd.acquisition.auto_exposure.rule import Setting
-from altd.acquisition.latest_frames import LatestFrames
 from altd.ports import CameraLostError, CameraRefusedError
-from altd.records import Frame
 from altd.status.health import Component, State
-
-
-class AllFrames(LatestFrames):
-    """Keeps every frame."""
-
-    def __init__(self) -> None:
-        super().__init__(["front"])
-        self.frames: list[Frame] = []
-
-    def put(self, frame: Frame, wait: bool) -> None:
-        self.frames.append(frame)
 
 
 async def test_a_new_setpoint_is_applied_between_two_frames_and_the_frames_of_the_change_are_marked(
@@ -49,7 +36,7 @@ async def test_a_camera_that_was_opened_again_gets_its_exposure_again(
     component: Component, clock: FakeClock
 ) -> None:
     camera = SettableCamera(clock, "frame", CameraLostError("unplugged"), "frame")
-    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure_of()))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component, exposure_of()))
     await clock.until(lambda: camera.calls.count("expose 10 ms 0 dB") == 2)
     await clock.stop(task)
     assert camera.calls == ["open", "expose 10 ms 0 dB", "close"] * 2
@@ -60,7 +47,7 @@ async def test_a_camera_that_refuses_an_exposure_goes_on_and_health_says_so(
 ) -> None:
     camera, exposure = SettableCamera(clock), exposure_of()
     camera.refusal = CameraRefusedError("the register is locked")
-    task = asyncio.create_task(acquire(camera, newest(clock), component, exposure))
+    task = asyncio.create_task(acquire(camera, AllFrames(), component, exposure))
     await clock.until(lambda: component.counters.get("frames", 0) >= 3)
     assert component.state is State.DEGRADED
     assert component.message == "exposure refused: the register is locked"

@@ -93,8 +93,8 @@ def test_dust_under_the_spots_of_a_camera_is_told_of_its_target() -> None:
     health = Health(SystemClock())
     upkeep = Upkeep(config(), evidence.calibration(), cameras(), health, SystemClock())
     for number in range(60):
-        upkeep.observe(replace(located("left", number, number * 5 * 10**9), dust=DustCount(0, 1000)))
-        upkeep.observe(replace(located("right", number, number * 5 * 10**9), dust=DustCount(1, 1000)))
+        upkeep.trends.add(replace(located("left", number, number * 5 * 10**9), dust=DustCount(0, 1000)))
+        upkeep.trends.add(replace(located("right", number, number * 5 * 10**9), dust=DustCount(1, 1000)))
     causes = [(str(cause.kind), cause.of) for watch in upkeep.watches for cause in watch(0)]
     assert ("dusty", "rear") in causes
     assert ("dusty", "front") not in causes

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import pytest
 from support import evidence
 from support.clock import FakeClock
-from support.located import located
+from support.located import located, paired
 
 from altd.config import Measuring
 from altd.files.documents import line_of
@@ -58,7 +58,9 @@ def measured(calibration: Calibration, u_px: float, toy: Toy | None = None) -> M
     measurements: list[Measurement] = []
     for sequence in range(4):
         spot = Spot(u_px, 120.0, 0.05, 40.0, 200.0)
-        measurements += chain.add(replace(located("camera", sequence, sequence * 50_000_000), spot=spot))
+        one = replace(located("camera", sequence, sequence * 50_000_000), spot=spot)
+        measurement = chain.add(paired(one))
+        measurements += [measurement] if measurement else []
     return measurements[-1]
 
 

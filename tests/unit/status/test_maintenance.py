@@ -94,7 +94,7 @@ class Feed:
 
     def __init__(self, min_light_share: float = 0.5) -> None:
         limits = Maintenance(min_light_share=min_light_share, max_residual_share=0.6, max_dust_share=0.002)
-        self.trends = SpotTrends(("front", "rear"), limits)
+        self.trends = SpotTrends({"front": "front", "rear": "rear"}, limits)
         self.minute = 0
 
     def run(
@@ -112,7 +112,7 @@ class Feed:
                 )
                 if second % 5 == 0:
                     of_front = replace(of_front, dust=next(dust) if target == "front" else CLEAN)
-                self.trends.add(target, of_front)
+                self.trends.add(of_front)
         self.minute += minutes
         return [f"{cause.kind} {cause.of}: {cause.detail}" for cause in self.trends(0)]
 
@@ -139,7 +139,7 @@ class TestSpotTrends:
                 spot=NoSpot(Reason.SPOT_MISSING),
                 dust=DustCount(1000, 1000),
             )
-            feed.trends.add("front", dark)
+            feed.trends.add(dark)
         assert list(feed.trends(0)) == []
 
     def test_light_that_is_not_known_says_nothing(self) -> None:

@@ -46,14 +46,6 @@ class Camera:
     playback = False
 
 
-class NoSink:
-    def put(self, frame: Frame, wait: bool) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 @dataclass
 class Unit:
     """A keeper, the causes that it is shown, and cameras that deliver as its clock goes on."""
@@ -64,7 +56,7 @@ class Unit:
     causes: list[Cause] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.ring = FrameRing(NoSink(), 1 << 24, 4 * 10**9, lambda _: None)
+        self.ring = FrameRing(1 << 24, 4 * 10**9, lambda _: None)
         plan = RecordingPlan(0.0, UnitHeader(serial="ALT-7", target_distance_mm=280.0), by="altd run")
         cameras = {name: Camera() for name in CAMERAS}
         source = Source(self.ring, cameras, Measuring(), plan)  # type: ignore[arg-type]
@@ -82,7 +74,7 @@ class Unit:
             await self.clock.advance(PERIOD_NS * 1e-9)
             number = self.clock.now_ns // PERIOD_NS
             for camera in CAMERAS:
-                self.ring.put(Frame(camera, number, number * PERIOD_NS, PIXELS, **marks), False)  # type: ignore[arg-type]
+                self.ring.keep(Frame(camera, number, number * PERIOD_NS, PIXELS, **marks))  # type: ignore[arg-type]
 
     async def expose_watched(self, exposures: int) -> list[weakref.ref[np.ndarray]]:
         """The same, with pixels of their own, which are watched."""
@@ -93,7 +85,7 @@ class Unit:
             for camera in CAMERAS:
                 pixels = PIXELS.copy()
                 watched.append(weakref.ref(pixels))
-                self.ring.put(Frame(camera, number, number * PERIOD_NS, pixels), False)
+                self.ring.keep(Frame(camera, number, number * PERIOD_NS, pixels))
         return watched
 
     async def is_idle(self) -> None:
@@ -275,7 +267,7 @@ async def test_without_a_frame_there_is_nothing_to_keep_and_it_is_said(tmp_path:
 async def test_one_camera_alone_makes_no_exposure(tmp_path: Path) -> None:
     async with running(Unit(tmp_path)) as unit:
         for number in range(10):
-            unit.ring.put(Frame("front", number, unit.clock.now_ns - number, PIXELS), False)
+            unit.ring.keep(Frame("front", number, unit.clock.now_ns - number, PIXELS))
         with pytest.raises(NotKeptError, match="no exposure of all cameras"):
             await unit.keeper.keep("asked")
 

@@ -1,4 +1,4 @@
-"""The ring keeps the newest frames within its bounds, and changes nothing on their way."""
+"""The ring keeps the newest frames within its bounds."""
 
 from __future__ import annotations
 
@@ -14,33 +14,20 @@ PIXELS = np.zeros((10, 100), np.uint8)
 
 
 @dataclass
-class Sink:
-    taken: list[tuple[Frame, bool]] = field(default_factory=list)
-    is_closed: bool = False
-
-    def put(self, frame: Frame, wait: bool) -> None:
-        self.taken.append((frame, wait))
-
-    def close(self) -> None:
-        self.is_closed = True
-
-
-@dataclass
 class Fed:
-    """A ring of two cameras, and what it hands on."""
+    """A ring of two cameras."""
 
     max_bytes: int = 1 << 20
     length_s: float = 1.0
-    sink: Sink = field(default_factory=Sink)
     identities: dict[str, CameraIdentity | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.ring = FrameRing(self.sink, self.max_bytes, round(self.length_s * 1e9), self.identities.get)
+        self.ring = FrameRing(self.max_bytes, round(self.length_s * 1e9), self.identities.get)
 
     def put(self, *numbers: int) -> None:
         for number in numbers:
             for camera in ("front", "rear"):
-                self.ring.put(Frame(camera, number, number * PERIOD_NS, PIXELS), wait=False)
+                self.ring.keep(Frame(camera, number, number * PERIOD_NS, PIXELS))
 
     def kept(self, since: int = -(10**9), until: int = 10**9) -> list[tuple[str, int]]:
         frames = self.ring.between(since * PERIOD_NS, until * PERIOD_NS)
@@ -49,15 +36,6 @@ class Fed:
 
 def both(*numbers: int) -> list[tuple[str, int]]:
     return [(camera, number) for number in numbers for camera in ("front", "rear")]
-
-
-def test_all_frames_go_on_as_they_are() -> None:
-    fed = Fed(max_bytes=0)
-    frame = Frame("front", 1, 0, PIXELS)
-    fed.ring.put(frame, wait=True)
-    assert fed.sink.taken == [(frame, True)]
-    fed.ring.close()
-    assert fed.sink.is_closed
 
 
 def test_it_reaches_back_as_far_as_it_is_long() -> None:
@@ -79,7 +57,6 @@ def test_a_frame_larger_than_the_ring_is_not_kept() -> None:
     fed.put(1)
     assert fed.kept() == []
     assert fed.ring.nbytes == 0
-    assert len(fed.sink.taken) == 2
 
 
 def test_a_span_is_taken_out() -> None:

@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 import pytest
 from support.clock import FakeClock, settle
-from support.lit_cameras import CAMERAS, Leds, LitCameras, QuickLamps, Sink
+from support.lit_cameras import CAMERAS, Leds, LitCameras, QuickLamps
 
 from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
 from altd.acquisition.self_check.frames import MarkedFrames
@@ -21,9 +21,8 @@ class Bench:
         self.clock = FakeClock.of_loop()
         self.leds = Leds()
         self.cameras = LitCameras(self.clock, self.leds)
-        self.sink = Sink()
         log = LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000))
-        self.frames = MarkedFrames(self.sink, log, CAMERAS)
+        self.frames = MarkedFrames(log, CAMERAS)
         self.lamps = QuickLamps(self.leds, self.clock)
         self.exposer = CheckExposer(self.lamps, log, self.frames, self.clock, EXPOSURES, 1e4)
         self.task: asyncio.Task[CheckFrames] = asyncio.create_task(self.exposer.expose())
@@ -48,9 +47,9 @@ async def test_every_frame_is_handed_on_and_those_under_leds_are_marked() -> Non
     bench = Bench()
     await bench.expose(20)
     await bench.task
-    assert len(bench.sink.frames) == 40
-    assert all(frame.leds_on for frame in bench.sink.frames if np.any(frame.pixels))
-    marked = [frame for frame in bench.sink.frames if frame.leds_on]
+    assert len(bench.cameras.marked) == 40
+    assert all(frame.leds_on for frame in bench.cameras.marked if np.any(frame.pixels))
+    marked = [frame for frame in bench.cameras.marked if frame.leds_on]
     lost = {camera: sum(frame.camera == camera for frame in marked) for camera in CAMERAS}
     assert lost["front"] == lost["rear"] <= EXPOSURES + 2
     counted = bench.frames.marked
@@ -61,8 +60,8 @@ async def test_what_a_camera_says_of_leds_that_it_does_not_switch_does_not_count
     bench = Bench()
     await bench.expose(20)
     await bench.task
-    assert not bench.sink.frames[-1].leds_on
-    assert [f.leds_on for f in bench.sink.frames[:4]] == [False] * 4
+    assert not bench.cameras.marked[-1].leds_on
+    assert [f.leds_on for f in bench.cameras.marked[:4]] == [False] * 4
 
 
 async def test_exposures_during_a_change_are_not_taken() -> None:
@@ -119,7 +118,7 @@ async def test_leds_that_cannot_be_switched_are_named() -> None:
     with pytest.raises(CheckFailedError, match="could not be switched: GPIO chip 'unit': 'LED_A' taken by"):
         await bench.task
     await bench.expose(25)
-    assert not bench.sink.frames[-1].leds_on  # it measures on
+    assert not bench.cameras.marked[-1].leds_on  # it measures on
 
 
 async def test_leds_that_are_not_at_hand_are_named_and_take_no_exposure() -> None:
@@ -128,7 +127,7 @@ async def test_leds_that_are_not_at_hand_are_named_and_take_no_exposure() -> Non
     await bench.expose(6)
     with pytest.raises(CheckFailedError, match="could not be switched: GPIO chip 'unit' is gone"):
         await bench.task
-    assert not any(frame.leds_on for frame in bench.sink.frames)
+    assert not any(frame.leds_on for frame in bench.cameras.marked)
     assert bench.leds.switched == []
 
 

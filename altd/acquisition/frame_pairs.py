@@ -1,0 +1,123 @@
+"""Frames of all cameras on their way from the threads that acquire them: marked, kept for a while, paired."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from altd.acquisition.kept_frames.ring import FrameRing
+from altd.acquisition.self_check.frames import MarkedFrames
+from altd.measuring.pairing import Pair, Pairer
+from altd.ports import Clock
+from altd.records import Frame
+
+ROOM = 4
+"""Incomplete frame sets that wait for a reader: one that was given up comes together with the next."""
+
+
+class FramePairs:
+    """The frame sets of the cameras for one reader; a reader that is behind gets the newest.
+
+    ``arrived`` is called in the thread of a camera when there is something to take. ``marks`` marks the
+    frames under LEDs, ``ring`` keeps the newest ones; None: nothing does.
+    """
+
+    def __init__(
+        self,
+        pairer: Pairer[Frame],
+        arrived: Callable[[], None],
+        clock: Clock,
+        marks: MarkedFrames | None = None,
+        ring: FrameRing | None = None,
+    ) -> None:
+        self._pairer = pairer
+        self._arrived = arrived
+        self._clock = clock
+        self._marks = marks
+        self._ring = ring
+        self._changed = threading.Condition()
+        self._pairs: deque[Pair[Frame]] = deque()
+        self._running = set(pairer.cameras)
+        self._is_closed = False
+        self._changing: set[str] = set()
+        """Cameras that lost a frame with the mark of a change of exposure: the next one bears it."""
+        self.dropped = dict.fromkeys(pairer.cameras, 0)
+        """Frames per camera that were replaced before they were taken."""
+        self.delivered_ns = 0
+        """When a camera delivered last; 0: none did."""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing waits to be taken."""
+        return not self._pairs
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether nothing follows what waits."""
+        return self._is_closed or not self._running
+
+    def put(self, frame: Frame, wait: bool) -> None:
+        """Take a frame from the thread of its camera; with ``wait`` only when nothing waits to be taken."""
+        if self._marks is not None:
+            frame = self._marks.mark(frame)
+        if self._ring is not None:
+            self._ring.keep(frame)
+        with self._changed:
+            while wait and self._pairs and not self._is_closed:
+                self._changed.wait()
+            if self._is_closed:
+                return
+            self.delivered_ns = self._clock.monotonic_ns()
+            late_before = self._pairer.late
+            pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
+            if frame.changing and self._pairer.late > late_before:
+                self._changing.add(frame.camera)
+            for pair in pairs:
+                if not wait:
+                    self._make_room(pair)
+                self._pairs.append(pair)
+        if pairs:
+            self._arrived()
+
+    def take(self) -> list[Pair[Frame]]:
+        """The frame sets that wait, oldest first; may be none."""
+        with self._changed:
+            pairs = [pair.of(self._with_mark) if self._changing else pair for pair in self._pairs]
+            self._pairs.clear()
+            self._changed.notify_all()
+        return pairs
+
+    def end(self, camera: str) -> None:
+        """No frame of this camera follows."""
+        self._running.discard(camera)
+        self._arrived()
+
+    def close(self) -> None:
+        """Let threads go that wait; what comes later is not kept."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+        self._arrived()
+
+    def _make_room(self, newest: Pair[Frame]) -> None:
+        """Drop what waits: every complete frame set for a complete one, of incomplete ones the oldest."""
+        alike = [pair for pair in self._pairs if bool(pair.missing) is bool(newest.missing)]
+        room = ROOM if newest.missing else 1
+        for pair in alike[: max(len(alike) + 1 - room, 0)]:
+            self._pairs.remove(pair)
+            self._drop(pair)
+
+    def _drop(self, pair: Pair[Frame]) -> None:
+        for frame in pair.all_items:
+            self.dropped[frame.camera] += 1
+            if frame.changing:
+                self._changing.add(frame.camera)
+
+    def _with_mark(self, frame: Frame) -> Frame:
+        """The frame, with the mark of one before it that nobody took."""
+        if frame.camera not in self._changing:
+            return frame
+        self._changing.discard(frame.camera)
+        return replace(frame, changing=True)

@@ -1,0 +1,220 @@
+"""From the threads of cameras to one reader: what is newest, what is lost, what is marked and kept."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+
+import pytest
+from support.clock import FakeClock
+from support.frames import Blob, frame, light
+
+from altd.acquisition.frame_pairs import ROOM, FramePairs
+from altd.acquisition.kept_frames.ring import FrameRing
+from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.light import LedLog
+from altd.measuring.pairing import Pairer
+from altd.reasons import Reason
+from altd.records import Frame
+from altd.runtime.threads import call_in_thread
+
+PIXELS = frame(light(Blob(300, 200))).pixels
+BOTH = ("front", "rear")
+PERIOD_NS = 50_000_000
+
+
+def shot(camera: str, sequence: int, changing: bool = False, t_ns: int | None = None) -> Frame:
+    return Frame(camera, sequence, sequence * PERIOD_NS if t_ns is None else t_ns, PIXELS, changing=changing)
+
+
+class Bench:
+    """Frame pairs of cameras, and how often their reader was told."""
+
+    def __init__(self, *cameras: str) -> None:
+        self.clock = FakeClock()
+        self.told = 0
+        pairer: Pairer[Frame] = Pairer(cameras, "sequence", 10_000_000, 30_000_000)
+        self.pairs = FramePairs(pairer, self.tell, self.clock)
+        self.cameras = cameras
+
+    def tell(self) -> None:
+        self.told += 1
+
+    def put(self, *numbers: int, changing: tuple[tuple[str, int], ...] = ()) -> None:
+        for number in numbers:
+            for camera in self.cameras:
+                self.pairs.put(shot(camera, number, (camera, number) in changing), wait=False)
+
+    def taken(self) -> list[tuple[int, str]]:
+        return [(pair.sequence, " ".join(pair.items)) for pair in self.pairs.take()]
+
+
+class TestTheReader:
+    def test_is_told_once_a_frame_set_whichever_camera_comes_first(self) -> None:
+        bench = Bench(*BOTH)
+        for number, order in enumerate((BOTH, BOTH[::-1], BOTH)):
+            bench.pairs.put(shot(order[0], number), wait=False)
+            assert bench.told == number
+            assert bench.taken() == []
+            bench.pairs.put(shot(order[1], number), wait=False)
+            assert bench.told == number + 1
+            assert bench.taken() == [(number, "front rear")]
+        assert bench.pairs.dropped == {"front": 0, "rear": 0}
+
+    def test_gets_the_newest_and_the_loss_is_counted(self) -> None:
+        bench = Bench(*BOTH)
+        bench.put(*range(10))
+        assert bench.taken() == [(9, "front rear")]
+        assert bench.pairs.dropped == {"front": 9, "rear": 9}
+        assert bench.taken() == []
+
+    def test_gets_a_frame_set_that_was_given_up_together_with_the_newer_one(self) -> None:
+        bench = Bench(*BOTH)
+        bench.pairs.put(shot("front", 1), wait=False)
+        bench.put(2)
+        assert bench.taken() == [(1, "front"), (2, "front rear")]
+
+    def test_gets_the_frames_of_a_camera_alone_when_the_other_is_silent(self) -> None:
+        bench = Bench(*BOTH)
+        for number in range(10):
+            bench.pairs.put(shot("rear", number), wait=False)
+            taken = bench.taken()
+            assert taken == ([] if number < 4 else [(number - 4, "rear")])
+
+    def test_gets_few_of_many_frame_sets_that_lack_a_camera(self) -> None:
+        bench = Bench(*BOTH)
+        for number in range(20):
+            bench.pairs.put(shot("rear", number), wait=False)
+        assert bench.taken() == [(number, "rear") for number in range(16 - ROOM, 16)]
+        assert bench.pairs.dropped == {"front": 0, "rear": 16 - ROOM}
+
+    def test_gets_frames_that_are_out_of_step_but_not_as_a_pair(self) -> None:
+        bench = Bench(*BOTH)
+        bench.pairs.put(shot("front", 1), wait=False)
+        bench.pairs.put(shot("rear", 1, t_ns=PERIOD_NS + 20_000_000), wait=False)
+        (pair,) = bench.pairs.take()
+        assert not pair.items
+        assert set(pair.unpaired) == set(BOTH)
+        assert set(pair.missing.values()) == {Reason.OUT_OF_STEP}
+
+    def test_loses_no_mark_of_a_change_of_exposure(self) -> None:
+        for marked in range(5):
+            bench = Bench(*BOTH)
+            bench.put(*range(5), changing=(("front", marked),))
+            (newest,) = bench.pairs.take()
+            assert (newest.items["front"].changing, newest.items["rear"].changing) == (True, False)
+            bench.put(5)
+            (after,) = bench.pairs.take()
+            assert not after.items["front"].changing
+
+    def test_gets_the_mark_of_a_frame_that_came_too_late_with_the_next(self) -> None:
+        bench = Bench(*BOTH)
+        bench.put(7)
+        assert bench.taken() == [(7, "front rear")]
+        bench.pairs.put(shot("front", 6, changing=True), wait=False)
+        bench.put(8)
+        (pair,) = bench.pairs.take()
+        assert (pair.items["front"].changing, pair.items["rear"].changing) == (True, False)
+
+    def test_knows_when_a_camera_delivered_and_when_nothing_follows(self) -> None:
+        bench = Bench(*BOTH)
+        assert bench.pairs.delivered_ns == 0
+        bench.clock.now_ns = 5
+        bench.pairs.put(shot("front", 1), wait=False)
+        assert bench.pairs.delivered_ns == 5
+        bench.pairs.end("front")
+        assert not bench.pairs.is_at_end
+        told = bench.told
+        bench.pairs.end("rear")
+        assert bench.pairs.is_at_end
+        assert bench.told > told
+
+    async def test_loses_only_what_is_counted_of_threads_that_are_as_fast_as_they_can_be(self) -> None:
+        """Nothing comes twice, and nothing older after the newer."""
+        bench = Bench(*BOTH)
+        ends, counts = time.monotonic() + 0.3, dict.fromkeys(BOTH, 0)
+
+        def fill(camera: str) -> None:
+            while time.monotonic() < ends:
+                bench.pairs.put(shot(camera, counts[camera]), wait=False)
+                counts[camera] += 1
+
+        sources = [call_in_thread(lambda camera=camera: fill(camera), camera) for camera in BOTH]  # type: ignore[misc]
+        numbers: dict[str, list[int]] = {camera: [] for camera in BOTH}
+        is_over = False
+        while not is_over:
+            is_over = all(source.done() for source in sources)
+            for pair in bench.pairs.take():
+                for one in pair.all_items:
+                    numbers[one.camera].append(one.sequence)
+            await asyncio.sleep(0.001)
+        for camera in BOTH:
+            assert numbers[camera] == sorted(set(numbers[camera]))
+            left = counts[camera] - len(numbers[camera]) - bench.pairs.dropped[camera]
+            late = bench.pairs._pairer.late  # noqa: SLF001
+            assert 0 <= left <= late + 5  # the last ones wait for a partner that never comes
+
+
+class TestSourcesThatWait:
+    @pytest.mark.parametrize("cameras", [("front",), BOTH])
+    async def test_lose_nothing(self, cameras: tuple[str, ...]) -> None:
+        bench = Bench(*cameras)
+        turns = [threading.Semaphore(1), threading.Semaphore(0)]
+
+        def fill(place: int) -> None:
+            for number in range(50):
+                turns[place].acquire()  # as a recording is played: one exposure after the other
+                bench.pairs.put(shot(cameras[place], number), wait=True)
+                turns[(place + 1) % len(cameras)].release()
+
+        sources = [call_in_thread(lambda place=place: fill(place), "source") for place in range(len(cameras))]  # type: ignore[misc]
+        taken: list[tuple[int, str]] = []
+        async with asyncio.timeout(60):
+            while len(taken) < 50:
+                taken += bench.taken()
+                await asyncio.sleep(0)
+            await asyncio.gather(*sources)
+        assert taken == [(number, " ".join(cameras)) for number in range(50)]
+        assert set(bench.pairs.dropped.values()) == {0}
+
+    async def test_go_on_although_their_partner_has_ended(self) -> None:
+        bench = Bench(*BOTH)
+        source = call_in_thread(
+            lambda: [bench.pairs.put(shot("front", number), wait=True) for number in range(20)], "front"
+        )
+        taken: list[tuple[int, str]] = []
+        async with asyncio.timeout(60):
+            while not source.done() or not bench.pairs.is_empty:
+                taken += bench.taken()
+                await asyncio.sleep(0)
+        assert taken == [(number, "front") for number in range(16)]
+
+    async def test_are_let_go_when_it_is_closed_and_what_they_bring_is_not_kept(self) -> None:
+        bench = Bench("front")
+        source = call_in_thread(
+            lambda: [bench.pairs.put(shot("front", number), wait=True) for number in range(5)], "front"
+        )
+        async with asyncio.timeout(60):
+            await asyncio.sleep(0.05)
+            assert not source.done()
+            bench.pairs.close()
+            await source
+        assert bench.pairs.is_at_end
+        assert bench.taken() == [(0, "front")]
+
+
+async def test_frames_are_marked_and_then_kept_and_the_same_frames_go_on() -> None:
+    clock = FakeClock(PERIOD_NS)
+    leds = LedLog(clock, dict.fromkeys(BOTH, PERIOD_NS))
+    leds.begin(True)
+    leds.done()
+    marks, ring = MarkedFrames(leds, BOTH), FrameRing(1 << 24, 10**9, lambda _: None)
+    pairer: Pairer[Frame] = Pairer(BOTH, "sequence", 10_000_000, 30_000_000)
+    pairs = FramePairs(pairer, lambda: None, clock, marks, ring)
+    for camera in BOTH:
+        pairs.put(shot(camera, 5), wait=False)
+    (pair,) = pairs.take()
+    kept = list(ring.between(0, 10**10))
+    assert [frame.leds_on for frame in kept] == [True, True]
+    assert list(pair.items.values()) == kept
