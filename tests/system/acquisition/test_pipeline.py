@@ -9,8 +9,7 @@ from support.pipeline_bench import Bench
 async def test_an_hour_of_exposures_passes_without_a_loss() -> None:
     bench = Bench()
     for number in range(72_000):
-        for camera in ("front", "rear"):
-            bench.put(camera, number)
+        bench.put("front", "rear", sequence=number)
         await bench.clock.advance(0.05)
     await settle()
     assert bench.board.published == bench.progress == 72_000
