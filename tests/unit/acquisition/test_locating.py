@@ -181,7 +181,9 @@ async def test_a_camera_located_slower_than_it_delivers_is_measured_newest_and_t
 
 async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_counted() -> None:
     bench = Bench(Locator())
-    for number in range(3 * MAX_WAITING_PAIRS):
+    bench.put(0)
+    await bench.begun()
+    for number in range(1, 3 * MAX_WAITING_PAIRS):
         bench.put(number)
         while len(bench.locator.frames) <= min(number, MAX_WAITING_PAIRS):
             time.sleep(0.001)  # noqa: ASYNC251  the loop is held up

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.located import paired
 from support.measurements import beam_of, points_of
 from support.recordings import PX_PER_MM
 
@@ -105,8 +106,9 @@ def test_what_threads_of_their_own_have_located_is_measured_alike(calibration: C
             )
             for camera in ("left", "right")
         }
-    located = [one for pair in zip(*(of.result() for of in of_camera.values()), strict=True) for one in pair]
-    added = [m for one in located for m in apart.add(one)]
+    added = [
+        apart.add(paired(*pair)) for pair in zip(*(of.result() for of in of_camera.values()), strict=True)
+    ]
     assert added == pushed
     assert len(added) == 12
     assert (apart.seen(), apart.views(), apart.step()) == (alone.seen(), alone.views(), alone.step())

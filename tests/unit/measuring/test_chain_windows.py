@@ -59,9 +59,10 @@ def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]
-    located = [measured.locators[f.camera].locate(f) for f in frames]
-    after = [(one.sequence, m) for one in located if not 5 <= one.sequence <= 7 for m in measured.add(one)]
-    means = {sequence: beam_of(m).x_mm for sequence, m in after if beam_of(m) is not None}
+    pairs = [pair for f in frames for pair in measured.pairer.add(f.camera, f.sequence, f.t_ns, f)]
+    located = [pair.of(measured.located) for pair in pairs]
+    after = [measured.add(pair) for pair in located if not 5 <= pair.sequence <= 7]
+    means = {m.sequence: beam_of(m).x_mm for m in after if m is not None and beam_of(m) is not None}
     assert all(min(abs(x_mm - 10.0), abs(x_mm - 10.3)) < 0.05 for x_mm in means.values()), means
     assert set(means) == {1, 2, 3, 4, *range(9, 16)}
 
