@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from altd.acquisition.acquiring import StampCheck
 from altd.acquisition.frame_pairs import FramePairs
 from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.pipeline import Pipeline
-from altd.acquisition.timestamps import StampCheck
 from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
 from altd.instruments.beam.instrument import BeamInstrument

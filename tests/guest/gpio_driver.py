@@ -11,8 +11,7 @@ from support.guest import leave_results
 
 from altd.config import GpiodLampsSettings, IndicatorsSettings
 from altd.devices.gpio.find_chips import chip_paths, read_chip
-from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators
-from altd.devices.gpio.lines import OutputLines
+from altd.devices.gpio.lamps import GpioFrameLamps, GpioIndicators, OutputLines
 from altd.ports import Indicator, LampsError
 
 

@@ -22,7 +22,7 @@ BREAKS = {
     "A face sees": ("altd/publish/http/page.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),
     "Publishers do not know": ("altd/publish/serial/words.py", "import altd.publish.modbus.registers"),
-    "Drivers do not know": ("altd/devices/gpio/lines.py", "import altd.devices.grbl.line"),
+    "Drivers do not know": ("altd/devices/gpio/lamps.py", "import altd.devices.grbl.line"),
     "Instruments do not know": ("altd/instruments/beam/solver.py", "import altd.instruments.toy"),
     "The unit never invents data": ("altd/app/parts.py", "import hw_sim.unit"),
     "The simulator shares no measuring code": ("hw_sim/unit.py", "import altd.mapping.gram"),

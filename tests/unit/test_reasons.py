@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from altd.publish.modbus.status import STATUS_BITS
+from altd.publish.modbus.values import STATUS_BITS
 from altd.reasons import Reason, Scope, Signal, StatusGroup
 
 CONTRACT = {

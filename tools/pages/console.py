@@ -6,8 +6,14 @@ import sys
 
 from altd.history.history import MAX_WAITING, QUERY_TIMEOUT_S
 from altd.instruments.beam.quantities import QUANTITIES
-from altd.publish.serial.commands import COMMANDS, WATCH_INTERVAL_LIMITS_S
-from altd.publish.serial.common_commands import NO_TEST, STATUS_BITS, TEST_RESULTS, identification
+from altd.publish.serial.commands import (
+    COMMANDS,
+    NO_TEST,
+    STATUS_BITS,
+    TEST_RESULTS,
+    WATCH_INTERVAL_LIMITS_S,
+    identification,
+)
 from altd.publish.serial.console import PAGE_LINES, QUESTION_S, Console
 from altd.publish.serial.lines import MAX_LINE_CHARACTERS, MAX_RECALLED_LINES, BadLine
 from altd.publish.serial.publisher import MAX_READ_BYTES, READ_INTERVAL_S

@@ -25,9 +25,8 @@ from altd.publish.modbus.registers import (
     image,
 )
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
-from altd.publish.modbus.status import REASON_CODES, STATUS_BITS, VALID, WITHOUT_BIT, StatusBit
 from altd.publish.modbus.tcp import MAX_CLIENTS
-from altd.publish.modbus.values import Snapshot
+from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, VALID, WITHOUT_BIT, Snapshot, StatusBit
 from altd.reasons import Reason, Signal
 from tools.pages.example import MEASURED
 

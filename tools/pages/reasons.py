@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from altd.publish.modbus.status import STATUS_BITS
+from altd.publish.modbus.values import STATUS_BITS
 from altd.reasons import Reason, Scope
 
 _WHOSE = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -15,18 +16,46 @@ from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.judging import CheckJudge, Judged, SpotPx, unknown
 from altd.acquisition.self_check.light import LedLog, Light
 from altd.acquisition.self_check.memory import CheckMemory
-from altd.acquisition.self_check.report import Occasion, report_of
 from altd.acquisition.self_check.schedule import Cause, Schedule
 from altd.acquisition.self_check.standing import Standing
 from altd.measuring.shock import ShockWatch
 from altd.measuring.spot_locator import Located
 from altd.ports import Clock
 from altd.reasons import Reason
-from altd.records import Measurement, Spot
+from altd.records import Measurement, Spot, utc_text
 from altd.runtime.threads import call_in_thread
+from altd.selfcheck.as_object import as_object
 from altd.selfcheck.records import Verdict
 from altd.status.health import Component, State
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
+
+
+@dataclass(frozen=True, slots=True)
+class Occasion:
+    """Which check it was, what for, when it ended, and how many exposures it took from the measurement."""
+
+    number: int
+    cause: Cause
+    time: datetime | None
+    exposures_lost: int
+
+
+def report_of(occasion: Occasion, judged: Judged) -> SelfCheckReport:
+    """What a check said."""
+    check = judged.check
+    return SelfCheckReport(
+        occasion.number,
+        judged.sentence,
+        {
+            **as_object(check),
+            "number": occasion.number,
+            "cause": str(occasion.cause),
+            "time": None if occasion.time is None else utc_text(occasion.time),
+            "exposures_lost": occasion.exposures_lost,
+            "notes": list(judged.notes),
+        },
+    )
+
 
 log = logging.getLogger("altd")
 

@@ -1,18 +1,86 @@
-"""What can be asked on the console: each command takes words and gives text."""
+"""What can be asked on the console: each command takes words and gives text.
+
+``*IDN? *STB? *TST?`` have the form of IEEE 488.2-1992, 10, for programs; each answer is one line. The port
+echoes and has a prompt, as for a person: a program reads the line behind its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from textwrap import fill
+from typing import NamedTuple
 
-from altd.publish.serial import common_commands
 from altd.publish.serial.parts_text import calibration_text, health_text, spots_text
 from altd.publish.serial.past_text import SPANS_S, Past, history_text, log_text
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
+from altd.reasons import Signal
 from altd.records import Measurement, Quantities
 from altd.status.health import Health
 from altd.status.self_check_desk import SelfCheckReport
+
+_MAKER, _KIND = "altd", "Active Laser Target"
+_SUMMARY_BIT = 6
+_NOT_VALID_BIT = 7
+_BIT_OF_SIGNAL = {
+    Signal.MAINTENANCE_REQUIRED: 0,
+    Signal.OUT_OF_SPECIFICATION: 1,
+    Signal.CHECK_FUNCTION: 2,
+    Signal.FAILURE: 3,
+}
+
+
+class Row(NamedTuple):
+    """A number and what it means."""
+
+    number: int
+    means: str
+
+
+STATUS_BITS = (
+    *(Row(bit, f"a cause of `{signal}` is there") for signal, bit in _BIT_OF_SIGNAL.items()),
+    Row(4, "always 0: no answer waits (MAV)"),
+    Row(5, "always 0: there is no event register (ESB)"),
+    Row(_SUMMARY_BIT, "any of the others (MSS)"),
+    Row(_NOT_VALID_BIT, "no valid measurement"),
+)
+"""IEEE 488.2, 11.2: bits 4 to 6 are the standard's own, the others the device's."""
+
+TEST_RESULTS = {"good": 0, "suspect": 1, "bad": 2, "unknown": 3}
+"""By the verdict of the last self-check."""
+NO_TEST = 4
+"""There was no self-check since the start, or the unit cannot check itself."""
+
+
+def identification(health: Health) -> str:
+    """Maker, kind, serial number and version, with commas between them (10.14)."""
+    facts = health.facts
+    return ",".join(map(_field, (_MAKER, _KIND, facts.get("serial", "0"), facts.get("version", "0"))))
+
+
+def status_byte(measurement: Measurement | None, health: Health) -> int:
+    """The status byte (10.36) by the causes that are shown now and the latest measurement."""
+    report = health.state()
+    causes = () if report is None else report.causes
+    byte = sum({1 << _BIT_OF_SIGNAL[shown.signal] for shown in causes if shown.signal in _BIT_OF_SIGNAL})
+    if measurement is None or not measurement.valid:
+        byte |= 1 << _NOT_VALID_BIT
+    return byte | bool(byte) << _SUMMARY_BIT
+
+
+def test_result(health: Health) -> int:
+    """The verdict of the last self-check as a number (10.38); none is made, for that is asked for by hand."""
+    latest = health.self_check.latest
+    if latest is None:
+        return NO_TEST
+    return TEST_RESULTS.get(str(latest.document.get("verdict")), TEST_RESULTS["unknown"])
+
+
+def _field(text: str) -> str:
+    """ASCII without what separates fields and answers."""
+    fits = (letter.isascii() and letter.isprintable() and letter not in ",;" for letter in text)
+    return "".join(letter if fit else "_" for letter, fit in zip(text, fits, strict=True))
+
 
 WATCH_INTERVAL_LIMITS_S = (0.1, 3600.0)
 """The shortest and the longest interval of ``watch``."""
@@ -178,15 +246,15 @@ def _watch(asked: Asked, seconds: str = "1") -> Watch:
 
 
 def _identification(asked: Asked) -> str:
-    return common_commands.identification(asked.health)
+    return identification(asked.health)
 
 
 def _status_byte(asked: Asked) -> str:
-    return str(common_commands.status_byte(asked.read(), asked.health))
+    return str(status_byte(asked.read(), asked.health))
 
 
 def _test(asked: Asked) -> str:
-    return str(common_commands.test_result(asked.health))
+    return str(test_result(asked.health))
 
 
 _NO_PAST = "this daemon remembers nothing"

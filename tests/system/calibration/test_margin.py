@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.calibration.fitting import fit_nodes
-from altd.calibration.margin import outer_rows
+from altd.calibration.fitting import fit_nodes, outer_rows
 from altd.mapping.inverse import InverseMap
 from altd.mapping.nodes import Nodes
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX

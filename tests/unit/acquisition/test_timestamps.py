@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.acquisition.timestamps import StampCheck
+from altd.acquisition.acquiring import StampCheck
 from altd.records import Frame
 
 PIXELS = frame(light(Blob(300, 200))).pixels

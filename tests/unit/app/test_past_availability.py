@@ -11,8 +11,7 @@ from typing import Any, cast
 import pytest
 from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 
-from altd.app.history import DaemonHistory
-from altd.app.past_availability import LOOK_INTERVAL_S, PastAvailability
+from altd.app.history import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
 from altd.history.batch import About
 from altd.history.history import History, NoHistoryError
 from altd.history.lock import WriteLock

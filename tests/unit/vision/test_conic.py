@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from altd.vision.conic import fit_conic
+from altd.vision.ellipse import fit_conic
 
 SHAPES = [(1.0, 1.0, 0.0), (1.2, 0.7, 0.4), (1.3, 0.5, 2.5), (0.6, 1.6, 1.0)]
 

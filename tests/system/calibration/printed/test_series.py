@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.prints import steps
 
+from altd.calibration.printed.find import Series
 from altd.calibration.printed.lattice import Lattice
 from altd.calibration.printed.sample import Sample
-from altd.calibration.printed.series import Series
 
 PX_PER_MM = 5.0
 BLUR_PX = 0.5

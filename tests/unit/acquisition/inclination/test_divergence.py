@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from altd.acquisition.inclination.divergence import PitchDivergence
+from altd.acquisition.inclination.monitor import PitchDivergence
 
 S = 1_000_000_000
 

@@ -13,8 +13,7 @@ from support.clock import FakeClock
 from support.measurements import BEAM, beam_of, measurement
 
 from altd.acquisition.inclination import monitor
-from altd.acquisition.inclination.divergence import PitchDivergence
-from altd.acquisition.inclination.monitor import InclinationMonitor
+from altd.acquisition.inclination.monitor import InclinationMonitor, PitchDivergence
 from altd.config import InclinometerSettings, Installation
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.ports import (

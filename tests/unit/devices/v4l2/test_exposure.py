@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from altd.devices.v4l2 import abi
+from altd.devices.v4l2.camera import ExposureTime
 from altd.devices.v4l2.controls import Control
-from altd.devices.v4l2.exposure import ExposureTime
 from altd.ports import ExposureRange
 
 V4L2_CID_EXPOSURE, V4L2_CID_GAIN = 0x0098_0911, 0x0098_0913  # of <linux/v4l2-controls.h>; altd uses neither

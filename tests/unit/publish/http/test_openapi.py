@@ -14,8 +14,8 @@ from support.clock import FakeClock
 from support.measurements import changed, measured
 
 from altd.acquisition.self_check.judging import Judged
-from altd.acquisition.self_check.report import Occasion, report_of
 from altd.acquisition.self_check.schedule import Cause
+from altd.acquisition.self_check.service import Occasion, report_of
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.openapi import document_of

@@ -3,7 +3,7 @@ from __future__ import annotations
 from support.places import ROOT
 
 from altd.publish.modbus.registers import REGISTERS
-from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
+from altd.publish.modbus.values import REASON_CODES, STATUS_BITS
 from tools.pages.modbus import page
 
 COMMITTED = ROOT / "docs" / "modbus.md"

@@ -21,8 +21,7 @@ from altd.publish.modbus.registers import (
     Type,
     image,
 )
-from altd.publish.modbus.status import REASON_CODES, STATUS_BITS
-from altd.publish.modbus.values import Snapshot
+from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, Snapshot
 from altd.reasons import Reason, StatusGroup
 from altd.records import Fault, Measurement
 

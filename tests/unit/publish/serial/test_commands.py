@@ -15,8 +15,7 @@ from support.wire import Wire
 
 from altd.config import ConsolePortSettings
 from altd.instruments.beam.quantities import QUANTITIES
-from altd.publish.serial.commands import COMMANDS
-from altd.publish.serial.common_commands import STATUS_BITS, identification
+from altd.publish.serial.commands import COMMANDS, STATUS_BITS, identification
 from altd.publish.serial.console import PROMPT, QUESTION_PROMPT, QUESTION_S, Console
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.reasons import Reason
