@@ -27,7 +27,7 @@ from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.history import DaemonHistory
-from altd.app.kept_frames import folder_of_recordings, frame_keeper, frame_ring
+from altd.app.kept_frames import folder_of_recordings, frame_keeper
 from altd.app.local import local_socket_of
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
@@ -47,7 +47,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
 from altd.ports import Camera, Clock, Indicators, Lamps
-from altd.records import CameraIdentity, Fault, origin_faults
+from altd.records import CameraIdentity, Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.real_time import real_time_interpreter
 from altd.runtime.service_manager import ServiceManager, state_folder
@@ -96,13 +96,12 @@ class Daemon:
         self.health.diagnostics = diagnostic_parts(config)
         self._inclination: InclinationMonitor | None = None
         self._state_folder: Path | None = None
-        self.board = Board(self.clock, config.measuring.stale_after_s, instrument.quantities, identity)
         if (inclinometer := inclinometer_of(config)) is not None:
             component = self.health.component("inclinometer")
             self._inclination = InclinationMonitor(
                 *inclinometer, instrument.quantities, config.installation, component, self.clock
             )
-            self.board.add_sensors(self._inclination.quantities, self._inclination.complete)
+        self.board = self._board(instrument.quantities, identity)
         self._upkeep = Upkeep(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._upkeep.watches)
         self.health.state = self.state.read
@@ -144,6 +143,12 @@ class Daemon:
             for name, settings in config.cameras.items()
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
+
+    def _board(self, quantities: Quantities, identity: Identity) -> Board:
+        monitor, stale_after_s = self._inclination, self.config.measuring.stale_after_s
+        if monitor is None:
+            return Board(self.clock, stale_after_s, quantities, identity)
+        return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete)
 
     def keep_state_in(self, folder: Path) -> None:
         """Keep in this folder what outlives a restart: what checks and recordings left. Before ``run``."""
@@ -224,11 +229,10 @@ class Daemon:
         if folder is None:
             desk.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
             return None
-        ring = frame_ring(self.config, self._cameras)
-        keeper = frame_keeper(self.config, self._cameras, ring, folder, self.state, self.health)
-        keeper.note = self.past.note_recording
+        note = self.past.note_recording
+        keeper = frame_keeper(self.config, self._cameras, folder, self.state, self.health, note)
         tasks.create_task(keeper.run(), name="kept frames")
-        return ring
+        return keeper.ring
 
     def _marks(self, tasks: asyncio.TaskGroup) -> MarkedFrames | None:
         """What marks the frames under LEDs, where the unit checks itself; the checks begin."""

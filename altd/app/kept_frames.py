@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from altd.acquisition.exposures_writer import RecordingPlan
@@ -13,6 +13,7 @@ from altd.config import Config
 from altd.ports import Camera
 from altd.recording.header import target_headers, unit_header
 from altd.status.health import Health
+from altd.status.recording_desk import KeptRecording
 from altd.status.state import UnitState
 
 RECORDINGS = "recordings"
@@ -29,30 +30,27 @@ def folder_of_recordings(config: Config, state_folder: Path | None) -> Path | No
     return state_folder / RECORDINGS
 
 
-def frame_ring(config: Config, cameras: Mapping[str, Camera]) -> FrameRing:
-    """The ring, as large as the config says."""
-    settings = config.kept_frames
-    length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
-    return FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
-
-
 def frame_keeper(
     config: Config,
     cameras: Mapping[str, Camera],
-    ring: FrameRing,
     folder: Path,
     state: UnitState,
     health: Health,
+    note: Callable[[str, KeptRecording | None], None],
 ) -> FrameKeeper:
-    """Who writes what the ring holds; the desk of ``health`` is open from now on."""
+    """Keeps and writes what a config asks for; the desk of ``health`` is open from now on."""
+    settings = config.kept_frames
+    length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
+    ring = FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
-    plan = RecordingPlan(config.kept_frames.before_s, unit, targets, by="altd run, frames kept")
+    plan = RecordingPlan(settings.before_s, unit, targets, by="altd run, frames kept")
     keeper = FrameKeeper(
         Source(ring, cameras, config.measuring, plan),
-        config.kept_frames,
-        RecordingStore(folder, config.kept_frames.disk_mb << 20),
+        settings,
+        RecordingStore(folder, settings.disk_mb << 20),
         state.read,
         health.component("kept frames"),
+        note,
     )
     health.recordings.open(keeper)
     return keeper

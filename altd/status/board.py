@@ -12,7 +12,10 @@ from altd.status.proof import Identity
 
 
 class Board:
-    """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped."""
+    """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped.
+
+    ``complete`` adds to each measurement what other sensors say.
+    """
 
     def __init__(
         self,
@@ -20,10 +23,11 @@ class Board:
         stale_after_s: float,
         quantities: Quantities,
         identity: Identity = Identity(),  # noqa: B008  frozen; nobody's board is of no unit
+        complete: Callable[[Measurement], Measurement] = lambda measurement: measurement,
     ) -> None:
         self.quantities = quantities
         """What its measurements hold; known before the first."""
-        self._complete: Callable[[Measurement], Measurement] = lambda measurement: measurement
+        self._complete = complete
         self.identity = identity
         """Whose measurements these are."""
         self.on_publish: Callable[[Measurement], None] = lambda measurement: None
@@ -37,10 +41,6 @@ class Board:
         self._published_ns = 0
         self._count = 0
         self._changed = asyncio.Event()
-
-    def add_sensors(self, quantities: Quantities, complete: Callable[[Measurement], Measurement]) -> None:
-        """From now on a measurement holds ``quantities``: ``complete`` adds what other sensors say."""
-        self.quantities, self._complete = quantities, complete
 
     @property
     def published(self) -> int:

@@ -54,7 +54,11 @@ class Source:
 
 
 class FrameKeeper:
-    """Keeps recordings of one unit. ``state`` tells what is wrong now."""
+    """Keeps recordings of one unit.
+
+    ``state`` tells what is wrong now; ``note`` is called with each recording that was kept, or with the
+    reason why there is none.
+    """
 
     def __init__(
         self,
@@ -63,7 +67,9 @@ class FrameKeeper:
         store: RecordingStore,
         state: Callable[[], StateReport],
         component: Component,
+        note: Callable[[str, KeptRecording | None], None] = lambda text, kept: None,
     ) -> None:
+        self.ring = source.ring
         self._source = source
         self._settings = settings
         self._store = store
@@ -71,8 +77,7 @@ class FrameKeeper:
         self._component = component
         self._clock: Clock = component.clock
         self._stop = threading.Event()
-        self.note: Callable[[str, KeptRecording | None], None] = lambda text, kept: None
-        """Is told of each recording that was kept, and in words of one that was not."""
+        self._note = note
         self._disk: DeviceThread | None = None
         self._waiting = 0
         self._recordings: tuple[KeptRecording, ...] = ()
@@ -172,13 +177,13 @@ class FrameKeeper:
             self._component.count("not_kept")
             if not isinstance(error, NoExposureError):
                 self._component.set_state(State.DEGRADED, f"{why} was not recorded: {error}")
-            self.note(f"{why} was not recorded: {error}", None)
+            self._note(f"{why} was not recorded: {error}", None)
             raise
         finally:
             self._waiting -= 1
         self._component.count("kept")
         self._say()
-        self.note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
+        self._note(f"{kept.seconds:.1f} s of frames are kept: {why}", kept)
         return kept
 
     def _write(self, why: str, since_ns: int, until_ns: int) -> KeptRecording:

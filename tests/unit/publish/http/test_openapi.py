@@ -29,7 +29,7 @@ from altd.status.health import Health, State
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 
-from .conftest import Served
+from .conftest import Served, served_with
 from .documents import DOCUMENT, fits
 
 
@@ -77,13 +77,13 @@ async def test_measurements_of_every_kind_are_what_the_document_says(
 
 
 async def test_a_unit_with_an_inclinometer_has_a_document_of_its_own(
-    served: Served, board: Board, clock: FakeClock
+    health: Health, clock: FakeClock
 ) -> None:
     quantities = QUANTITIES.with_sensor("roll_deg")
     said = SensorValue(Quality.GOOD, "", 0.5, 0.01, clock.now_ns, 0.2, clock.now_ns + 10**9)
-    board.add_sensors(quantities, lambda measurement: measurement.with_sensors({"roll_deg": said}))
+    board = Board(clock, 1.0, quantities, complete=lambda plain: plain.with_sensors({"roll_deg": said}))
     board.publish(measured(quantities=quantities))
-    async with served() as unit:
+    async with served_with(board, health, None) as unit:
         document = (await unit.ask("/api/v1/openapi.json")).json
         shown = fits(document, "/api/v1/measurement", await unit.ask("/api/v1/measurement"))
     assert shown["sigma"]["roll_deg"] == 0.01
