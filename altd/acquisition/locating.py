@@ -1,11 +1,12 @@
-"""The thread that locates the spots of the newest frame set; the event loop takes what it found."""
+"""The threads that locate the spots of the newest frame set; the event loop takes what they found."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from queue import SimpleQueue
 
 from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_pairs import FramePairs
@@ -72,10 +73,10 @@ class LocatedPairs:
 
 
 class Locating:
-    """Locates the spots of frame sets in a thread.
+    """Locates the spots of frame sets, the frames of one side by side in a thread for each camera.
 
     ``exposures`` are shown each frame with what was found in it, by camera, and ``show`` is called with each
-    frame and its spot, in the thread.
+    frame and its spot, in these threads.
     """
 
     def __init__(
@@ -89,7 +90,8 @@ class Locating:
         self._show = show
         self._arrived = threading.Event()
         self._stop = threading.Event()
-        self._in_hand: Frame | None = None
+        self._in_hand: dict[str, Frame | None] = dict.fromkeys(locators)
+        """The frame that is being located, by camera."""
 
     def arrived(self) -> None:
         """Frame sets wait to be located; from any thread."""
@@ -102,17 +104,17 @@ class Locating:
         """
         done = call_in_thread(lambda: self._locate_all(located), "locate")
         done.add_done_callback(lambda _: done.cancelled() or done.exception())  # nobody may ask for it
-        same, checks = None, 0
+        last, checks = dict(self._in_hand), Counter[str]()
         try:
             while not (await asyncio.wait({done}, timeout=_CHECK_INTERVAL_S))[0]:
-                in_hand = self._in_hand
-                checks = checks + 1 if in_hand is not None and in_hand is same else 0
-                same = in_hand
-                if in_hand is not None and checks >= _MAX_CHECKS:
-                    raise LocatingStalledError(
-                        f"camera {in_hand.camera}: exposure {in_hand.sequence} is not located within "
-                        f"{_MAX_CHECKS * _CHECK_INTERVAL_S:g} s"
-                    )
+                for camera, frame in self._in_hand.items():
+                    checks[camera] = checks[camera] + 1 if frame is not None and frame is last[camera] else 0
+                    last[camera] = frame
+                    if frame is not None and checks[camera] >= _MAX_CHECKS:
+                        raise LocatingStalledError(
+                            f"camera {camera}: exposure {frame.sequence} is not located within "
+                            f"{_MAX_CHECKS * _CHECK_INTERVAL_S:g} s"
+                        )
         finally:
             self._stop.set()
             located.close()
@@ -121,22 +123,70 @@ class Locating:
         located.wake()  # nothing follows that would
 
     def _locate_all(self, located: LocatedPairs) -> None:
+        _, *others = self._locators
+        helpers = {camera: _Helper(self._locate) for camera in others}
         is_at_end = False
-        while not is_at_end:
-            self._arrived.wait()
-            self._arrived.clear()
-            is_at_end = located.frames.is_at_end  # asked before what waits is taken
-            for pair in located.frames.take():
-                if self._stop.is_set():
-                    return
-                located.put(pair.of(self._locate))
+        try:
+            while not is_at_end:
+                self._arrived.wait()
+                self._arrived.clear()
+                is_at_end = located.frames.is_at_end  # asked before what waits is taken
+                for pair in located.frames.take():
+                    if self._stop.is_set():
+                        return
+                    located.put(self._locate_pair(pair, helpers))
+        finally:
+            for helper in helpers.values():
+                helper.end()
+
+    def _locate_pair(self, pair: Pair[Frame], helpers: Mapping[str, _Helper]) -> Pair[Located]:
+        """Begin with the frames that have helpers, locate the one that has none, and wait for the others."""
+        for frame in pair.all_items:
+            if frame.camera in helpers:
+                helpers[frame.camera].begin(frame)
+        own = {frame.camera: self._locate(frame) for frame in pair.all_items if frame.camera not in helpers}
+        return pair.of(
+            lambda frame: own[frame.camera] if frame.camera in own else helpers[frame.camera].located()
+        )
 
     def _locate(self, frame: Frame) -> Located:
-        self._in_hand = frame
+        self._in_hand[frame.camera] = frame
         located = locate_frame(frame, self._locators[frame.camera], self._exposures.get(frame.camera))
-        self._in_hand = None
+        self._in_hand[frame.camera] = None
         self._show(frame, located.spot)
         return located
+
+
+class _Helper:
+    """Locates the frames of one camera in a thread of its own."""
+
+    def __init__(self, locate: Callable[[Frame], Located]) -> None:
+        self._locate = locate
+        self._frames: SimpleQueue[Frame | None] = SimpleQueue()
+        self._located: SimpleQueue[Located | BaseException] = SimpleQueue()
+        threading.Thread(target=self._run, name="locate beside", daemon=True).start()
+
+    def begin(self, frame: Frame) -> None:
+        """Locate the spot of a frame from now on."""
+        self._frames.put(frame)
+
+    def located(self) -> Located:
+        """What the frame that was begun holds, once that is known; raises what the locator raises."""
+        located = self._located.get()
+        if isinstance(located, BaseException):
+            raise located
+        return located
+
+    def end(self) -> None:
+        """Let the thread end after what it has in hand."""
+        self._frames.put(None)
+
+    def _run(self) -> None:
+        while (frame := self._frames.get()) is not None:
+            try:
+                self._located.put(self._locate(frame))
+            except BaseException as error:
+                self._located.put(error)
 
 
 def locate_frame(frame: Frame, locator: SpotLocator, exposure: ExposureControl | None = None) -> Located:

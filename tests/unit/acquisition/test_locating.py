@@ -197,6 +197,36 @@ async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_coun
     await stop(bench.task)
 
 
+async def test_the_frames_of_a_set_are_located_side_by_side() -> None:
+    """Each waits until the other is being located, too."""
+    both = threading.Barrier(2)
+    locators = {camera: Locator(lambda frame: both.wait(LONG_S)) for camera in ("front", "rear")}
+    locating = Locating(locators, {})  # type: ignore[arg-type]
+    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
+    pairs = FramePairs(pairer, locating.arrived, FakeClock())
+    waiting = LocatedPairs(pairs)
+    task = asyncio.create_task(locating.run(waiting))
+    for number in range(3):
+        for camera in ("front", "rear"):
+            pairs.put(replace(shot(number), camera=camera), wait=False)
+        (pair,) = await waiting.take()
+        assert pair.sequence == number
+        assert set(pair.items) == {"front", "rear"}
+    await stop(task)
+
+
+async def test_a_defect_beside_is_raised_too() -> None:
+    locators = {"front": Locator(), "rear": Locator(lambda frame: 1 / 0)}
+    locating = Locating(locators, {})  # type: ignore[arg-type]
+    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
+    pairs = FramePairs(pairer, locating.arrived, FakeClock())
+    task = asyncio.create_task(locating.run(LocatedPairs(pairs)))
+    for camera in ("front", "rear"):
+        pairs.put(replace(shot(1), camera=camera), wait=False)
+    with pytest.raises(ZeroDivisionError):
+        await task
+
+
 async def test_a_defect_in_the_localiser_is_raised() -> None:
     bench = Bench(Locator(lambda frame: 1 / 0))
     bench.put(1)
