@@ -1,8 +1,8 @@
 """Why a measurement is invalid, or what a valid one warns of: the one table of reasons.
 
-Every face and every page takes from here what it says of a reason: its code, its meaning, what to do about
-it, its number and bit on Modbus, what the unit's state becomes. Codes, numbers and bits are contracts: new
-ones come, old ones never change.
+Every interface and every page takes its text about a reason from here: its code, its meaning, what to do
+about it, its number and bit on Modbus, what the unit's state becomes. Codes, numbers and bits are contracts:
+new ones come, old ones never change.
 """
 
 from __future__ import annotations

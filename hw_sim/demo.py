@@ -173,7 +173,7 @@ async def _together(*work: Coroutine[None, None, None]) -> None:
 
 async def _on_screen(view: View, unit: Unit, stop: Callable[[], None]) -> None:
     """Redraw a terminal in place and listen to its keys."""
-    logging.getLogger("altd").addHandler(logging.NullHandler())  # the screen says it, by the faces' states
+    logging.getLogger("altd").addHandler(logging.NullHandler())  # the screen shows the interfaces' states
 
     def pressed(key: str) -> None:
         if key in FAULT_KEYS:

@@ -73,7 +73,7 @@ _MAX_BACKOFF_S = 0.5
 _LOG_REPEAT_S = 10.0
 """A failure is logged once, and again when the camera has delivered for so long."""
 _JOIN_TIMEOUT_S = 3.0
-"""The service manager kills after 10 s, and the faces shut down too."""
+"""The service manager kills after 10 s, and the interfaces shut down too."""
 
 _KINDS: tuple[tuple[type[CameraError], str], ...] = (
     (CameraNotFoundError, "not found"),

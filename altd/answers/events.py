@@ -30,7 +30,7 @@ COLUMNS = (
     Column("time", Type.TIME, "", "UTC"),
     Column("severity", Type.WHOLE, "", "0 good to 4 failure, as the unit's signals"),
     text("kind", "what it is"),
-    text("of", "the target, component or face"),
+    text("of", "the target, component or interface"),
     text("text", "what happened, for people"),
     text("detail", "more of it, as JSON"),
     Column("held_back", Type.WHOLE, "", "as many like it came before and were counted only"),

@@ -171,17 +171,17 @@ class Daemon:
 
     async def _run(self) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        faces = dict(self._publishers())
-        manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(faces))
+        interfaces = dict(self._publishers())
+        manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(interfaces))
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
                 self._upkeep.start(tasks)
-                tried = [asyncio.Event() for _ in faces]
-                for (place, publisher), first_try in zip(faces.items(), tried, strict=True):
+                tried = [asyncio.Event() for _ in interfaces]
+                for (place, publisher), first_try in zip(interfaces.items(), tried, strict=True):
                     component = self.health.component(place)
-                    face = keep_running(place, publisher, component, self.clock, first_try.set)
-                    tasks.create_task(face, name=place)
+                    interface = keep_running(place, publisher, component, self.clock, first_try.set)
+                    tasks.create_task(interface, name=place)
                 await _all_of(tried)
                 with real_time_interpreter():
                     self._measure(tasks, manager)
@@ -263,7 +263,7 @@ class Daemon:
         return origin_faults({camera.name: camera.origin for camera in cameras}, played)
 
     def _publishers(self) -> Iterator[tuple[str, Publisher]]:
-        """The faces that the config asks for, with their places in it. Imported only when wanted."""
+        """The interfaces that the config asks for, with their places in it. Imported only when wanted."""
         config, board, health = self.config, self.board, self.health
         if config.modbus_tcp is not None:
             from altd.publish.modbus.tcp import ModbusTcpPublisher
@@ -334,9 +334,9 @@ def _about(calibration: Calibration) -> str:
 
 
 async def _all_of(tried: Sequence[asyncio.Event]) -> None:
-    """Let every face try to start before the first frame comes: a mistake in the config is the first word.
+    """Let every interface try to start before the first frame comes: a mistake in the config comes first.
 
-    A face that takes long does not keep the unit from measuring.
+    An interface that takes long does not keep the unit from measuring.
     """
     try:
         async with asyncio.timeout(_FACES_START_TIMEOUT_S):

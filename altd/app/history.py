@@ -134,7 +134,7 @@ class DaemonHistory:
     def __init__(self, board: Board, health: Health, state: UnitState, clock: Clock) -> None:
         self.events = EventLog(clock)
         self.history = History(None, "this daemon keeps no history")
-        """For faces."""
+        """For interfaces."""
         self._board = board
         self._health = health
         self._state = state

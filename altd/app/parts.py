@@ -76,7 +76,7 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
 
 
 def _checks_of_http(settings: HttpSettings) -> Iterator[Callable[[], object]]:
-    """What reads the files of ``[http]``, as the face itself will."""
+    """What reads the files of ``[http]``, as the interface itself will."""
     if settings.credentials is not None:
         from altd.credentials.file import load_credentials
 

@@ -1,6 +1,7 @@
 """``altd.toml`` as pydantic models, the tables of one room in one file; reading it, wording its faults.
 
-A model that a driver or a face is made of is called ``…Settings``; the driver or face has the name without.
+A model that a driver or an interface is made of is called ``…Settings``; the driver or interface has the name
+without it.
 """
 
 from altd.config.cameras import (
@@ -11,7 +12,9 @@ from altd.config.cameras import (
     RecordingCameraSettings,
     V4l2CameraSettings,
 )
-from altd.config.faces import (
+from altd.config.history import HistorySettings
+from altd.config.inclinometer import InclinometerSettings
+from altd.config.interfaces import (
     AnySerialPortSettings,
     ConsolePortSettings,
     HttpSettings,
@@ -21,8 +24,6 @@ from altd.config.faces import (
     SerialPortSettings,
     TelegramPortSettings,
 )
-from altd.config.history import HistorySettings
-from altd.config.inclinometer import InclinometerSettings
 from altd.config.kept_frames import KeptFrames
 from altd.config.lamps import AnyLampsSettings, CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
 from altd.config.loading import load_config

@@ -11,8 +11,8 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
-from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
 from altd.config.inclinometer import InclinometerSettings
+from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
 from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
 from altd.config.maintenance import HwmonThermometerSettings
 from altd.config.measuring import Measuring

@@ -140,7 +140,7 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
 
 
 def _listeners(draft: Draft) -> Iterator[Fault]:
-    """No two faces listen on one port of one address; port 0 is any that is free."""
+    """No two interfaces listen on one port of one address; port 0 is any that is free."""
     if draft.modbus_tcp is None or draft.http is None:
         return
     port = draft.http.port

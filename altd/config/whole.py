@@ -7,9 +7,9 @@ from typing import Annotated
 from pydantic import Field
 
 from altd.config.cameras import AnyCameraSettings
-from altd.config.faces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
 from altd.config.history import HistorySettings
 from altd.config.inclinometer import InclinometerSettings
+from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
 from altd.config.kept_frames import KeptFrames
 from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
 from altd.config.local import LocalSettings

@@ -1,4 +1,4 @@
-"""What faces ask of the history: bounded queries that neither hold the event loop nor each other for long."""
+"""The queries of the interfaces to the history: bounded; none holds the event loop or another one up."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class NoHistoryError(Exception):
 
 
 class History:
-    """The history of the unit, for faces. ``unavailable`` says why there is none; empty: there is one.
+    """The history of the unit, for interfaces. ``unavailable`` says why there is none; empty: there is one.
 
     Where ``serial`` says which unit it is, a file of another one is refused: until it is moved aside, or
     while the other's daemon writes it, it lies in the place of this unit's.

@@ -1,1 +1,1 @@
-"""The faces to the outside: each reads the board and owns its wire format."""
+"""The interfaces to the outside: each reads the board and owns its wire format."""

@@ -25,10 +25,10 @@ class ServiceManager:
     Ready is sent with the first measurement on the board, again and again until the manager has taken it.
     """
 
-    def __init__(self, board: Board, clock: Clock, unit: str, faces: Sequence[str]) -> None:
+    def __init__(self, board: Board, clock: Clock, unit: str, interfaces: Sequence[str]) -> None:
         self._board = board
         self._clock = clock
-        self._start_line = f"{unit}: {', '.join(faces) or 'no face to the outside'}"
+        self._start_line = f"{unit}: {', '.join(interfaces) or 'no interface to the outside'}"
         self._notified_ns = -_NOTIFY_INTERVAL_NS
         self._ready = False
         self._log_ns = 0

@@ -37,10 +37,10 @@ def _retry_message(failure: str, due_ns: int) -> Message:
 
 
 class Publisher(Protocol):
-    """A face to the outside."""
+    """An interface to the outside."""
 
     def run(self, ready: Callable[[], None]) -> Awaitable[None]:
-        """Serve until cancelled; call ``ready`` once serving; raise when the face is dead."""
+        """Serve until cancelled; call ``ready`` once serving; raise when the interface is dead."""
 
 
 async def keep_running(

@@ -1,1 +1,1 @@
-"""What every face may read: the board, health, the measurement object."""
+"""What every interface may read: the board, health, the measurement object."""

@@ -1,4 +1,4 @@
-"""Where a face reads what the loaded calibration says, its file, and the report on it."""
+"""Where an interface reads what the loaded calibration says, its file, and the report on it."""
 
 from __future__ import annotations
 

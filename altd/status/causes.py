@@ -20,7 +20,7 @@ _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAIL
 """What is no failure while the unit starts."""
 
 _FACES = {"modbus_tcp", "modbus_rtu", "http", "local", "serial"}
-"""The first words of the names of components that are faces to the outside."""
+"""The first words of the names of components that are interfaces to the outside."""
 
 
 def causes_now(

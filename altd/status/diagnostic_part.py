@@ -1,4 +1,4 @@
-"""A file of what a unit gives to who looks for a fault, made where more is known than a face may see."""
+"""A file for the diagnostics, made where more is known than an interface may see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened to the unit: the newest events, for the history and for faces; who notes never waits."""
+"""What happened to the unit: the newest events, for the history and for interfaces; who notes never waits."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ history: however often it comes, it takes the place of no state and no cause."""
 class Event:
     """Something that happened.
 
-    ``number`` counts the events of this daemon from 1, ``of`` names the target, component or face, ``detail``
-    holds plain JSON types. ``held_back`` are those of its kind before it that were counted and not noted;
-    ``is_recorded``: the history has it already.
+    ``number`` counts the events of this daemon from 1, ``of`` names the target, component or interface,
+    ``detail`` holds plain JSON types. ``held_back`` are those of its kind before it that were counted and not
+    noted; ``is_recorded``: the history has it already.
     """
 
     number: int

@@ -126,7 +126,7 @@ class Health:
         self.pictures = PictureDesk()
         self.calibration = CalibrationDesk()
         self.diagnostics: tuple[DiagnosticPart, ...] = ()
-        """What diagnostics hold beside what every face sees."""
+        """What diagnostics hold beside what every interface sees."""
         self.state: Callable[[], StateReport | None] = lambda: None
         """The unit's state at this moment; None: nobody finds it out."""
 

@@ -1,4 +1,4 @@
-"""Where a face gets the newest picture of each target, for people to look at."""
+"""Where an interface gets the newest picture of each target, for people to look at."""
 
 from __future__ import annotations
 

@@ -30,9 +30,9 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """One message of one face.
+    """One message of one interface.
 
-    ``message`` counts the messages of this face from 1, ``clock_ms`` the milliseconds since the daemon
+    ``message`` counts the messages of this interface from 1, ``clock_ms`` the milliseconds since the daemon
     started; 0xFFFFFFFE is followed by 0 in both.
     """
 
@@ -53,7 +53,7 @@ class Running(Protocol):
 
 
 class Stamps:
-    """The stamps of one face, one for each message that it sends."""
+    """The stamps of one interface, one for each message that it sends."""
 
     def __init__(self, running: Running) -> None:
         self._running = running

@@ -1,4 +1,4 @@
-"""Where a face reads which recordings the unit has kept, and asks for one of the last seconds."""
+"""Where an interface reads which recordings the unit has kept, and asks for one of the last seconds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a face asks for a self-check and reads what the last one said."""
+"""Where an interface asks for a self-check and reads what the last one said."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from benchmarks.hostile.runner import FACES, run
 
 
 def main() -> int:
-    """Attack each face as often as is asked for; 1 when something was wrong."""
+    """Attack each interface as often as is asked for; 1 when something was wrong."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.hostile", description=__doc__)
     parser.add_argument("--inputs", type=int, default=100_000, help="at each face")
     parser.add_argument("--face", choices=FACES, action="append", help="only this one")

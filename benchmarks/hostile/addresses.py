@@ -1,4 +1,4 @@
-"""Where a face listens."""
+"""Where an interface listens."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ Send = Callable[[Address, random.Random], tuple[str, str]]
 
 @dataclass(frozen=True, slots=True)
 class Front:
-    """A face that is reached by a socket: how it is served and attacked, from how many threads a process."""
+    """An interface on a socket: how it is served and attacked, from how many threads a process."""
 
     serve: Callable[[Path], AbstractAsyncContextManager[served.Served]]
     send: Send

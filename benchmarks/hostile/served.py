@@ -1,4 +1,4 @@
-"""A unit's faces as the attackers find them."""
+"""A unit's interfaces as the attackers find them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Face = HttpPublisher | ConsolePublisher
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Where a face is, and who serves it."""
+    """Where an interface is, and who serves it."""
 
     address: Address
     publisher: HttpPublisher

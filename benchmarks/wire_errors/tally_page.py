@@ -52,7 +52,7 @@ Of {injected:,} errors put on four wires {found}
 
 Made by `{command}`.
 
-Two units of altd with all their faces run in a process of their own, {RATE_HZ:g}
+Two units of altd with all their interfaces run in a process of their own, {RATE_HZ:g}
 measurements a second. Between them and the reader is a proxy on real wires: TCP connections, pseudo
 terminals, an HTTP stream. Each second message is an error. The reader is the Python of [proof](../proof.md),
 taken out of the page; it imports nothing of altd, its clock is not synchronised, and it may use nothing

@@ -1,4 +1,4 @@
-"""The pipeline between its slots and a board, with a chain that a test controls and a clock it drives."""
+"""The pipeline between frame sets and a board, with a chain that a test controls and a clock it drives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A face that serves as long as a test runs."""
+"""An interface that serves as long as a test runs."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ DEFECTS = (
         'return struct.unpack(f">{self.words}H", packed)[::-1]',
     ),
     Defect(
-        "two messages of a face have the same number",
+        "two messages of an interface have the same number",
         "altd/status/proof.py",
         "        self._messages += 1\n",
         "        self._messages |= 1\n",

@@ -60,8 +60,12 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ("[measuring]", Measuring, "All keys have defaults."),
     ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
-    ("[modbus_tcp]", ModbusTcpSettings, "Leave the table out and the face is off. Registers: `modbus.md`."),
-    ("[http]", HttpSettings, "Leave the table out and the face is off. Routes: `http.md`."),
+    (
+        "[modbus_tcp]",
+        ModbusTcpSettings,
+        "Leave the table out and the interface is off. Registers: `modbus.md`.",
+    ),
+    ("[http]", HttpSettings, "Leave the table out and the interface is off. Routes: `http.md`."),
     (
         "[local]",
         LocalSettings,
@@ -161,7 +165,7 @@ def _lines() -> Iterator[str]:
     yield from (f"    {line}" for line in _complaints())
     yield ""
     yield "`altd run` refuses the same: keys that nobody knows, and what can come to nothing on any"
-    yield "computer, such as two faces on one port, a telegram that its line cannot take, one camera or"
+    yield "computer, such as two interfaces on one port, a telegram that its line cannot take, one camera or"
     yield "GPIO line twice, a camera that no target has, live cameras of different rates. What depends on"
     yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]` and"
     yield "`[http]` are relative to the file; a calibration or a recording that is not there yet is named and"

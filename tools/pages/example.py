@@ -1,4 +1,4 @@
-"""The measurement that the pages of all faces show, so that a reader can compare them."""
+"""The measurement that the pages of all interfaces show, so that a reader can compare them."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ again.
   failure; the state is `check_function`, never good. A component that does not come up within
   {MAX_START_S:g} s is a cause.
 - Pipeline, cameras and lamps are heard of regularly while they live. One that is not is a failure, whatever
-  it said last. Faces are supervised: one that ends is started again and is a cause meanwhile.
+  it said last. Interfaces are supervised: one that ends is started again and is a cause meanwhile.
 - A reason or a component's state that is in no table is a failure.
 - The state is found out when it is asked for, on the monotonic clock: setting the time of day changes
   nothing.

@@ -106,7 +106,7 @@ killed. Where another daemon listens, or the path has a file that is no socket, 
 line that names it. When its file is deleted or replaced, the running daemon reports it in its health within a
 second, and makes the socket again as soon as its place is free.
 
-The socket speaks HTTP, the same as the network's face and with limits of its own ([http](http.md)):
+The socket speaks HTTP, the same as the network's interface and with limits of its own ([http](http.md)):
 
     curl --unix-socket {SERVICE_SOCKET} http://unit/api/v1/measurement
 """

@@ -37,7 +37,7 @@ NOTHING_YET = {
 
 
 class Answers:
-    """The answers of one face. ``guard`` says who may act.
+    """The answers of one interface. ``guard`` says who may act.
 
     ``document``, as JSON, and ``api_page`` are the API's own and do not change: to make 70 kB of JSON again
     for each request would hold the loop for some 10 ms.

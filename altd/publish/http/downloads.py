@@ -20,7 +20,7 @@ _NOT_IN_A_NAME = re.compile(r"[^0-9A-Za-z._-]")
 
 
 class Downloads:
-    """Those of one face that are under way."""
+    """Those of one interface that are under way."""
 
     def __init__(self) -> None:
         self.open = 0

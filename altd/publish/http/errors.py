@@ -1,4 +1,4 @@
-"""Errors as this face says them: always one JSON object with ``error``, whoever refuses."""
+"""Errors as this interface says them: always one JSON object with ``error``, whoever refuses."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Refused(Exception):  # noqa: N818  an answer, not a fault
 
 
 class Guard:
-    """One face's guard. ``known`` gives who may act at this moment; None: no credentials are set.
+    """One interface's guard. ``known`` gives who may act at this moment; None: no credentials are set.
 
     Who logs in and out, and who tries in vain, is noted in ``events``.
     """
@@ -206,7 +206,7 @@ def too_many(sentence: str, wait_s: float) -> Response:
 
 
 def cookie_name(request: HTTPConnection) -> str:
-    """The cookie of this face. Cookies know no ports: two units behind one address have two names.
+    """The cookie of this interface. Cookies know no ports: two units behind one address have two names.
 
     With TLS its prefix has browsers take it from this host only, and never without TLS (RFC 6265bis, 4.1.3).
     """

@@ -1,4 +1,4 @@
-"""The face: its settings, its socket, its application."""
+"""The interface: its settings, its socket, its application."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measurements of any finite numbers, as every face writes them: foreign readers get the same, or nothing."""
+"""Measurements of any finite numbers on every interface: foreign readers get the same, or nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXAMPLES = measurements
 
 
 def check(example: Measurement) -> None:
-    """Each face says valid or not, the same numbers within its digits, and none where there are none."""
+    """Each interface says valid or not, the same numbers within its digits, and none where there are none."""
     _check_telegram(example)
     _check_registers(example)
     _check_json(example)

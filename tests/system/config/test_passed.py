@@ -1,4 +1,4 @@
-"""What `check-config` passes, `altd run` starts: its faces get the addresses and ports that they ask for."""
+"""What `check-config` passes, `altd run` starts: its interfaces get the addresses and ports they ask for."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from altd.app.parts import check_files
 from altd.app.settings import load_settings
 
 STARTED_S = 1.5
-"""A face whose address is refused ends the daemon within it: the first try of all faces takes 1 s at most."""
+"""An interface whose address is refused ends the daemon within it: all of them are tried within 1 s."""
 
 VARIANTS = (
     ("window = 4", "window = 1000"),

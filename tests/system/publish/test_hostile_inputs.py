@@ -1,4 +1,4 @@
-"""Thousands of hostile inputs at each face beside who reads it; `make bench-hostile`: 100,000 at each."""
+"""Thousands of hostile inputs at each interface beside its readers; `make bench-hostile`: 100,000 at each."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ class TickingCamera:
         return Frame("front", self.last, self.clock.now_ns, PIXELS)
 
     def expose(self, count: int) -> None:
-        """So many frames, each of which is in its slot when this returns."""
+        """So many frames, each of which waits to be located when this returns."""
         for _ in range(count):
             self.allowed.release()
             assert self.asked.acquire(timeout=LONG_S)
@@ -325,4 +325,4 @@ async def test_all_frames_of_a_camera_that_ends_are_located_and_then_the_thread_
         taken += await bench.take()
     assert taken == [1, 2, 3]
     await asyncio.gather(acquiring, bench.task)
-    assert await bench.take() == []  # woken, so that nothing waits in a slot for ever
+    assert await bench.take() == []  # woken, so that nothing waits for ever

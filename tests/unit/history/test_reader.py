@@ -130,7 +130,7 @@ def test_a_file_has_a_name_of_its_own(tmp_path: Path) -> None:
 
 
 class TestHistory:
-    """What faces ask."""
+    """What interfaces ask."""
 
     @pytest.fixture
     def path(self, tmp_path: Path) -> Path:

@@ -55,7 +55,7 @@ def test_a_change_counts_although_its_marked_exposure_was_never_paired(calibrati
 def test_breaks_that_were_told_of_by_frames_which_got_lost_keep_the_window_apart(
     calibration: Calibration,
 ) -> None:
-    """What the slot drops, the chain never sees: the change itself, and the frames about it."""
+    """What was dropped, the chain never sees: the change itself, and the frames about it."""
     measured = chain(calibration)
     frames = shots([(10.0, 5.0)] * 6 + [(10.3, 5.0)] * 10)
     frames = [replace(f, changing=f.camera == "left" and f.sequence == 6) for f in frames]

@@ -1,4 +1,4 @@
-"""The faces to the outside: what listens on the network, what speaks on serial ports."""
+"""The interfaces to the outside: what listens on the network, what speaks on serial ports."""
 
 from __future__ import annotations
 
