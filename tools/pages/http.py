@@ -109,9 +109,9 @@ An invalid measurement is answered with 200 and `valid` false. Before the first 
     curl http://UNIT:8080/api/v1/self-check
 
 gives what the last one said, see `selfcheck.md`; `verdict` is `null` where there was none, and `reasons` says
-why. A `POST` has one made now: see *Who may act* below. It is refused with 409 where the unit cannot check
-itself. The answer comes when the check has ended; while {MAX_WAITING} wait for one it is 503, so that who
-reads always finds a connection.
+why. A `POST` has one made now: see *Permission to act* below. It is refused with 409 where the unit cannot
+check itself. The answer comes when the check has ended; while {MAX_WAITING} wait for one it is 503, so that
+other clients always find a connection.
 
 ## The stream
 
@@ -196,7 +196,7 @@ that is unplugged. `/readyz` is 200 while the unit measures, **valid or not**, a
 reason: what is not ready is taken out of service, and with it the answer why. Whether the numbers may be
 used, `valid` says.
 
-## Who may read
+## Permission to read
 
 Everybody whom the network lets in, until `allow` names networks:
 
@@ -215,7 +215,7 @@ computer, alone or with `.local`, are always the unit's; `names` adds those of t
 
 With TLS the browser itself compares the name with the certificate.
 
-## Who may act
+## Permission to act
 
 To act is to ask for a self-check, to keep the last seconds of frames, and to mark a recording or take its
 mark away. Each such request has the header `{REQUEST_HEADER}`, which a page of another site cannot send
@@ -234,8 +234,8 @@ calibration's file and report, and diagnostics:
     credentials = "/etc/altd/credentials"
 
 The file holds hashes alone (scrypt; SHA-256 of tokens, which are 256 bits drawn by chance). It must not be
-readable by others than its owner and group. Who is taken out of it (`--remove`) may act no more from then on,
-without a restart, and his sessions are over; so they are when his password is changed. A file that cannot be
+readable by others than its owner and group. A user who is removed from it (`--remove`) may not act from then
+on, without a restart, and their sessions end; a changed password ends them too. A file that cannot be
 read lets nobody in, and the component says so.
 
 A program sends its token:
@@ -248,8 +248,8 @@ script can read (`HttpOnly`, `SameSite=Strict`, with TLS `Secure` and `__Host-`)
 there are {MAX_SESSIONS} at most, and the pictures that it is shown end with it. `GET /api/v1/session` says
 who is logged in. Without TLS a password goes over the network as it is typed: use both.
 
-No secret is ever in a URL, an answer, an event or the log. Who logs in or out, and each wrong password or
-token, is an event (`request`) with the address, and with the name where it is one of the file; of many alike
+No secret is ever in a URL, an answer, an event or the log. Each login, logout, wrong password or wrong
+token is an event (`request`) with the address, and with the name where it is one of the file; of many alike
 in a minute the events tell how many.
 
 ## TLS

@@ -148,8 +148,8 @@ Addresses without a name read 0.
 
 {_table(("bit", "name", "set when"), ((row.bit, row.name, _set_when(row)) for row in STATUS_BITS))}
 
-Bits {_listed(_of_valid())} may be set beside bit {VALID}, as warnings: who refuses a measurement for bit
-{_listed(_of_both())} refuses some that are valid.
+Bits {_listed(_of_valid())} may be set beside bit {VALID}, as warnings: a controller that refuses a
+measurement for bit {_listed(_of_both())} refuses some that are valid.
 
 The warnings {_codes(WITHOUT_BIT)} of the inclinometer have no bit. Where roll is missing, `roll` and
 `sigma_roll` are *not known*. That something is to be seen to is said by `state` at address {STATE.address} of

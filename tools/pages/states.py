@@ -108,8 +108,8 @@ the last 31 days, and since the start.
   history has nothing. To a plant a unit that was switched off on purpose is not down: IEC 60050-192-02-21
   leaves out of down time what lacks an external resource such as power, and VDI 3423 counts within the time
   for which the machine was planned to run. The unit knows neither, and cannot tell a power cut from a crash
-  or a switch. It counts all of it and says it apart: who knows that the unit was meant to be off takes it
-  out, `valid_s` / (`observed_s` - `lost_s.{NOT_RUNNING}`).
+  or a switch. It counts all of it and reports it apart: an operator who knows that the unit was meant to be
+  off takes it out, `valid_s` / (`observed_s` - `lost_s.{NOT_RUNNING}`).
 - A clock that is set parts nothing: what one daemon wrote before and after belongs together. What was before
   the start is put in its place by the time of day as it is now, again when that is set; of a daemon whose
   clock was wrong until its end nothing is believed, and its time counts as `{NOT_RUNNING}`.

@@ -89,7 +89,7 @@ and the terminal is no console of the kernel, else ASCII. The terminal is left a
 Exit status: 0 after `q`, 1 when the terminal went away, 2 where there is none that can be drawn on, 128
 and the number after a signal.
 
-## Who may
+## Permissions
 
 The socket has mode {MODE:04o}: its owner and its group may connect, and then may see and do all that HTTP
 gives, without a password: pictures, recordings and diagnostics, and to act, as to ask for a self-check

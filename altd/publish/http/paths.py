@@ -175,7 +175,7 @@ _CALIBRATION_FILES = (
 )
 _DIAGNOSTICS = ServedPath(
     "/api/v1/diagnostics",
-    "what a technician mails to who knows the unit, in a zip archive",
+    "a zip archive that a technician mails to an expert",
     {
         "GET": Operation(
             Answers.diagnostics, "All of it for who looks for a fault", media_type=ZIP, errors=_NO_DOWNLOAD
