@@ -1,4 +1,4 @@
-"""The frames of each target, from one recording or several: what a calibration is made of (DESIGN §4)."""
+"""The frames of each target of a calibration, from one recording or several (docs/recordings.md)."""
 
 from __future__ import annotations
 

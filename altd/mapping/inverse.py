@@ -1,4 +1,4 @@
-"""px → mm: Newton's method on the tensor map from a direct polynomial start (DESIGN §7)."""
+"""px → mm: Newton's method on the tensor map from a direct polynomial start."""
 
 from __future__ import annotations
 

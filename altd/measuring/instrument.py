@@ -1,4 +1,4 @@
-"""What the measuring chain asks of an instrument, the kind of unit (DESIGN §2)."""
+"""What the measuring chain asks of an instrument, the kind of unit (docs/architecture.md)."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""altd-recording/1: a folder of frames with their times (DESIGN §4)."""
+"""altd-recording/1: a folder of frames with their times (docs/recordings.md)."""

@@ -1,4 +1,4 @@
-"""recording.json: what a recording shows, and of which unit and cameras (DESIGN §4)."""
+"""recording.json: what a recording shows, and of which unit and cameras (docs/recordings.md)."""
 
 from __future__ import annotations
 

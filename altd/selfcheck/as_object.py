@@ -1,4 +1,4 @@
-"""A check as plain JSON types (DESIGN §5)."""
+"""A check as plain JSON types (docs/selfcheck.md)."""
 
 from __future__ import annotations
 

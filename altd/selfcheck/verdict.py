@@ -1,4 +1,4 @@
-"""The verdict of one check: LEDs on and off against the calibration (thesis 3.4, DESIGN §5)."""
+"""The verdict of one check: LEDs on and off against the calibration (thesis 3.4, docs/selfcheck.md)."""
 
 from __future__ import annotations
 

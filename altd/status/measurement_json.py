@@ -1,4 +1,4 @@
-"""The measurement object: one line of ``altd replay``, the body of HTTP and, later, MQTT (DESIGN §4)."""
+"""The measurement object: one line of ``altd replay``, the body of HTTP and, later, MQTT (docs/http.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the Active Laser Target publishes (DESIGN §1, §4); keys and decimals are contracts."""
+"""What the Active Laser Target publishes (docs/conventions.md); keys and decimals are contracts."""
 
 from __future__ import annotations
 

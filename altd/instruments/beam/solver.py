@@ -89,8 +89,8 @@ def fit_beam(
 ) -> Beam:
     """The straight line through T ≥ 2 points at the distances ``z_mm``, weighted by their covariance.
 
-    x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (DESIGN §1). Two points
-    are met exactly.
+    x(z) = x + sx · (z − reference), y likewise; yaw = atan(sx), pitch = atan(sy) (docs/conventions.md).
+    Two points are met exactly.
     """
     gain, covariance = line_gain(z_mm, covariance_mm2, reference_plane_mm)
     measured = np.array([c for point in points for c in (point.x_mm, point.y_mm)])
