@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -12,6 +13,9 @@ from altd.acquisition.self_check.frames import MarkedFrames
 from altd.measuring.pairing import Pair, Pairer
 from altd.ports import Clock
 from altd.records import Frame
+
+steps = logging.getLogger("altd.frames")
+"""The way of each frame, step by step, where that is asked for (``altd run --trace-frames``)."""
 
 ROOM = 4
 """Incomplete frame sets that wait for a reader: one that was given up comes together with the next."""
@@ -78,6 +82,9 @@ class FramePairs:
                 if not wait:
                     self._make_room(pair)
                 self._pairs.append(pair)
+                after_ms = (self.delivered_ns - pair.t_ns) * 1e-6
+                missing = ", ".join(f"{camera} {reason}" for camera, reason in pair.missing.items())
+                steps.debug("exposure %d: %s after %.1f ms", pair.sequence, missing or "paired", after_ms)
         if pairs:
             self._arrived()
 
@@ -110,6 +117,7 @@ class FramePairs:
             self._drop(pair)
 
     def _drop(self, pair: Pair[Frame]) -> None:
+        steps.debug("exposure %d: dropped, a newer one came first", pair.sequence)
         for frame in pair.all_items:
             self.dropped[frame.camera] += 1
             if frame.changing:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from queue import SimpleQueue
 
 from altd.acquisition.auto_exposure.control import ExposureControl
-from altd.acquisition.frame_pairs import FramePairs
+from altd.acquisition.frame_pairs import FramePairs, steps
 from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located, SpotLocator
 from altd.records import Frame, NoSpot, Spot
@@ -150,9 +151,13 @@ class Locating:
         )
 
     def _locate(self, frame: Frame) -> Located:
-        self._in_hand[frame.camera] = frame
+        self._in_hand[frame.camera], began_ns = frame, time.perf_counter_ns()
         located = locate_frame(frame, self._locators[frame.camera], self._exposures.get(frame.camera))
         self._in_hand[frame.camera] = None
+        took_ms = (time.perf_counter_ns() - began_ns) * 1e-6
+        steps.debug(
+            "frame %d of %s: located in %.2f ms: %s", frame.sequence, frame.camera, took_ms, located.spot
+        )
         self._show(frame, located.spot)
         return located
 

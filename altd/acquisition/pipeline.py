@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from altd.acquisition.frame_pairs import steps
 from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.self_check.service import SelfChecks
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.pairing import Pair
 from altd.measuring.spot_locator import Located
 from altd.records import Measurement
+from altd.runtime.service_manager import status_line
 from altd.status.board import Board
 from altd.status.health import Component, State
 from altd.status.maintenance import SpotTrends
@@ -81,7 +84,10 @@ class Pipeline:
                 if self.trends is not None:
                     self.trends.add(located)
             measurement = self.chain.add(pair)
-            if measurement is not None:
+            if measurement is None:
+                why = "its LEDs were lit" if any(one.leds_on for one in pair.all_items) else "no mean is due"
+                steps.debug("exposure %d: %s", pair.sequence, why)
+            else:
                 self._publish(measurement)
         if is_silent:
             self._heard_ns = self._clock.monotonic_ns()
@@ -98,9 +104,14 @@ class Pipeline:
         if self.checks is not None:
             checked = self.checks.pass_on(measurement)
             if checked is None:
+                steps.debug("exposure %d: held back by a self-check", measurement.sequence)
                 return
             measurement = checked
         self.board.publish(measurement)
+        if steps.isEnabledFor(logging.DEBUG):
+            after_ms = (self._clock.monotonic_ns() - measurement.light_ns) * 1e-6
+            line = status_line(measurement)
+            steps.debug("exposure %d: published after %.1f ms, %s", measurement.sequence, after_ms, line)
         self.component.count("measurements")
         if measurement.valid:
             self.component.count("valid")

@@ -20,6 +20,9 @@ log = logging.getLogger("altd")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add_config(parser)
+    parser.add_argument(
+        "--trace-frames", action="store_true", help="log the way of each frame, with times, on standard error"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -27,6 +30,8 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.daemon import daemon_of
     from altd.app.settings import load_settings
 
+    if options.trace_frames:
+        logging.getLogger("altd.frames").setLevel(logging.DEBUG)
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
     with logging_to_stderr(logging.INFO, prefix):
         daemon = daemon_of(load_settings(options.config), options.config)

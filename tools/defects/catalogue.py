@@ -94,6 +94,12 @@ DEFECTS = (
         "        backoff_s *= 1\n",
     ),
     Defect(
+        "frames that nobody took in time are not counted",
+        "altd/acquisition/frame_pairs.py",
+        "            self.dropped[frame.camera] += 1\n",
+        "            self.dropped[frame.camera] += 0\n",
+    ),
+    Defect(
         "a driver dates a frame by the end of its exposure",
         "altd/devices/v4l2/image.py",
         "return stamp_ns + half_ns if source is Stamp.START_OF_EXPOSURE else stamp_ns - half_ns",

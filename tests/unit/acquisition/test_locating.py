@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -225,6 +227,26 @@ async def test_a_defect_beside_is_raised_too() -> None:
         pairs.put(replace(shot(1), camera=camera), wait=False)
     with pytest.raises(ZeroDivisionError):
         await task
+
+
+async def test_the_way_of_each_frame_is_logged_where_that_is_asked_for(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level(logging.DEBUG, "altd.frames"):
+        bench = Bench(Locator())
+        for number in range(3):
+            bench.put(number)
+        assert await bench.take() == [2]
+        await stop(bench.task)
+    lines = [re.sub(r"-?\d+\.\d+ ms", "T", line) for line in caplog.messages]
+    assert lines[:5] == [
+        "exposure 0: paired after T",
+        "exposure 0: dropped, a newer one came first",
+        "exposure 1: paired after T",
+        "exposure 1: dropped, a newer one came first",
+        "exposure 2: paired after T",
+    ]
+    assert lines[5] == f"frame 2 of front: located in T: {SPOT}"
 
 
 async def test_a_defect_in_the_localiser_is_raised() -> None:

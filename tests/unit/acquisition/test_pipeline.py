@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pytest
 from support.clock import settle, stop
@@ -128,6 +130,18 @@ async def test_frames_that_nobody_took_in_time_count_as_dropped() -> None:
     bench.put("front", "rear", sequence=4)
     await bench.clock.advance(0.01)
     assert (bench.component.counters["dropped_front"], bench.component.counters["dropped_rear"]) == (3, 3)
+    await stop(bench.task)
+
+
+async def test_what_comes_of_a_frame_is_logged_where_that_is_asked_for(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bench = Bench()
+    with caplog.at_level(logging.DEBUG, "altd.frames"):
+        bench.put("front", sequence=1)
+        bench.put("front", "rear", sequence=2)
+        await bench.clock.advance(0.0)
+    assert caplog.messages == ["exposure 1: no mean is due", "exposure 2: published after 0.0 ms, measuring"]
     await stop(bench.task)
 
 
