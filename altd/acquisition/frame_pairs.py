@@ -74,10 +74,7 @@ class FramePairs:
             if self._is_closed:
                 return
             self.delivered_ns = self._clock.monotonic_ns()
-            late_before = self._pairer.late
             pairs = self._pairer.add(frame.camera, frame.sequence, frame.t_ns, frame)
-            if frame.changing and self._pairer.late > late_before:
-                self._changing.add(frame.camera)
             for pair in pairs:
                 if not wait:
                     self._make_room(pair)

@@ -117,8 +117,8 @@ class FrameSets:
         under_way = True
         while len(found) < count:
             for pair in await self._complete():
-                frames = pair.items.values()
-                if min(frame.t_ns for frame in frames) <= t_ns or any(frame.changing for frame in frames):
+                began_before = min(frame.t_ns for frame in pair.items.values()) <= t_ns
+                if began_before or any(frame.changing for frame in pair.all_items):
                     continue
                 if under_way:
                     under_way = False

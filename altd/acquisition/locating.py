@@ -145,9 +145,9 @@ class Locating:
         for frame in pair.all_items:
             if frame.camera in helpers:
                 helpers[frame.camera].begin(frame)
-        own = {frame.camera: self._locate(frame) for frame in pair.all_items if frame.camera not in helpers}
+        own = iter([self._locate(frame) for frame in pair.all_items if frame.camera not in helpers])
         return pair.of(
-            lambda frame: own[frame.camera] if frame.camera in own else helpers[frame.camera].located()
+            lambda frame: helpers[frame.camera].located() if frame.camera in helpers else next(own)
         )
 
     def _locate(self, frame: Frame) -> Located:

@@ -70,7 +70,7 @@ async def record(
                 return sink.exposures
             while sink.length_s < plan.seconds and not sets.is_at_end:
                 for pair in await sets.settled():
-                    changing = any(frame.changing for frame in pair.items.values())
+                    changing = any(frame.changing for frame in pair.all_items)
                     if sink.length_s < plan.seconds and not changing:
                         sink.write(pair)
                         progress(sink.exposures, round(plan.seconds * FPS))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Generic, Literal, TypeVar
 
@@ -31,8 +31,9 @@ class Pair(Generic[Item]):
 
     ``t_ns`` is the mean of the items' times. ``skew_ns`` is the largest difference between them, without the
     steady lag of one camera behind another where pairing is by time. ``behind_ns`` is how far each item lies
-    behind ``t_ns``. ``unpaired`` holds the items of cameras that are out of step: nothing is measured with
-    them, but they show what the cameras see.
+    behind ``t_ns``. ``unpaired`` holds the items of cameras that are out of step, and before them those that
+    came too late for a frame set before this one. Nothing is measured with them, but they show what the
+    cameras see, and a picture that comes again is known by them.
     """
 
     sequence: int
@@ -41,17 +42,17 @@ class Pair(Generic[Item]):
     items: Mapping[str, Item]
     missing: Mapping[str, Reason]
     behind_ns: Mapping[str, int]
-    unpaired: Mapping[str, Item] = field(default_factory=dict)
+    unpaired: tuple[Item, ...] = ()
 
     @property
     def all_items(self) -> tuple[Item, ...]:
-        """What came from the cameras, paired or not; at least one."""
-        return (*self.items.values(), *self.unpaired.values())
+        """What came from the cameras, paired or not, that of each camera in its order; at least one."""
+        return (*self.unpaired, *self.items.values())
 
     def of(self, make: Callable[[Item], Made]) -> Pair[Made]:
-        """The same frame set of what ``make`` makes of each item."""
+        """The same frame set of what ``make`` makes of each item, in the order of ``all_items``."""
+        unpaired = tuple(make(item) for item in self.unpaired)
         items = {camera: make(item) for camera, item in self.items.items()}
-        unpaired = {camera: make(item) for camera, item in self.unpaired.items()}
         return Pair(self.sequence, self.t_ns, self.skew_ns, items, self.missing, self.behind_ns, unpaired)
 
 
@@ -163,6 +164,8 @@ class Pairer(Generic[Item]):
         self._ahead: dict[str, int] = {}
         """By time: how far each camera's numbers are ahead of the frame sets', as far as it is known."""
         self._last_number: int | None = None
+        self._late: list[Item] = []
+        """Items that came too late since the last frame set; they come out with the next."""
         self.late = 0
         """Items that came after their frame set was given up."""
         self.lost_pairs = 0
@@ -185,7 +188,7 @@ class Pairer(Generic[Item]):
         new = _Waiting(camera, sequence, t_ns, aligned_ns, self._delivered[camera], item)
         self._expire(new)
         if self._is_late(new):
-            self.late += 1
+            self._count_late(new)
             return []
         self._waiting[camera].append(new)
         settled: list[Pair[Item]] = []
@@ -216,7 +219,11 @@ class Pairer(Generic[Item]):
             ahead = self._order(old) > self._order(new)
             if ahead and new.delivery - old.delivery > _PARTNER_TIMEOUT_FRAMES:
                 waiting.remove(old)
-                self.late += 1
+                self._count_late(old)
+
+    def _count_late(self, waiting: _Waiting[Item]) -> None:
+        self.late += 1
+        self._late.append(waiting.item)
 
     def _is_late(self, new: _Waiting[Item]) -> bool:
         """Whether the frame set of a frame was given up before it came.
@@ -279,12 +286,13 @@ class Pairer(Generic[Item]):
         self.lost_pairs += gap + (len(group) < len(self.cameras) or skew_ns > self._max_skew_ns)
         self._last_number = sequence
         items = {camera: waiting.item for camera, waiting in group.items()}
+        late, self._late = tuple(self._late), []
         if skew_ns > self._max_skew_ns:
             missing = dict.fromkeys(self.cameras, Reason.OUT_OF_STEP)
-            return Pair(sequence, t_ns, skew_ns, {}, missing, {}, items)
+            return Pair(sequence, t_ns, skew_ns, {}, missing, {}, (*late, *items.values()))
         missing = {c: self._why_missing(c, min(aligned)) for c in self.cameras if c not in group}
         behind_ns = {camera: waiting.t_ns - t_ns for camera, waiting in group.items()}
-        return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns)
+        return Pair(sequence, t_ns, skew_ns, items, missing, behind_ns, late)
 
     def _number_of(self, group: Mapping[str, _Waiting[Item]]) -> int:
         """The number of a frame set; by time it goes on counting while cameras come and go."""

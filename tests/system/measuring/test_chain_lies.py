@@ -91,6 +91,30 @@ def test_a_frame_that_comes_twice_is_lost_and_no_more(calibration_of_unit_3: Cal
     assert results[20].frames == WINDOW - 1
 
 
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_picture_that_came_too_late_to_be_measured_is_known_when_it_comes_again(
+    calibration_of_unit_3: Calibration, camera: str
+) -> None:
+    """Exposure 15 comes after its frame set was given up, and again as exposures 21 and 22."""
+    unit = at_rest()
+    late = unit.expose(camera, 15, 15 * PERIOD_NS)
+
+    def again() -> Iterator[Frame]:
+        for frame in shown(unit, 23):
+            if frame.camera != camera or not 15 <= frame.sequence <= 20:
+                is_again = frame.camera == camera and frame.sequence > 20
+                yield replace(frame, pixels=late.pixels) if is_again else frame
+            if frame.sequence == 20 and frame.camera == CAMERAS[-1]:
+                yield late
+
+    measuring = chain(calibration_of_unit_3)
+    results = measured(measuring, again())
+    assert measuring.late_frames == 1
+    assert codes(results[-1][1])[0] == f"{camera}_frame_repeated"
+    assert "of the picture is that of exposure 15" in measuring.seen()
+    assert not any(m.valid for n, m in results if n > 20)
+
+
 def test_a_rear_camera_that_is_a_frame_late_is_out_of_step(calibration_of_unit_3: Calibration) -> None:
     """On a shaking machine, its pictures stamped with the times of the next ones."""
     unit = Unit(UnitConfig(seed=3, vibration=Vibration()))

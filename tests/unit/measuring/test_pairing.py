@@ -204,8 +204,11 @@ def test_a_frame_that_comes_after_its_exposure_was_given_up_is_counted() -> None
     p = pairer()
     for n in range(6):
         p.add("front", n, n * PERIOD, "f")
-    assert p.add("rear", 0, 0, "r") == []
+    assert p.add("rear", 0, 0, "late") == []
     assert p.late == 1
+    first, *_, last = p.add("rear", 5, 5 * PERIOD, "r")
+    assert (first.unpaired, last.unpaired) == (("late",), ())
+    assert dict(last.items) == {"front": "f", "rear": "r"}
 
 
 def test_a_numbering_that_starts_anew_goes_on_pairing() -> None:
