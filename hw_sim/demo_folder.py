@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.config import HistorySettings, KeptFrames, LocalSettings
-from altd.config.local import MAX_SOCKET_BYTES
+from altd.config.interfaces import MAX_SOCKET_BYTES
 from altd.errors import BadInputError
 
 _DISK_MB = 500

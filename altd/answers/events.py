@@ -18,8 +18,7 @@ from altd.history.records import StoredEvent
 from altd.process.standard_streams import say
 from altd.records import utc_text
 from altd.status.event_log import EventKind
-from altd.tables.columns import Column, Type, text
-from altd.tables.text import CsvTable
+from altd.tables.columns import Column, CsvTable, Type, text
 
 _LOOK_INTERVAL_S = 0.5
 _MAX_LOOKS = 60

@@ -19,9 +19,8 @@ from altd.history.reader import Reader
 from altd.history.records import StoredMeasurement, SummaryPoint
 from altd.history.schema import HOURS, MINUTES, SECONDS
 from altd.reasons import Signal
-from altd.tables.columns import Column, Row, Type, Value, text
+from altd.tables.columns import TEXT_FORMATS, Column, Row, Type, Value, text
 from altd.tables.parquet import ParquetTable, check_parquet
-from altd.tables.text import TEXT_FORMATS
 
 Every = Literal["measurement", "second", "minute", "hour"]
 _TABLES = {"second": SECONDS, "minute": MINUTES, "hour": HOURS}

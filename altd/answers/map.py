@@ -12,8 +12,7 @@ from altd.calibration.file import load_calibration
 from altd.errors import BadInputError
 from altd.measuring.calibration import TargetCalibration
 from altd.reasons import Reason
-from altd.tables.columns import POINT_COLUMNS, Row
-from altd.tables.text import TEXT_FORMATS, TextFormat
+from altd.tables.columns import POINT_COLUMNS, TEXT_FORMATS, Row, TextFormat
 
 UNREADABLE = "unreadable"
 _MAX_LINE_BYTES = 1000

@@ -10,7 +10,16 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from altd.answers.history import History
-from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, report_style
+from altd.calibration.report.target_plots import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    ORANGE,
+    QUIET,
+    VERMILION,
+    report_style,
+)
 from altd.reasons import Reason
 
 _WIDTH_IN, _PANEL_IN, _LANE_IN, _MARGIN_IN = 9.0, 1.45, 0.17, 1.1

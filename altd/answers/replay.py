@@ -20,9 +20,8 @@ from altd.files.writing import check_replaceable, replacing
 from altd.recording.gaps import gap_lines
 from altd.recording.header import FRAMES_FILE, HEADER_FILE
 from altd.records import utc_text
-from altd.tables.columns import Column, flat_row, measurement_columns
+from altd.tables.columns import Column, CsvTable, Write, flat_row, measurement_columns
 from altd.tables.parquet import ParquetTable, check_parquet
-from altd.tables.text import CsvTable, Write
 
 Format = Literal["jsonl", "csv", "parquet"]
 

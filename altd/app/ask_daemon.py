@@ -1,15 +1,27 @@
-"""What a running daemon says of its unit through the local socket, checked."""
+"""A running daemon asked through its local socket: once, again and again, or for a self-check."""
 
 from __future__ import annotations
 
+import contextlib
 import http.client
+import os
+import queue
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from altd.app.settings import socket_to_ask
+from altd.config import Config
+from altd.errors import BadInputError
+from altd.files.documents import parse_json
 from altd.instruments.beam.quantities import QUANTITIES
-from altd.local_socket.asking import NoAnswerError, ask
+from altd.local_socket.asking import MAX_ANSWER_BYTES, NoAnswerError, ask
+from altd.publish.http.guard import REQUEST_HEADER
+from altd.publish.http.self_check import WAIT_S
 from altd.terminal.documents import (
     Reading,
     SelfCheckDocument,
@@ -20,6 +32,7 @@ from altd.terminal.documents import (
     status_of,
     targets_of,
 )
+from altd.terminal.knowledge import Knowledge
 
 Document = TypeVar("Document")
 
@@ -58,3 +71,126 @@ class RunningDaemon:
             return understood(document), document
         except ValueError as error:
             raise NoAnswerError(f"what answers at {self.path} gives no {target}: {error}") from error
+
+
+_ANYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # noqa: S104  where the daemon listens on every address
+_TARGET = "/api/self-check"
+_HEADERS = {REQUEST_HEADER: "selfcheck"}
+_TIMEOUT_S = WAIT_S + 5.0
+
+
+def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:
+    """The document of a check that the daemon with this config makes now, as ``/api/self-check`` gives it.
+
+    Through the local socket where there is one. Over HTTP where there is none, as of a daemon that was
+    started by hand, or where this user may not open it. Raises BadInputError for a config by which neither
+    is there, NoAnswerError where no check can be had.
+    """
+    status, document = _answer(config, place)
+    if status == http.client.OK and isinstance(document, dict) and "verdict" in document:
+        return document
+    said = document.get("error") if isinstance(document, dict) else None
+    raise NoAnswerError(said if isinstance(said, str) else f"the answer is {status}, and no verdict")
+
+
+def _answer(config: Config, place: Path) -> tuple[int, Any]:
+    path, said = socket_to_ask(config), ""
+    if config.local is not None or os.path.lexists(path):
+        try:
+            return ask(path, _TARGET, _TIMEOUT_S, "POST", _HEADERS)
+        except NoAnswerError as error:
+            if config.http is None:
+                raise
+            said = f"{error}; "
+    elif config.http is None:
+        raise BadInputError(place, f"no [local] and no [http] table, and no socket {path}: nowhere to ask")
+    try:
+        return _ask_http(config.http.host, config.http.port)
+    except NoAnswerError as error:
+        raise NoAnswerError(f"{said}{error}") from error
+
+
+def _ask_http(host: str, port: int) -> tuple[int, Any]:
+    host = _ANYWHERE.get(host, host)
+    connection = http.client.HTTPConnection(host, port, timeout=_TIMEOUT_S)
+    try:
+        connection.request("POST", _TARGET, headers=_HEADERS)
+        with connection.getresponse() as answer:
+            return answer.status, parse_json(answer.read(MAX_ANSWER_BYTES))
+    except OSError as error:
+        raise NoAnswerError(f"no daemon answers at {host} port {port}: {error.strerror or error}") from error
+    except (http.client.HTTPException, ValueError) as error:
+        raise NoAnswerError(f"what answers at {host} port {port} is no daemon of altd: {error}") from error
+    finally:
+        connection.close()
+
+
+READING_INTERVAL_S = 0.2
+STATUS_INTERVAL_S = 0.5
+SELDOM_INTERVAL_S = 5.0
+_MAX_HEARD = 64
+"""Answers that wait for who shows them; while nobody takes any, later ones are dropped."""
+
+Telling = Callable[[Knowledge], None]
+
+
+class Follower:
+    """Asks while it is entered; ``tell`` hands on what was heard meanwhile."""
+
+    def __init__(self, daemon: RunningDaemon) -> None:
+        self._daemon = daemon
+        self._heard: queue.Queue[Telling] = queue.Queue(_MAX_HEARD)
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._follow, name="follow the daemon", daemon=True)
+
+    def __enter__(self) -> Follower:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._thread.join(timeout=2 * self._daemon.timeout_s)
+
+    def tell(self, knowledge: Knowledge) -> None:
+        """Hand over all that was heard since."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._heard.get_nowait()(knowledge)
+
+    def _follow(self) -> None:
+        due_status_s = due_seldom_s = 0.0
+        while not self._end.is_set():
+            begun_s = time.monotonic()
+            try:
+                self._ask_reading()
+                if begun_s >= due_seldom_s:
+                    self._ask_seldom()
+                    due_seldom_s = begun_s + SELDOM_INTERVAL_S
+                if begun_s >= due_status_s:
+                    self._ask_status()
+                    due_status_s = begun_s + STATUS_INTERVAL_S
+            except NoAnswerError as error:
+                due_status_s = due_seldom_s = 0.0
+                self._put(partial(Knowledge.hear_nothing, why=str(error)))
+            self._end.wait(max(begun_s + READING_INTERVAL_S - time.monotonic(), 0.05))
+
+    # An answer counts from when it was asked for: it may have waited on its way.
+
+    def _ask_reading(self) -> None:
+        asked_s = time.monotonic()
+        reading, _ = self._daemon.reading()
+        self._put(lambda knowledge: knowledge.hear_reading(reading, asked_s))
+
+    def _ask_status(self) -> None:
+        asked_s = time.monotonic()
+        status, _ = self._daemon.status()
+        self._put(lambda knowledge: knowledge.hear_status(status, asked_s))
+
+    def _ask_seldom(self) -> None:
+        check, _ = self._daemon.self_check()
+        targets, _ = self._daemon.targets()
+        self._put(lambda knowledge: knowledge.hear_about(check, targets))
+
+    def _put(self, telling: Telling) -> None:
+        with contextlib.suppress(queue.Full):
+            self._heard.put_nowait(telling)

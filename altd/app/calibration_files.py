@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from altd.calibration.file import MAX_BYTES
-from altd.calibration.report.identity import HEAD_BYTES, checksum_in, page_beside
+from altd.calibration.report.write import HEAD_BYTES, checksum_in, page_beside
 from altd.errors import BadInputError
 from altd.files.reading import read_file, read_head
 from altd.measuring.calibration import CalibrationFile

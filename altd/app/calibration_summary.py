@@ -1,4 +1,4 @@
-"""What a calibration says of itself, as plain JSON types: for who asks what a unit is worth.
+"""What a calibration says of itself as plain JSON types, and the valid areas and names of its targets.
 
 Whatever stands in the file, the answer is small: texts are cut, and arrays appear as their size or limits.
 """
@@ -10,10 +10,38 @@ from collections.abc import Iterable
 from typing import Any
 
 from altd.calibration.report.prediction import EXPOSURES, predict
+from altd.config import Config
 from altd.errors import one_line
+from altd.instruments.beam.quantities import QUANTITIES
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import utc_text
+from altd.status.measurement_json import reserved_names
+from altd.status.target_area import TargetArea
+from altd.tables.columns import measurement_columns
 from altd.vision.fingerprint import Fingerprint
+
+
+def target_areas_of(config: Config, calibration: Calibration) -> tuple[TargetArea, ...]:
+    """The targets of the config, in beam order."""
+    known = [(target, calibration.target(target.name)) for target in config.targets]
+    return tuple(
+        TargetArea(target.name, target.z_mm, tuple((x, y) for x, y in fitted.valid_mm.tolist()))
+        for target, fitted in known
+        if fitted is not None
+    )
+
+
+_RESERVED = reserved_names(QUANTITIES)
+
+
+def why_unusable(name: str) -> str:
+    """Why a target cannot be called so, as the end of a sentence; empty: it can."""
+    if name in _RESERVED:
+        return "is a key of the measurement in JSON"
+    columns = [column.name for column in measurement_columns(QUANTITIES, [name], of_scan=True)]
+    twice = [column for column in columns if columns.count(column) > 1]
+    return f"makes {twice[0]} of its own, which is a column of the measurement" if twice else ""
+
 
 MAX_TEXT_CHARACTERS = 300
 _DIGITS = 4

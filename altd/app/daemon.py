@@ -15,7 +15,7 @@ from altd.acquisition.auto_exposure.control import ExposureControl
 from altd.acquisition.frame_pairs import FramePairs
 from altd.acquisition.inclination.monitor import InclinationMonitor
 from altd.acquisition.kept_frames.ring import FrameRing
-from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.lamps.controller import FrameLamps
 from altd.acquisition.lamps.indicators import IndicatorPanel
 from altd.acquisition.locating import LocatedPairs, Locating
 from altd.acquisition.pictures import Pictures
@@ -24,14 +24,13 @@ from altd.acquisition.self_check.exposing import CheckExposer
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.acquisition.self_check.service import SelfChecks
 from altd.app.calibration_files import ReadCalibrationFiles
-from altd.app.calibration_summary import summary_of
+from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.history import DaemonHistory
 from altd.app.kept_frames import folder_of_recordings, frame_keeper
-from altd.app.local import local_socket_of
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
-from altd.app.target_areas import target_areas_of
+from altd.app.settings import local_socket_of
 from altd.app.upkeep import Upkeep
 from altd.config import (
     AnyCameraSettings,
@@ -283,7 +282,7 @@ class Daemon:
             past = self.past
             yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
         if (path := local_socket_of(config)) is not None:
-            from altd.publish.http.local import LocalPublisher
+            from altd.publish.http.publisher import LocalPublisher
 
             place = f"local {path}"
             yield place, LocalPublisher(path, board, health, health.component(place), self.past.history)

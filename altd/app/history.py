@@ -22,7 +22,7 @@ from altd.history.running import before_start
 from altd.history.store import Store
 from altd.measuring.calibration import Calibration
 from altd.ports import Clock
-from altd.publish.serial.past_text import Past
+from altd.publish.serial.parts_text import Past
 from altd.records import Quantities
 from altd.runtime.service_manager import state_folder
 from altd.status.availability import MONTH_S, Availability, Before
@@ -30,8 +30,7 @@ from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Health, State
 from altd.status.recording_desk import KeptRecording
-from altd.status.state import UnitState
-from altd.status.state_events import StateEvents
+from altd.status.state import StateEvents, UnitState
 
 log = logging.getLogger("altd")
 

@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from altd.app.target_names import why_unusable
+from altd.app.calibration_summary import why_unusable
 from altd.calibration.file import check_recording, load_calibration
 from altd.calibration.scan_nodes import node_key
 from altd.config import Measuring

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from altd.acquisition.self_check.correction import Correction
+from altd.acquisition.self_check.frames import LedLog
 from altd.acquisition.self_check.judging import CheckJudge, limits_of
-from altd.acquisition.self_check.light import LedLog
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts

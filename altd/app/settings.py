@@ -1,4 +1,4 @@
-"""``altd.toml`` as the daemon reads it: with the rules that other rooms have for the settings."""
+"""``altd.toml`` as the daemon reads it, and where its local socket is."""
 
 from __future__ import annotations
 
@@ -6,13 +6,34 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from altd.app.target_names import why_unusable
-from altd.config import Config, TelegramPortSettings, load_config
-from altd.config.complaints import shown
+from altd.app.calibration_summary import why_unusable
+from altd.config import Config, LocalSettings, TelegramPortSettings, load_config
 from altd.config.draft import Draft
+from altd.config.table import shown
 from altd.config.wording import Fault
 from altd.publish.serial.telegram import MAX_CHECKED_BYTES, MAX_TELEGRAM_BYTES
+from altd.runtime.service_manager import runtime_folder
 from altd.serial_port.port import seconds_on_line
+
+SERVICE_SOCKET = LocalSettings().socket
+"""Where the service has it (docs/install.md)."""
+
+
+def local_socket_of(config: Config) -> Path | None:
+    """Where a daemon with this config serves its own computer; None: nowhere.
+
+    Without ``[local]`` only in the folder that the service manager made: who tries a config by hand need not
+    be able to write /run.
+    """
+    if config.local is not None:
+        return config.local.socket
+    folder = runtime_folder()
+    return None if folder is None else folder / SERVICE_SOCKET.name
+
+
+def socket_to_ask(config: Config) -> Path:
+    """Where a command finds the daemon that runs with this config, as a service or by hand."""
+    return SERVICE_SOCKET if config.local is None else config.local.socket
 
 
 def load_settings(path: Path) -> Config:

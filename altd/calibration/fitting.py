@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from altd.calibration.evidence import Candidate
+from altd.calibration.soundness import Candidate
 from altd.mapping.camera_model import Optics
 from altd.mapping.fiducials import Fiducials
 from altd.mapping.grid import Axis

@@ -13,9 +13,9 @@ from itertools import count
 import numpy as np
 
 from altd.calibration.camera_fingerprint import hot_pixels_of
-from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
 from altd.calibration.result import Progress, TargetsResult, residual_distances_mm
+from altd.calibration.soundness import TargetEvidence
 from altd.calibration.target_frames import FrameRow, TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.light_centre import (

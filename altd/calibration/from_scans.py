@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from altd.calibration.camera_fingerprint import fingerprint_of
-from altd.calibration.evidence import TargetEvidence
 from altd.calibration.fitting import TargetFit, fit_nodes
-from altd.calibration.localiser_agreement import Verdict, localiser_agreement, verdict
 from altd.calibration.pattern import NodeScatter, pattern_noise_px
 from altd.calibration.printed.find import Print, find_print
 from altd.calibration.recorded_flat import flat_correlation
@@ -26,7 +24,8 @@ from altd.calibration.scan_nodes import (
     locate_nodes,
     printed_nodes,
 )
-from altd.calibration.spot_reference import spot_reference
+from altd.calibration.soundness import TargetEvidence
+from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
 from altd.mapping.fiducials import Fiducials

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.evidence import TargetEvidence
+from altd.calibration.soundness import TargetEvidence
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import Fit
 from altd.measuring.calibration import Calibration, TargetCalibration

@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, write file and report together, and print what was reached."""
-    from altd.app.target_names import why_unusable
+    from altd.app.calibration_summary import why_unusable
     from altd.calibration.calibrating import calibrate
     from altd.calibration.file import save_calibration
     from altd.calibration.report.write import check_report, report_names, write_together
@@ -101,10 +101,9 @@ def _report(
     """The report's files by name; matplotlib is there, somebody looked."""
     from altd.calibration.report.content import report_on
     from altd.calibration.report.html import html_page
-    from altd.calibration.report.pictures import scan_negatives
+    from altd.calibration.report.picture_sections import scan_negatives
     from altd.calibration.report.sheets import pdf_sheets
-    from altd.calibration.report.source import Source
-    from altd.calibration.report.write import report_names
+    from altd.calibration.report.write import Source, report_names
     from altd.calibration.target_frames import target_frames
 
     given = [*options.recordings, *(["--flat", options.flat] if options.flat else [])]

@@ -36,8 +36,7 @@ def add_socket(parser: argparse.ArgumentParser) -> None:
 
 def socket_of(options: argparse.Namespace) -> Path:
     """The socket to ask; that of the service where neither it nor settings are named and it has none."""
-    from altd.app.local import SERVICE_SOCKET, socket_to_ask
-    from altd.app.settings import load_settings
+    from altd.app.settings import SERVICE_SOCKET, load_settings, socket_to_ask
 
     if options.socket is not None:
         path: Path = options.socket

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Ask for a password, twice at a terminal, else one line of standard input; write its hash."""
-    from altd.credentials.changing import change, check_name
+    from altd.credentials.file import change, check_name
     from altd.credentials.hashes import PasswordHash
 
     check_name(options.name)  # before anything is typed

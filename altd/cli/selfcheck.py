@@ -48,7 +48,7 @@ def _ask_daemon(options: argparse.Namespace) -> int:
         raise BadInputError("--calibration", "missing: RECORDING, which goes with it")
     if "config" not in options and not DEFAULT_CONFIG.is_file():
         raise BadInputError("RECORDING", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
-    from altd.app.ask_self_check import ask_running_daemon
+    from altd.app.ask_daemon import ask_running_daemon
     from altd.app.settings import load_settings
     from altd.local_socket.asking import NoAnswerError
 

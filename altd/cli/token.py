@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the hash of a new token, and print the token: it is shown this once."""
-    from altd.credentials.changing import change
+    from altd.credentials.file import change
     from altd.credentials.hashes import new_token, token_digest
 
     if options.remove:

@@ -19,8 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show it until ``q`` or a signal; 0, or 1 when the terminal went away."""
-    from altd.app.ask_daemon import RunningDaemon
-    from altd.app.follow_daemon import Follower
+    from altd.app.ask_daemon import Follower, RunningDaemon
     from altd.cli.watch_terminal import Gone, Terminal, check_terminal, in_terminal
     from altd.terminal.knowledge import Knowledge
     from altd.terminal.screen import View, draw

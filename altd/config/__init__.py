@@ -12,26 +12,29 @@ from altd.config.cameras import (
     RecordingCameraSettings,
     V4l2CameraSettings,
 )
-from altd.config.history import HistorySettings
-from altd.config.inclinometer import InclinometerSettings
+from altd.config.devices import (
+    AnyLampsSettings,
+    CameraLampsSettings,
+    GpiodLampsSettings,
+    GrblStageSettings,
+    InclinometerSettings,
+    IndicatorsSettings,
+    Scan,
+)
 from altd.config.interfaces import (
     AnySerialPortSettings,
     ConsolePortSettings,
     HttpSettings,
+    LocalSettings,
     ModbusRtuPortSettings,
     ModbusTcpSettings,
     Rs485Settings,
     SerialPortSettings,
     TelegramPortSettings,
 )
-from altd.config.kept_frames import KeptFrames
-from altd.config.lamps import AnyLampsSettings, CameraLampsSettings, GpiodLampsSettings, IndicatorsSettings
+from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.loading import load_config
-from altd.config.local import LocalSettings
-from altd.config.maintenance import HwmonThermometerSettings, Maintenance
-from altd.config.measuring import Measuring
-from altd.config.self_check import SelfCheckSettings
-from altd.config.stage import GrblStageSettings, Scan
+from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Table
 from altd.config.unit import Installation, Target, Unit
 from altd.config.whole import Config

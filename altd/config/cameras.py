@@ -10,8 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from altd.config.addresses import is_unassignable
-from altd.config.complaints import complaint, shown
-from altd.config.table import Celsius, ControlValue, Device, Table
+from altd.config.table import Celsius, ControlValue, Device, Table, complaint, shown
 
 
 def _camera_name(name: str) -> str:

@@ -11,13 +11,10 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
-from altd.config.inclinometer import InclinometerSettings
+from altd.config.devices import AnyLampsSettings, GrblStageSettings, InclinometerSettings, IndicatorsSettings
 from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
-from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
-from altd.config.maintenance import HwmonThermometerSettings
-from altd.config.measuring import Measuring
+from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
-from altd.config.stage import GrblStageSettings
 from altd.config.unit import Target
 from altd.config.whole import Config
 

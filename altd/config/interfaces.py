@@ -1,4 +1,4 @@
-"""The interfaces to the outside: what listens on the network, what speaks on serial ports."""
+"""The interfaces: Modbus, HTTP, serial ports, and the local socket of the unit's own computer."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from altd.config.addresses import is_unassignable
-from altd.config.complaints import complaint, shown
-from altd.config.table import Device, Table, TcpPort
+from altd.config.table import Device, Table, TcpPort, complaint, shown
 
 
 def _address(host: str) -> str:
@@ -181,3 +180,24 @@ class ModbusRtuPortSettings(SerialPortSettings):
 AnySerialPortSettings = Annotated[
     TelegramPortSettings | ConsolePortSettings | ModbusRtuPortSettings, Field(discriminator="speaks")
 ]
+
+
+MAX_SOCKET_BYTES = 107
+"""Of a socket's path: 108 with the byte that ends it (unix(7))."""
+
+
+def _socket(path: Path) -> Path:
+    if not path.is_absolute() or not str(path).isprintable():
+        raise complaint(
+            ((), f"{shown(str(path))} is no path from the root; possible: one such as /run/altd/altd.sock")
+        )
+    if (size := len(str(path).encode())) > MAX_SOCKET_BYTES:
+        raise complaint(((), f"{size} bytes are too long for a socket; possible: up to {MAX_SOCKET_BYTES}"))
+    return path
+
+
+class LocalSettings(Table):
+    """The socket of `altd status`, `altd watch` and `altd selfcheck`, a file that says who may ask."""
+
+    socket: Annotated[Path, AfterValidator(_socket)] = Path("/run/altd/altd.sock")
+    """Its path; the folder must be there."""

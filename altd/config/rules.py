@@ -13,11 +13,11 @@ from pathlib import Path
 
 from altd.config.addresses import overlap
 from altd.config.cameras import AravisCameraSettings, RecordingCameraSettings
-from altd.config.complaints import shown
+from altd.config.devices import CameraLampsSettings, GpiodLampsSettings
 from altd.config.draft import Draft
-from altd.config.lamps import CameraLampsSettings, GpiodLampsSettings
-from altd.config.maintenance import HwmonThermometerSettings
+from altd.config.measuring import HwmonThermometerSettings
 from altd.config.places import Keys
+from altd.config.table import shown
 from altd.config.wording import Fault
 from altd.errors import did_you_mean
 

@@ -1,13 +1,39 @@
-"""What the tables of ``altd.toml`` have in common: frozen, unknown keys refused, units in the keys."""
+"""What the tables of ``altd.toml`` have in common, and how a fault of the settings is reported."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from datetime import date, time
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
-from altd.config.complaints import complaint, shown
+FAULTS = "faults"
+"""The type of pydantic's error with which our own models complain: ``ctx["faults"]`` has keys and why."""
+
+_MAX_SHOWN_LETTERS = 60
+
+
+def complaint(*faults: tuple[Sequence[str | int], str]) -> PydanticCustomError:
+    """What a model raises when keys of it do not fit: each key, from the model on, and why it does not."""
+    return PydanticCustomError(FAULTS, "{text}", {"faults": faults, "text": "; ".join(f[1] for f in faults)})
+
+
+def shown(value: object) -> str:
+    """A value as it stands in the file, or nearly."""
+    if isinstance(value, dict | list):
+        return "a table" if isinstance(value, dict) else "a list"
+    if isinstance(value, date | time):
+        return str(value)
+    text = value if isinstance(value, str) else repr(value)
+    cut = text if len(text) <= _MAX_SHOWN_LETTERS else f"{text[:_MAX_SHOWN_LETTERS]}…"
+    if isinstance(value, bool):
+        return cut.lower()
+    return json.dumps(cut, ensure_ascii=False) if isinstance(value, str) else cut
+
 
 NAME_PATTERN = r"^[a-z][a-z0-9_]*$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN, min_length=1, max_length=32)]

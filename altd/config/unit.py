@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from altd.config.complaints import complaint
-from altd.config.table import Millimetres, Name, OffsetDegrees, Table
+from altd.config.table import Millimetres, Name, OffsetDegrees, Table, complaint
 from altd.errors import escaped
 
 

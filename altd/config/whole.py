@@ -7,16 +7,16 @@ from typing import Annotated
 from pydantic import Field
 
 from altd.config.cameras import AnyCameraSettings
-from altd.config.history import HistorySettings
-from altd.config.inclinometer import InclinometerSettings
-from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
-from altd.config.kept_frames import KeptFrames
-from altd.config.lamps import AnyLampsSettings, IndicatorsSettings
-from altd.config.local import LocalSettings
-from altd.config.maintenance import HwmonThermometerSettings, Maintenance
-from altd.config.measuring import Measuring
-from altd.config.self_check import SelfCheckSettings
-from altd.config.stage import GrblStageSettings, Scan
+from altd.config.devices import (
+    AnyLampsSettings,
+    GrblStageSettings,
+    InclinometerSettings,
+    IndicatorsSettings,
+    Scan,
+)
+from altd.config.interfaces import AnySerialPortSettings, HttpSettings, LocalSettings, ModbusTcpSettings
+from altd.config.keeping import HistorySettings, KeptFrames
+from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Name, Table
 from altd.config.unit import Installation, Target, Unit
 

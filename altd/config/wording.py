@@ -9,9 +9,9 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from altd.config.complaints import FAULTS, shown
 from altd.config.fields import expected, field_at, tables_at, tag_at, tags_of
 from altd.config.places import Keys, Place, Places
+from altd.config.table import FAULTS, shown
 from altd.config.whole import Config
 from altd.errors import did_you_mean
 

@@ -1,4 +1,4 @@
-"""The file of credentials: a line each, hashes alone, readable by its owner and group at most.
+"""The file of credentials, read and changed: a line each, hashes alone, for its owner and group at most.
 
 password NAME scrypt N R P SALT HASH     salt and hash in hexadecimal
 token NAME sha256 HASH
@@ -7,9 +7,10 @@ token NAME sha256 HASH
 from __future__ import annotations
 
 import hmac
+import os
 import re
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -160,3 +161,31 @@ def _bytes(word: str) -> bytes:
     if not re.fullmatch(r"(?:[0-9a-f]{2}){1,64}", word):
         raise ValueError("its salt or hash is not hexadecimal")
     return bytes.fromhex(word)
+
+
+_OWNER_ALONE = 0o077
+
+
+def check_name(name: str) -> None:
+    """Raise BadInputError for a name that nobody can have."""
+    if not is_name(name):
+        text = f"{name[:40]!r} is no name; possible: small letters, digits and _, a letter first, up to 32"
+        raise BadInputError("NAME", text)
+
+
+def change(path: Path, name: str, changed: Callable[[Credentials], Credentials]) -> None:
+    """Change what the file says of a name; a new file is for its owner alone.
+
+    Raises BadInputError, also where a password or token is taken away that was never there; then the file is
+    as it was.
+    """
+    check_name(name)
+    before = load_credentials(path) if os.path.lexists(path) else Credentials()
+    after = changed(before)
+    if after == before:
+        raise BadInputError(path, f"{name} has none that could be removed")
+    umask = os.umask(_OWNER_ALONE)
+    try:
+        save_credentials(path, after)
+    finally:
+        os.umask(umask)

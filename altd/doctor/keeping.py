@@ -13,7 +13,7 @@ from pathlib import Path
 from altd.acquisition.kept_frames.store import MIN_FREE_BYTES
 from altd.app.history import FILE_NAME
 from altd.app.kept_frames import RECORDINGS
-from altd.app.local import SERVICE_SOCKET
+from altd.app.settings import SERVICE_SOCKET
 from altd.config import Config
 from altd.doctor.finding import Finding, better, good, skipped, wrong
 from altd.doctor.machine import Machine

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.config import AravisCameraSettings, Config, HttpSettings
-from altd.devices.aravis import gvcp_client
+from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import is_address
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
@@ -109,10 +109,10 @@ def _openness(http: HttpSettings) -> Iterator[Finding]:
 def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
     """What the camera itself says; it is not disturbed."""
     if is_address(device):
-        tries = (gvcp_client.discover_at(device, _ANSWER_TIMEOUT_S) for _ in range(_MAX_TRIES))
+        tries = (gvcp.discover_at(device, _ANSWER_TIMEOUT_S) for _ in range(_MAX_TRIES))
         there = [camera for camera in tries if camera is not None][:1]
     else:
-        found = gvcp_client.discover(_DISCOVERY_TIMEOUT_S)
+        found = gvcp.discover(_DISCOVERY_TIMEOUT_S)
         there = [camera for camera in found if camera.is_called(device)]
     if len(there) != 1:
         text = f"{len(there)} cameras have this name" if there else "no GigE Vision camera answers"
@@ -121,7 +121,7 @@ def _answer(subject: str, device: str, machine: Machine) -> Iterator[Finding]:
         return
     (camera,) = there
     about = f"{camera.vendor} {camera.model} at {camera.address} answers"
-    privilege = gvcp_client.control_privilege(camera.address, _ANSWER_TIMEOUT_S)
+    privilege = gvcp.control_privilege(camera.address, _ANSWER_TIMEOUT_S)
     if privilege is None:
         yield wrong(
             subject, f"{about}, but does not tell its registers", "switch the camera off and on again"

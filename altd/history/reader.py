@@ -14,8 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from altd.history.columns import Column
-from altd.history.columns_in_file import columns_in
+from altd.history.columns import Column, columns_in
 from altd.history.facts import check_unit
 from altd.history.opening import damage_told, open_to_read
 from altd.history.reasons import codes_in, illness_in

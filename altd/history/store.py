@@ -12,8 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
-from altd.history.columns import Column, value_of
-from altd.history.columns_in_file import prepare_columns
+from altd.history.columns import Column, prepare_columns, value_of
 from altd.history.epochs import Epochs
 from altd.history.facts import changed_facts, check_unit
 from altd.history.lock import WriteLock

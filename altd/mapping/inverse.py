@@ -8,8 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from altd.mapping.horner import Rows, horner, horner_with_slopes, plain, rows
 from altd.mapping.hull import edge_lines
+from altd.mapping.polynomials import Rows, horner, horner_with_slopes, plain, rows
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray
 

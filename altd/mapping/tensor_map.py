@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from altd.mapping.gram import gram_basis, gram_powers
 from altd.mapping.grid import MIN_LINES, Axis
 from altd.mapping.hull import contains
+from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]

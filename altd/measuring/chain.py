@@ -27,7 +27,7 @@ from altd.records import (
     NoSpot,
     Spot,
 )
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
 

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from altd.mapping.horner import Rows, horner, rows
+from altd.mapping.polynomials import Rows, horner, rows
 from altd.mapping.tensor_map import Fit, TensorMap
 
 _LIMIT_SIGMAS = 3.0

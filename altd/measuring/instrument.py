@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from altd.records import Fault, MeanSpots, Quantities, Value
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 MEMORY_S = 10.0
 """What was seen counts for less with this time constant: longer than a machine that goes step by step takes

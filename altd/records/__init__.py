@@ -3,11 +3,9 @@
 Conventions (pixel origin, frames, signs, invalid values) are those of ``docs/conventions.md``.
 """
 
-from altd.records.arrays import ComplexArray, FloatArray, PixelArray
-from altd.records.counted import counted
 from altd.records.faults import Fault, origin_faults
-from altd.records.frames import CameraIdentity, Frame, Origin
-from altd.records.measurement import Measurement, Quantities, Quantity, Value, utc_text
+from altd.records.frames import CameraIdentity, ComplexArray, FloatArray, Frame, Origin, PixelArray
+from altd.records.measurement import Measurement, Quantities, Quantity, Value, counted, utc_text
 from altd.records.spots import FrameSet, MeanSpots, NoSpot, Spot, SpotShape, TargetPoint
 
 __all__ = [

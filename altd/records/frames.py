@@ -1,11 +1,21 @@
-"""What a camera gives, and where it comes from."""
+"""Frames, where they come from, and the arrays of numbers that they and the measuring chain hold."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
 
-from altd.records.arrays import PixelArray
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+"""Vectors, matrices and covariances of the measuring chain."""
+
+ComplexArray = npt.NDArray[np.complex128]
+"""Waves and their amplitudes."""
+
+PixelArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+"""A frame's grey values, (rows, columns)."""
 
 
 class Origin(StrEnum):

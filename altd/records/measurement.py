@@ -1,4 +1,4 @@
-"""What the unit says: quantities, their values, and a measurement of them."""
+"""The measurement: values with their units and uncertainties, or the reasons why there are none."""
 
 from __future__ import annotations
 
@@ -9,8 +9,13 @@ from datetime import UTC, datetime
 
 from altd.reasons import Reason
 from altd.records.faults import Fault
-from altd.records.motion import Motion
 from altd.records.sensors import SensorValue
+from altd.records.spots import Motion
+
+
+def counted(number: int, thing: str) -> str:
+    """``1 frame``, ``2 frames``: the number and the thing, whose plural takes an s."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 @dataclass(frozen=True, slots=True)

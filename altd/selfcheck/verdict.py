@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 from altd.measuring.calibration import Calibration
 from altd.records import Value
+from altd.selfcheck.compensation import WorstEffect, beam_effects, place_effect, worst_effect
 from altd.selfcheck.drift import drift_of
-from altd.selfcheck.effect import WorstEffect, beam_effects, place_effect, worst_effect
 from altd.selfcheck.records import LedState, LedView, Limits, SelfCheck, TargetDrift, Verdict
 
 NOT_LOOKED_AT = "no frames with the LEDs on and off"

@@ -19,8 +19,7 @@ from altd.terminal.lines import (
     state_text,
     verdict_text,
 )
-from altd.terminal.target_picture import Frame, draw_target, rows_for
-from altd.terminal.trend import draw_trend, limits_of
+from altd.terminal.target_picture import Frame, draw_target, draw_trend, limits_of, rows_for
 
 MIN_ROWS, MIN_COLUMNS = 16, 60
 """A smaller screen says so and shows the numbers alone."""

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.config import ConsolePortSettings, HttpSettings
-from altd.credentials.changing import change
+from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
-from altd.publish.http.local import LocalPublisher
-from altd.publish.http.publisher import HttpPublisher
+from altd.publish.http.publisher import HttpPublisher, LocalPublisher
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.runtime.clock import SystemClock
 from altd.status.health import MEASURING, Health, State

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.lamps.controller import FrameLamps
 from altd.acquisition.self_check.frames import MarkedFrames
 from altd.ports import LampsError
 from altd.records import Frame

@@ -18,16 +18,16 @@ CONTRACTS: list[dict[str, str]] = tomllib.loads((ROOT / "pyproject.toml").read_t
 ]["contracts"]
 BREAKS = {
     "One direction": ("altd/vision/frame_leds.py", "import altd.status.board"),
-    "The settings": ("altd/config/stage.py", "import altd.config.rules"),
+    "The settings": ("altd/config/devices.py", "import altd.config.rules"),
     "An interface sees": ("altd/publish/http/page.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),
     "Publishers do not know": ("altd/publish/serial/words.py", "import altd.publish.modbus.registers"),
     "Drivers do not know": ("altd/devices/gpio/lamps.py", "import altd.devices.grbl.line"),
     "Instruments do not know": ("altd/instruments/beam/solver.py", "import altd.instruments.toy"),
     "The unit never invents data": ("altd/app/parts.py", "import hw_sim.unit"),
-    "The simulator shares no measuring code": ("hw_sim/unit.py", "import altd.mapping.gram"),
+    "The simulator shares no measuring code": ("hw_sim/unit.py", "import altd.mapping.polynomials"),
     "The studies are nobody's foundation": ("benchmarks/area.py", "import studies.bench"),
-    "The pure rooms": ("altd/mapping/gram.py", "import asyncio"),
+    "The pure rooms": ("altd/mapping/polynomials.py", "import asyncio"),
 }
 """How a contract's name begins, and an import that breaks it."""
 

@@ -8,7 +8,7 @@ from altd.instruments.beam.quantities import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.ports import Stop
 from altd.records import Measurement, Value
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 from altd.status.board import Board
 from altd.status.proof import Identity, Stamp, unit_number
 

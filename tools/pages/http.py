@@ -9,13 +9,13 @@ from altd.history.reader import MAX_ROWS as EVENT_ROWS
 from altd.publish.http.answers import NOTHING_YET
 from altd.publish.http.application import MAX_TARGET_BYTES
 from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
-from altd.publish.http.downloads import MAX_DOWNLOADS
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, CONNECTIONS, MAX_FAMILIAR, REQUESTS, Rate
 from altd.publish.http.login import BODY_TIMEOUT_S, MAX_BODY_BYTES
 from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
 from altd.publish.http.paths import PATHS
+from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.publish.http.resuming import MAX_ROWS
 from altd.publish.http.self_check import MAX_WAITING
 from altd.publish.http.server import (
@@ -30,7 +30,7 @@ from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS
 from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
 from altd.publish.http.websocket import MAX_BYTES_AT_ONCE, MAX_BYTES_PER_S
-from altd.status.checked_json import checked_line
+from altd.status.measurement_json import checked_line
 from tools.pages.example import MEASURED, STAMP, board
 
 

@@ -8,8 +8,6 @@ from collections.abc import Iterable
 
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus import checked_block
-from altd.publish.modbus.commands import SELF_CHECK_ADDRESS, SELF_CHECK_NOW
-from altd.publish.modbus.places import FIRST_REQUEST_S, KEPT_SHARE, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -24,8 +22,9 @@ from altd.publish.modbus.registers import (
     Type,
     image,
 )
+from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, SELF_CHECK_NOW
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
-from altd.publish.modbus.tcp import MAX_CLIENTS
+from altd.publish.modbus.tcp import FIRST_REQUEST_S, KEPT_SHARE, MAX_CLIENTS, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, VALID, WITHOUT_BIT, Snapshot, StatusBit
 from altd.reasons import Reason, Signal
 from tools.pages.example import MEASURED

@@ -6,9 +6,8 @@ import sys
 from pathlib import Path
 
 from altd.publish.modbus import checked_block
-from altd.publish.serial.proof_sentence import PROOF, with_proof
-from altd.publish.serial.telegram import encode
-from altd.status.checked_json import PROOF_KEYS, checked_line
+from altd.publish.serial.telegram import PROOF, encode, with_proof
+from altd.status.measurement_json import PROOF_KEYS, checked_line
 from altd.status.proof import unit_number
 from tools.pages.example import AGE_S, MEASURED, SERIAL, STAMP, board
 from tools.pages.modbus import register_table

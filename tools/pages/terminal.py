@@ -7,19 +7,19 @@ import math
 import sys
 from typing import Any
 
-from altd.app.follow_daemon import READING_INTERVAL_S, STATUS_INTERVAL_S
-from altd.app.local import SERVICE_SOCKET
+from altd.app.ask_daemon import READING_INTERVAL_S, STATUS_INTERVAL_S
+from altd.app.settings import SERVICE_SOCKET
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.local_socket.listening import MODE
-from altd.status.checked_json import checked_line
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, State
+from altd.status.measurement_json import checked_line
 from altd.status.target_area import AREA_MM
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import HOLD_S, PATH_S, Knowledge
+from altd.terminal.lines import status_text
 from altd.terminal.screen import MIN_COLUMNS, MIN_ROWS, PAGES, View, draw
-from altd.terminal.status_text import status_text
 from tools.markdown import wrapped
 from tools.pages.example import MEASURED, STAMP, board
 from tools.pages.serial_examples import health

@@ -13,8 +13,7 @@ from typing import Literal, Protocol, TypeVar
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
-from altd.acquisition.scan.node import NodeSpots, SpotPx, judge
-from altd.acquisition.scan.plan import Node, fingerprint, nodes_of
+from altd.acquisition.scan.plan import Node, NodeSpots, SpotPx, fingerprint, judge, nodes_of
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.mapping.grid import Block

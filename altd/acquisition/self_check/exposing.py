@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass
 
-from altd.acquisition.lamps.frame_leds import FrameLamps
-from altd.acquisition.self_check.frames import MarkedFrames, Taken
-from altd.acquisition.self_check.light import LedLog, Light
+from altd.acquisition.lamps.controller import FrameLamps
+from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames, Taken
 from altd.ports import Clock, LampsError
-from altd.selfcheck.lighting import have_one_exposure
+from altd.selfcheck.lights import have_one_exposure
 
 _PATIENCE = 3.0
 """A check may take so many times as long as its exposures and their switching."""

@@ -1,4 +1,4 @@
-"""The frames on their way: marked where the LEDs shone, and kept for a check that asks for them."""
+"""Which frames fell under the frame LEDs: each is marked on its way and kept for a check that asks for it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,96 @@ import contextlib
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum, auto
 
-from altd.acquisition.self_check.light import LedLog, Light
+from altd.ports import Clock
 from altd.records import Frame
+
+MARGIN_NS = 10_000_000
+"""The times of frames and of switching lie on one clock, but a camera's own is known to milliseconds only."""
+DARK_AFTER_FAILURE_NS = 1_000_000_000
+"""LEDs that do not do as they are told are let go, which darkens them, within this time. From then on
+exposures are measured again: should the LEDs still shine, the locator sees them."""
+_REMEMBERED = 8
+
+
+class Light(Enum):
+    """What the frame LEDs did during an exposure."""
+
+    OFF = auto()
+    ON = auto()
+    SWITCHED = auto()
+    """They may have been on for a part of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Switching:
+    """From ``begin_ns`` to ``end_ns`` nobody knows; then they are on or off. No end: it is under way."""
+
+    on: bool
+    begin_ns: int
+    end_ns: int | None = None
+
+
+class LedLog:
+    """When the frame LEDs were switched. One task writes it; any thread may ask of a frame.
+
+    ``period_ns`` of a camera is the time from frame to frame, which no exposure exceeds: it counts where a
+    frame does not tell its exposure.
+    """
+
+    def __init__(self, clock: Clock, period_ns: Mapping[str, int]) -> None:
+        self._clock = clock
+        self._period_ns = period_ns
+        self._switchings: tuple[_Switching, ...] = ()
+        """The last ones, oldest first; replaced, never changed."""
+
+    @property
+    def last_switched_ns(self) -> int | None:
+        """When the LEDs were last known to be switched, or were still being; None: never."""
+        if not self._switchings:
+            return None
+        last = self._switchings[-1]
+        return self._clock.monotonic_ns() if last.end_ns is None or last.on else last.end_ns
+
+    def begin(self, on: bool) -> None:
+        """The LEDs are about to be switched."""
+        begun = _Switching(on, self._clock.monotonic_ns())
+        self._switchings = (*self._switchings, begun)[-_REMEMBERED:]
+
+    def done(self) -> None:
+        """They have been."""
+        self._end(self._switchings[-1].on, self._clock.monotonic_ns())
+
+    def lost(self) -> None:
+        """Nobody knows what they do; they are about to be let go."""
+        if not self._switchings or self._switchings[-1].end_ns is not None:
+            self.begin(False)
+        self._end(False, self._clock.monotonic_ns() + DARK_AFTER_FAILURE_NS)
+
+    def of(self, frame: Frame) -> Light:
+        """What the LEDs did while a frame was exposed."""
+        half_ns = self._half_ns(frame) + MARGIN_NS
+        begin_ns, end_ns = frame.t_ns - half_ns, frame.t_ns + half_ns
+        light = Light.OFF
+        for switching in self._switchings:
+            if switching.begin_ns >= end_ns:
+                break
+            if switching.end_ns is None or switching.end_ns > begin_ns:
+                return Light.SWITCHED
+            light = Light.ON if switching.on else Light.OFF
+        return light
+
+    def _half_ns(self, frame: Frame) -> int:
+        """From the middle of an exposure to its ends."""
+        if frame.exposure_ms is None:
+            return self._period_ns[frame.camera]
+        return round(0.5e6 * frame.exposure_ms)
+
+    def _end(self, on: bool, end_ns: int) -> None:
+        *before, last = self._switchings
+        self._switchings = (*before, replace(last, on=on, end_ns=end_ns))
+
 
 Taken = Mapping[str, tuple[Frame, ...]]
 """Frames of one light by camera, oldest first."""

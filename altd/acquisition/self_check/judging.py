@@ -10,7 +10,7 @@ from altd.config import Installation, SelfCheckSettings
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import View
 from altd.records import Value
-from altd.selfcheck.lighting import findings
+from altd.selfcheck.lights import findings
 from altd.selfcheck.records import LedView, Limits, SelfCheck, Verdict
 from altd.selfcheck.verdict import NOT_LOOKED_AT, judge
 

@@ -9,12 +9,11 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.lamps.controller import FrameLamps
 from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
-from altd.acquisition.self_check.frames import MarkedFrames
+from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames
 from altd.acquisition.self_check.judging import CheckJudge, Judged, SpotPx, unknown
-from altd.acquisition.self_check.light import LedLog, Light
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Cause, Schedule
 from altd.acquisition.self_check.standing import Standing
@@ -24,7 +23,7 @@ from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement, Spot, utc_text
 from altd.runtime.threads import call_in_thread
-from altd.selfcheck.as_object import as_object
+from altd.selfcheck.history_document import as_object
 from altd.selfcheck.records import Verdict
 from altd.status.health import Component, State
 from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport

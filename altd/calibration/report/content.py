@@ -15,9 +15,9 @@ from altd.calibration.report.document import Banner, Block, Document, Heading, P
 from altd.calibration.report.map_sections import covariances, cross_checks, models, residuals
 from altd.calibration.report.picture_sections import pictures
 from altd.calibration.report.prediction import CAUSES, OF_SPOT, Prediction, name_of, predict, unit_of
-from altd.calibration.report.source import Source, target_names_text
 from altd.calibration.report.target_plots import Plane, Raster
 from altd.calibration.report.verdict import Level, Verdict, judge
+from altd.calibration.report.write import Source, target_names_text
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.recording.header import CameraHeader
 from altd.records import utc_text

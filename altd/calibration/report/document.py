@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from altd.calibration.report.verdict import Level
 
 if TYPE_CHECKING:
-    from altd.calibration.report.canvas import Canvas
+    from altd.calibration.report.target_plots import Canvas
 
 
 WIDTH_IN = 3.45

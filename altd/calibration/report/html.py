@@ -8,7 +8,6 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from altd.calibration.report.canvas import Canvas, report_style
 from altd.calibration.report.document import (
     WIDTH_IN,
     Banner,
@@ -20,8 +19,9 @@ from altd.calibration.report.document import (
     Table,
     Words,
 )
-from altd.calibration.report.identity import meta_line
+from altd.calibration.report.target_plots import Canvas, report_style
 from altd.calibration.report.verdict import Level
+from altd.calibration.report.write import meta_line
 
 MARKS = {Level.GOOD: "✓", Level.USABLE: "!", Level.BAD: "✗"}
 """Beside colour and word, for those who see no colour."""

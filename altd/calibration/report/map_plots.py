@@ -8,9 +8,18 @@ import numpy as np
 from matplotlib.colors import Normalize, SymLogNorm
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from altd.calibration.evidence import Candidate
-from altd.calibration.report.canvas import BLUE, FAINT, GREEN, INK, ORANGE, QUIET, VERMILION, Canvas
-from altd.calibration.report.target_plots import Draw
+from altd.calibration.report.target_plots import (
+    BLUE,
+    FAINT,
+    GREEN,
+    INK,
+    ORANGE,
+    QUIET,
+    VERMILION,
+    Canvas,
+    Draw,
+)
+from altd.calibration.soundness import Candidate
 from altd.records import FloatArray
 
 CANDIDATES_IN = 3.2

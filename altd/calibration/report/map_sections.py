@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from altd.calibration.evidence import Candidate, TargetEvidence
 from altd.calibration.report import map_plots, target_plots
 from altd.calibration.report.document import Block, Heading, Picture, Row, Table
 from altd.calibration.report.prediction import (
@@ -19,8 +18,9 @@ from altd.calibration.report.prediction import (
     own_noise_px,
     spectrum_covariance_px2,
 )
-from altd.calibration.report.source import Source, target_names_text
 from altd.calibration.report.target_plots import Plane, Raster, nice_length
+from altd.calibration.report.write import Source, target_names_text
+from altd.calibration.soundness import Candidate, TargetEvidence
 from altd.mapping.hull import contains
 from altd.measuring.calibration import TargetCalibration
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from altd.calibration.evidence import Candidate
+from altd.calibration.soundness import Candidate
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
 from altd.mapping.hull import contains

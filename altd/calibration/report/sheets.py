@@ -15,7 +15,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.textpath import TextToPath
 
-from altd.calibration.report.canvas import FAINT, INK, QUIET, Canvas, report_style
 from altd.calibration.report.document import (
     WIDTH_IN,
     Banner,
@@ -28,6 +27,7 @@ from altd.calibration.report.document import (
     Words,
 )
 from altd.calibration.report.html import MARKS
+from altd.calibration.report.target_plots import FAINT, INK, QUIET, Canvas, report_style
 from altd.calibration.report.verdict import Level
 
 _WIDTH_IN, _HEIGHT_IN = 8.27, 11.69

@@ -8,8 +8,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from altd.calibration.evidence import TargetEvidence
 from altd.calibration.report.prediction import CAUSES, Prediction, name_of, unit_of
+from altd.calibration.soundness import TargetEvidence
 from altd.measuring.calibration import Calibration, TargetCalibration
 
 _GOOD_DEG, _USABLE_DEG = 0.0030, 0.0200

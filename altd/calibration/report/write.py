@@ -1,18 +1,71 @@
-"""Both files of a report, or none."""
+"""What a report is made of, where it lies, and writing both of its files or none."""
 
 from __future__ import annotations
 
 import importlib
 import logging
 import os
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
-from altd.calibration.report.identity import PAGE_SUFFIX, SHEETS_SUFFIX
+from altd.calibration.soundness import TargetEvidence
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, write_files
+from altd.measuring.calibration import Calibration, TargetCalibration
+from altd.recording.header import RecordingHeader
+from altd.records import PixelArray
+
+PAGE_SUFFIX, SHEETS_SUFFIX = ".html", ".pdf"
+
+HEAD_BYTES = 1024
+"""What names the calibration stands within these first bytes of a report's page."""
+
+_NAMED = re.compile(rb'<meta name="altd-calibration" content="(sha256:[0-9a-f]{64})">')
+
+
+def meta_line(checksum: str) -> str:
+    """The element of a page's head that names the calibration by the checksum that its file carries."""
+    return f'<meta name="altd-calibration" content="{checksum}">'
+
+
+def checksum_in(head: bytes) -> str | None:
+    """The checksum of the calibration that a page is of, from its first bytes; None: it names none."""
+    named = _NAMED.search(head[:HEAD_BYTES])
+    return None if named is None else named[1].decode("ascii")
+
+
+def page_beside(calibration: Path) -> Path:
+    """Where the report on a calibration file is looked for: beside it, under the same name."""
+    return calibration.with_suffix(PAGE_SUFFIX)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """What is reported on: the calibration, its evidence, how it was made.
+
+    ``negatives`` are the scan's pictures by target, see ``scan_negatives``; a target may lack one.
+    ``headers`` are those of the recordings, in the order in which they were given.
+    """
+
+    calibration: Calibration
+    evidence: tuple[TargetEvidence, ...]
+    negatives: Mapping[str, PixelArray]
+    command: str
+    headers: tuple[RecordingHeader, ...]
+
+    def targets(self) -> list[tuple[TargetCalibration, TargetEvidence]]:
+        """Each target with its evidence."""
+        known = {seen.name: seen for seen in self.evidence}
+        return [(target, known[target.name]) for target in self.calibration.targets]
+
+
+def target_names_text(targets: Sequence[TargetCalibration]) -> str:
+    """All the targets, in a sentence."""
+    return {1: "the target", 2: "both targets"}.get(len(targets), "all targets")
 
 
 def report_names(calibration: Path) -> tuple[str, str]:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from altd.devices.aravis.source_filter import filter_new_sockets, open_sockets
+from altd.devices.aravis.packets import filter_new_sockets, open_sockets
 from altd.ports import CameraBusyError, CameraError, CameraLostError, CameraNotFoundError, CameraRefusedError
 
 try:

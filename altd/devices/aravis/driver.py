@@ -16,7 +16,7 @@ from contextlib import suppress
 import numpy as np
 
 from altd.config import AravisCameraSettings
-from altd.devices.aravis import gvcp_client
+from altd.devices.aravis import gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.blocks import Block
 from altd.devices.aravis.device_clock import DeviceClock
@@ -86,7 +86,7 @@ class AravisCamera:
         """Find the camera, take control of it, set it up and start its stream."""
         camera = self._find()
         try:
-            own_address = gvcp_client.own_address_towards(camera.address)
+            own_address = gvcp.own_address_towards(camera.address)
         except OSError as error:
             raise CameraNotFoundError(f"{camera.address}: {error.strerror}") from None
         device = Device(own_address, camera.address)
@@ -102,7 +102,7 @@ class AravisCamera:
             raise
         self._address = camera.address
         self._heartbeat_timeout_s = (
-            gvcp_client.heartbeat_timeout_s(camera.address, _ANSWER_TIMEOUT_S) or _HEARTBEAT_TIMEOUT_S
+            gvcp.heartbeat_timeout_s(camera.address, _ANSWER_TIMEOUT_S) or _HEARTBEAT_TIMEOUT_S
         )
         for line, on in self._outputs.items():
             self._opened.switch_output(line, on)
@@ -188,18 +188,14 @@ class AravisCamera:
         wanted = self._settings.device
         address = wanted if is_address(wanted) else self._address
         for _ in range(_MAX_DISCOVERY_TRIES):
-            camera = None if address is None else gvcp_client.discover_at(address, _ANSWER_TIMEOUT_S)
+            camera = None if address is None else gvcp.discover_at(address, _ANSWER_TIMEOUT_S)
             if camera is not None and (address == wanted or camera.is_called(wanted)):
                 return camera
         if address == wanted:
             raise CameraNotFoundError(f"{wanted}: no GigE Vision camera answers there")
-        there = gvcp_client.discover(_DISCOVERY_TIMEOUT_S)
+        there = gvcp.discover(_DISCOVERY_TIMEOUT_S)
         claims = [camera for camera in there if camera.is_called(wanted)]
-        found = [
-            camera
-            for camera in claims
-            if gvcp_client.discover_at(camera.address, _ANSWER_TIMEOUT_S) == camera
-        ]
+        found = [camera for camera in claims if gvcp.discover_at(camera.address, _ANSWER_TIMEOUT_S) == camera]
         if len(found) > 1:
             raise CameraRefusedError(f"{wanted}: {len(found)} cameras are called so; name one by its address")
         if not found:
@@ -216,7 +212,7 @@ class AravisCamera:
         silent_s = self._silent_s(now_ns)
         if not silent_s or self._address is None:
             return
-        privilege = gvcp_client.control_privilege(self._address, _ANSWER_TIMEOUT_S)
+        privilege = gvcp.control_privilege(self._address, _ANSWER_TIMEOUT_S)
         self._answers = privilege is not None
         if privilege is None:
             self._answering_since_ns = None

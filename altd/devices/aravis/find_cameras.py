@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-from altd.devices.aravis import gvcp_client
+from altd.devices.aravis import gvcp
 from altd.devices.aravis.binding import Device
 from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.devices.aravis.open_camera import BITS
@@ -34,15 +34,15 @@ class FoundCamera:
 
 def find_cameras() -> list[FoundCamera]:
     """All cameras that answer in half a second, by address; one that nobody controls is opened shortly."""
-    return [_examined(camera) for camera in gvcp_client.discover(_DISCOVERY_TIMEOUT_S)]
+    return [_examined(camera) for camera in gvcp.discover(_DISCOVERY_TIMEOUT_S)]
 
 
 def _examined(camera: DiscoveredCamera) -> FoundCamera:
-    in_use = gvcp_client.control_privilege(camera.address, _ANSWER_TIMEOUT_S) != 0
+    in_use = gvcp.control_privilege(camera.address, _ANSWER_TIMEOUT_S) != 0
     formats = None
     if not in_use:
         with suppress(CameraError, OSError):
-            device = Device(gvcp_client.own_address_towards(camera.address), camera.address)
+            device = Device(gvcp.own_address_towards(camera.address), camera.address)
             try:
                 formats = tuple(name for name in device.choices("PixelFormat") if name in BITS)
             finally:

@@ -1,16 +1,30 @@
-"""The packets of GigE Vision's control protocol (GVCP), to and from bytes; all numbers are big-endian.
+"""GVCP: the commands of GigE Vision and a client for a camera's registers.
 
 Nothing here believes a packet: it counts when it bears the number of the question and has the very length
 that it states.
 
 Source: the GigE Vision standard, version 2.0: GVCP's headers, DISCOVERY and READREG, bootstrap registers.
+
+Aravis waits 2.5 s for a camera that does not answer, and finding one takes it a second, in which no other
+camera can be opened. These questions need neither control of the camera nor Aravis.
+
+An answer counts when it comes from the address that was asked and bears the number of the question, which
+nobody can guess. What comes beside it costs a bounded time and no memory.
 """
 
 from __future__ import annotations
 
+import fcntl
+import secrets
 import socket
 import struct
+import time
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
+
+from altd.devices.aravis import gvcp
 
 PORT = 3956
 DISCOVERY, READ_REGISTER = 0x0002, 0x0080
@@ -91,3 +105,115 @@ def is_address(text: str) -> bool:
 def _text(field: bytes) -> str:
     text = field.split(b"\0", 1)[0].decode("utf-8", "replace").strip()
     return "".join(letter for letter in text if letter.isprintable())
+
+
+_SIOCGIFADDR = 0x8915
+_MAX_DATAGRAM_BYTES = 2048
+_MAX_CAMERAS = 256
+_MAX_DATAGRAMS_AT_ONCE = 256
+_POLL_INTERVAL_S = 0.02
+
+
+def discover_at(address: str, timeout_s: float) -> gvcp.DiscoveredCamera | None:
+    """The camera at an address, or None when none answers in time."""
+    payload = _acknowledge(address, gvcp.DISCOVERY, b"", timeout_s)
+    camera = None if payload is None else gvcp.read_discovery(payload)
+    return camera if camera is not None and camera.address == address else None
+
+
+def discover(timeout_s: float) -> list[gvcp.DiscoveredCamera]:
+    """All cameras that answer to a broadcast on any of this computer's networks, by address.
+
+    Anybody can claim to be one; ``discover_at`` asks the address itself.
+    """
+    found: dict[str, gvcp.DiscoveredCamera] = {}
+    request_id = _new_request_id()
+    question = gvcp.command(gvcp.DISCOVERY, request_id, broadcast=True)
+    sockets: list[socket.socket] = []
+    try:
+        for own in _own_addresses():
+            asking = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            sockets.append(asking)
+            asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            asking.setblocking(False)
+            with suppress(OSError):  # an interface without a network
+                asking.bind((own, 0))
+                asking.sendto(question, ("255.255.255.255", gvcp.PORT))
+        deadline = time.monotonic() + timeout_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            time.sleep(min(left_s, _POLL_INTERVAL_S))
+            for asking in sockets:
+                for packet in _datagrams(asking):
+                    payload = gvcp.read_acknowledge(packet, gvcp.DISCOVERY, request_id)
+                    camera = None if payload is None else gvcp.read_discovery(payload)
+                    if camera is not None and len(found) < _MAX_CAMERAS:
+                        found[camera.address] = camera
+    finally:
+        for asking in sockets:
+            asking.close()
+    return [found[address] for address in sorted(found)]
+
+
+def control_privilege(address: str, timeout_s: float) -> int | None:
+    """The camera's control privilege register, 0 when nobody controls it; None when it does not answer.
+
+    Aravis' simulated camera takes this question, from whomever, for its controller's sign of life.
+    """
+    return _register(address, gvcp.CONTROL_PRIVILEGE, timeout_s)
+
+
+def heartbeat_timeout_s(address: str, timeout_s: float) -> float | None:
+    """For how long the camera waits for its controller's sign of life before it drops it."""
+    heartbeat_ms = _register(address, gvcp.HEARTBEAT_TIMEOUT_MS, timeout_s)
+    return None if heartbeat_ms is None else heartbeat_ms * 1e-3
+
+
+def own_address_towards(address: str) -> str:
+    """The address of the interface through which a camera is reached; raises OSError when there is none."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect((address, gvcp.PORT))
+        own: str = probe.getsockname()[0]
+        return own
+
+
+def _register(address: str, register: int, timeout_s: float) -> int | None:
+    payload = _acknowledge(address, gvcp.READ_REGISTER, struct.pack(">I", register), timeout_s)
+    return None if payload is None else gvcp.read_register(payload)
+
+
+def _acknowledge(address: str, command: int, payload: bytes, timeout_s: float) -> bytes | None:
+    """The payload of the camera's answer; None when it refuses or does not answer."""
+    deadline, request_id = time.monotonic() + timeout_s, _new_request_id()
+    with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        asking.connect((address, gvcp.PORT))
+        asking.send(gvcp.command(command, request_id, payload))
+        while (left_s := deadline - time.monotonic()) > 0:
+            asking.settimeout(left_s)
+            answer = gvcp.read_acknowledge(asking.recv(_MAX_DATAGRAM_BYTES), command, request_id)
+            if answer is not None:
+                return answer
+    return None
+
+
+def _new_request_id() -> int:
+    """Any but 0, which the standard forbids."""
+    return 1 + secrets.randbelow(65535)
+
+
+def _datagrams(asking: socket.socket) -> Iterator[bytes]:
+    """Datagrams that have come; a flood of them does not hold up the other sockets."""
+    with suppress(OSError):
+        for _ in range(_MAX_DATAGRAMS_AT_ONCE):
+            yield asking.recv(_MAX_DATAGRAM_BYTES)
+
+
+def _own_addresses() -> Iterator[str]:
+    """Of each interface, by /proc: the service may not use the netlink sockets of ``if_nameindex``."""
+    lines = Path("/proc/self/net/dev").read_text().splitlines()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        for name, colon, _ in (line.strip().partition(":") for line in lines):
+            if not colon:
+                continue
+            with suppress(OSError):  # an interface without an IPv4 address
+                request = struct.pack("256s", name.encode())
+                yield socket.inet_ntoa(fcntl.ioctl(any_socket, _SIOCGIFADDR, request)[20:24])

@@ -1,4 +1,4 @@
-"""Datagrams from a camera, many by one system call.
+"""Datagrams from one camera, many by one system call; the kernel drops those of others.
 
 Python's socket takes one at a time and asks for the interpreter's lock for each; while the measuring thread
 computes, that is one packet in 5 ms. recvmmsg(2) takes what has come, at most a batch, for one such wait.
@@ -10,10 +10,85 @@ import ctypes
 import errno
 import os
 import socket
+import struct
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 from altd.devices.aravis.gvsp import UDP_BYTES
-from altd.devices.aravis.source_filter import accept_only_from
+
+_SO_ATTACH_FILTER, _SO_LOCK_FILTER = 26, 44
+"""socket(7); asm-generic, as on x86 and ARM."""
+_LOAD_WORD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
+_SOURCE_ADDRESS = 0x100000000 - 0x100000 + 12
+"""SKF_NET_OFF and the offset of the source address in an IPv4 header (RFC 791)."""
+_ALL, _NOTHING = 0xFFFFFFFF, 0
+_INSTRUCTION = struct.Struct("=HBBI")
+
+
+def accept_only_from(receiving: socket.socket, address: str) -> None:
+    """From now on ``receiving``, an IPv4 socket, gets no packet whose source is not ``address``.
+
+    A classic BPF program (linux/filter.h), which cannot be taken off again. Unlike ``connect`` it needs no
+    port, and brings no errors of the other side's into the socket. Raises OSError.
+    """
+    wanted = int.from_bytes(socket.inet_aton(address), "big")
+    program = b"".join(
+        _INSTRUCTION.pack(*instruction)
+        for instruction in (
+            (_LOAD_WORD, 0, 0, _SOURCE_ADDRESS),
+            (_JUMP_IF_EQUAL, 0, 1, wanted),
+            (_RETURN, 0, 0, _ALL),
+            (_RETURN, 0, 0, _NOTHING),
+        )
+    )
+    held = ctypes.create_string_buffer(program, len(program))
+    count = len(program) // _INSTRUCTION.size
+    receiving.setsockopt(
+        socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("@HP", count, ctypes.addressof(held))
+    )
+    receiving.setsockopt(socket.SOL_SOCKET, _SO_LOCK_FILTER, 1)
+
+
+def open_sockets() -> frozenset[int]:
+    """The inodes of this process's sockets."""
+    return frozenset(inode for inode, _ in _sockets())
+
+
+def filter_new_sockets(before: frozenset[int], own_address: str, address: str) -> None:
+    """The same for the UDP sockets that a library has bound to ``own_address`` since, unseen.
+
+    Those that broadcast or are connected are our own questions to cameras and have a filter or need none.
+    """
+    for inode, number in _sockets():
+        if inode not in before:
+            with suppress(OSError), socket.socket(fileno=os.dup(number)) as theirs:
+                if (
+                    theirs.family == socket.AF_INET
+                    and theirs.type == socket.SOCK_DGRAM
+                    and _is_open_to_all(theirs, own_address)
+                ):
+                    accept_only_from(theirs, address)
+
+
+def _is_open_to_all(theirs: socket.socket, own_address: str) -> bool:
+    if theirs.getsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST):
+        return False
+    try:
+        theirs.getpeername()
+    except OSError:
+        return bool(theirs.getsockname()[0] == own_address)
+    return False
+
+
+def _sockets() -> Iterator[tuple[int, int]]:
+    """Inode and file descriptor of each."""
+    for entry in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # closed meanwhile
+            link = str(entry.readlink())
+            if link.startswith("socket:["):
+                yield int(link[8:-1]), int(entry.name)
+
 
 BATCH = 64
 _SOCKADDR_BYTES = 16  # sockaddr_in: family, port (big-endian), address, zeros

@@ -14,8 +14,7 @@ import time
 from collections.abc import Iterable
 
 from altd.config import InclinometerSettings
-from altd.devices.inclinometer.protocol import Question
-from altd.devices.inclinometer.registers import SENSORS, Meaning, Register
+from altd.devices.inclinometer.registers import SENSORS, Meaning, Question, Register
 from altd.ports import (
     InclinometerAccuracy,
     InclinometerNotFoundError,

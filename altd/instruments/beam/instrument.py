@@ -22,7 +22,7 @@ from altd.measuring.instrument import Solution
 from altd.measuring.spot_shape import shape_doubts_mm
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, MeanSpots, TargetPoint, Value
-from altd.records.motion import Motion, SpotMotion
+from altd.records.spots import Motion, SpotMotion
 
 _ROWS = ("x_mm", "yaw_deg", "y_mm", "pitch_deg")
 """Of the line's gain."""

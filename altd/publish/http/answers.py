@@ -8,19 +8,18 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from altd.publish.http import login, self_check
 from altd.publish.http.calibration import LoadedCalibration
 from altd.publish.http.diagnostics import Diagnostics
-from altd.publish.http.downloads import Downloads
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import Guard
 from altd.publish.http.metrics import CONTENT_TYPE, Metrics
 from altd.publish.http.page import POLICY, page_files, page_of
 from altd.publish.http.past import Past
 from altd.publish.http.pictures import Viewers
-from altd.publish.http.recordings import Recordings
+from altd.publish.http.recordings import Downloads, Recordings
 from altd.publish.http.stream import EventStream, Resuming, Streams
 from altd.reasons import Reason
 from altd.status.board import Board
-from altd.status.checked_json import checked_line
 from altd.status.health import Component, Health
+from altd.status.measurement_json import checked_line
 from altd.status.proof import Stamps
 from altd.status.target_area import as_object
 

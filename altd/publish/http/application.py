@@ -13,11 +13,10 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from altd.publish.http import errors
-from altd.publish.http.addresses import OwnNames
 from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
-from altd.publish.http.limits import Buckets
+from altd.publish.http.limits import Buckets, OwnNames
 from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH

@@ -22,10 +22,10 @@ from altd.errors import one_line
 from altd.history.reader import MAX_ROWS, Reader
 from altd.history.records import SummaryPoint
 from altd.history.schema import MINUTES
-from altd.publish.http.downloads import Downloads, saved_as, sent_whole
 from altd.publish.http.guard import Guard, Refused
 from altd.publish.http.metrics import Metrics
 from altd.publish.http.past import Past, event_object
+from altd.publish.http.recordings import Downloads, saved_as, sent_whole
 from altd.publish.http.resuming import time_of
 from altd.status.board import Board
 from altd.status.health import Health

@@ -12,9 +12,8 @@ from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
 from altd.ports import Clock
-from altd.publish.http.addresses import host_of
 from altd.publish.http.errors import refusal
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, Buckets
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, Buckets, host_of
 from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
 from altd.tcp_port.addresses import address_of, group_of, is_loopback

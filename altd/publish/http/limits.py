@@ -1,11 +1,52 @@
-"""Token buckets: how often somebody may ask, with a memory that stays small whoever asks."""
+"""Which clients may connect, and how often one may ask, with a memory that stays small whoever asks."""
 
 from __future__ import annotations
 
+import socket
 from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from altd.ports import Clock
+from altd.tcp_port.addresses import Networks, address_of, is_loopback
+
+
+def host_of(header: str) -> str:
+    """The name or address in a header ``Host``, without the port."""
+    if header.startswith("["):
+        return header[1:].partition("]")[0]
+    return header.partition(":")[0]
+
+
+class OwnNames:
+    """What a browser may call the unit: an address, the computer's own name, and ``names``.
+
+    Any other name may be one that a page of elsewhere has bent to the unit's address (DNS rebinding), so as
+    to read what the browser's computer can.
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        own = socket.gethostname().lower()
+        short = own.partition(".")[0]
+        self._names = {"", "localhost", own, short, f"{short}.local", *(name.lower() for name in names)}
+
+    def __contains__(self, header: str) -> bool:
+        host = host_of(header)
+        return address_of(host) is not None or host.lower().removesuffix(".") in self._names
+
+
+class Allowed:
+    """Clients that may connect: the unit's own computer, and the networks; all clients if none is named."""
+
+    def __init__(self, networks: Iterable[str]) -> None:
+        self._networks = Networks(networks)
+
+    def __contains__(self, host: str) -> bool:
+        if not self._networks:
+            return True
+        address = address_of(host)
+        return is_loopback(address) or address in self._networks
+
 
 MAX_KEYS = 1024
 """Of so many the last asking is remembered; who was longest silent is forgotten, which is to be forgiven."""

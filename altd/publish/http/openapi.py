@@ -24,7 +24,7 @@ class Sensor(Answer):
 
 
 def measurement_model(quantities: Quantities) -> type[BaseModel]:
-    """The measurement of a unit with these quantities, as ``altd/status/checked_json.py`` writes it."""
+    """The measurement of a unit with these quantities, as ``altd/status/measurement_json.py`` writes it."""
     with_sigma = [quantity for quantity in quantities.of_unit if quantity.has_sigma]
     of_target = _numbers("TargetValues", "The values of one target.", quantities.of_target, "")
     sigma = _numbers("Sigma", "Standard deviations (1 sigma) of the means.", with_sigma, "")

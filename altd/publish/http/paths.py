@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from altd.publish.http import calibration_models, models
+from altd.publish.http import models
 from altd.publish.http.answers import Answers
+from altd.publish.http.calibration import CalibrationFile, CalibrationSummary
 from altd.publish.http.diagnostics import ZIP
 from altd.publish.http.operations import Operation, Parameter, ServedPath
 from altd.publish.http.past import EVENTS, LAST_S, MAX_EVENTS, MAX_POINTS, POINTS
@@ -140,7 +141,7 @@ _CALIBRATION_FILES = (
             "GET": Operation(
                 Answers.calibration,
                 "The loaded calibration, what it was made from, and what it is worth",
-                calibration_models.CalibrationSummary,
+                CalibrationSummary,
                 errors={503: _NO_CALIBRATION},
             )
         },
@@ -152,7 +153,7 @@ _CALIBRATION_FILES = (
             "GET": Operation(
                 Answers.calibration_file,
                 "The calibration file as it was loaded",
-                calibration_models.CalibrationFile,
+                CalibrationFile,
                 errors={
                     **_NO_DOWNLOAD,
                     409: "the file cannot be read, or is another one than the unit has loaded",

@@ -1,22 +1,25 @@
-"""The interface: its settings, its socket, its application."""
+"""The interface: its settings, its sockets, its application."""
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import json
 import logging
 import socket
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 from altd.config import HttpSettings
 from altd.credentials.keeper import CredentialsKeeper
 from altd.history.history import History
-from altd.publish.http.addresses import Allowed, OwnNames
+from altd.local_socket.listening import identity_at, listening
 from altd.publish.http.answers import Answers
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.application import application_of
 from altd.publish.http.guard import Guard
-from altd.publish.http.limits import CONNECTIONS, REQUESTS, Buckets
+from altd.publish.http.limits import CONNECTIONS, REQUESTS, Allowed, Buckets, OwnNames
 from altd.publish.http.openapi import document_of
 from altd.publish.http.past import Past
 from altd.publish.http.paths import PATHS
@@ -27,6 +30,9 @@ from altd.status.event_log import EventLog
 from altd.status.health import Component, Health, State
 
 log = logging.getLogger("altd")
+
+_LOOK_INTERVAL_S = 1.0
+"""Interval at which the socket's file is checked; clients cannot connect without it."""
 
 
 class HttpPublisher:
@@ -120,3 +126,34 @@ def _openness(settings: HttpSettings) -> str:
         "" if own or settings.allow else "open to every network that reaches it",
     ]
     return "".join(f", {part}" for part in parts if part)
+
+
+class LocalPublisher(HttpPublisher):
+    """Serves the unit's own computer; who may open the file may act, too."""
+
+    is_local = True
+
+    def __init__(
+        self,
+        path: Path,
+        board: Board,
+        health: Health,
+        component: Component,
+        history: History | None = None,
+    ) -> None:
+        super().__init__(HttpSettings(), board, health, component, history)
+        self._path = path
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve until cancelled; raises OSError when the socket cannot be had, or has lost its file."""
+        with listening(self._path) as listener:
+            made = identity_at(self._path)
+            serving = asyncio.ensure_future(self.serve(listener, "for this computer alone", ready))
+            try:
+                while not (await asyncio.wait({serving}, timeout=_LOOK_INTERVAL_S))[0]:
+                    if identity_at(self._path) != made:
+                        raise OSError(errno.ENOENT, "the file of the socket was deleted or replaced")
+                await serving
+            finally:
+                serving.cancel()
+                await asyncio.gather(serving, return_exceptions=True)

@@ -25,9 +25,8 @@ from uvicorn.protocols.utils import is_ssl
 
 from altd.config import HttpSettings
 from altd.publish.http import pictures
-from altd.publish.http.addresses import Allowed
 from altd.publish.http.errors import error_body
-from altd.publish.http.limits import Buckets
+from altd.publish.http.limits import Allowed, Buckets
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
 from altd.publish.http.websocket import BoundedWebSocket
 from altd.status.health import Component

@@ -13,8 +13,8 @@ from altd.publish.http.errors import refusal
 from altd.publish.http.resuming import Resume, id_of, key_of
 from altd.records import Measurement
 from altd.status.board import Board
-from altd.status.checked_json import checked_line
 from altd.status.health import Component
+from altd.status.measurement_json import checked_line
 from altd.status.proof import Stamps
 
 MAX_STREAMS = 16

@@ -1,5 +1,11 @@
 """Modbus RTU on a serial port, alone or as one of many units on an RS485 bus.
 
+"Serial" is the Modbus over Serial Line Specification V1.02, "Application" the Modbus Application Protocol
+V1.1b3. A frame begins after a silence, and its CRC says where it ends (Serial 2.5.1). The end of another
+unit's answer can be, byte for byte, a request to this unit with a CRC that fits. So the bytes since a silence
+are first read as whole frames, one behind the other, with the answer that is awaited on the bus in mind; only
+where that does not work, after noise, is a request looked for at their end.
+
 "Serial" is the Modbus over Serial Line Specification V1.02.
 """
 
@@ -8,16 +14,204 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
 
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.bus import MAX_FRAME_BYTES, Bus
 from altd.publish.modbus.responder import Responder
 from altd.serial_port.port import Port, describe, opened
 from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, State
+
+MAX_FRAME_BYTES = 256
+"""Bytes of the longest frame (Serial 2.5.1)."""
+
+MIN_FRAME_BYTES = 4
+"""Unit id, function and CRC."""
+
+MAX_UNIT_ID = 247
+"""The largest unit id; 0 is everybody (Serial 2.2)."""
+
+_MAX_FRAGMENTS = 16
+"""In which adapters deliver a frame. More is noise, and each costs a check of all that begin before it."""
+FRAGMENT_TIMEOUT_S = 0.1
+"""A silence that no frame bridges. The specification says 1.5 characters (Serial 2.5.1.1), but USB adapters
+hand over what they have every 16 ms."""
+
+RESPONSE_TIMEOUT_S = 1.0
+"""A unit that has not answered by then is not waited for (Serial 2.4.1: "from 1 s to several seconds")."""
+
+_BIT_READS, _REGISTER_READS, _SINGLE_WRITES, _MULTIPLE_WRITES = {1, 2}, {3, 4}, {5, 6}, {15, 16}
+"""Functions by the lengths of their frames (Application 6.1 to 6.6, 6.11, 6.12)."""
+
+_EXCEPTION_BIT = 0x80
+
+_REQUESTS_AFTER_NOISE = ((8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
+"""Length and first bytes of the requests that are looked for behind noise."""
+
+
+def _crc_table() -> tuple[int, ...]:
+    """The table of the CRC with the polynomial 0xA001 (Serial 6.2.2)."""
+    table = []
+    for register in range(256):
+        for _ in range(8):
+            register = (register >> 1) ^ (0xA001 if register & 1 else 0)
+        table.append(register)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+@dataclass(frozen=True, slots=True)
+class _AwaitedResponse:
+    """The response that another unit is to send."""
+
+    unit_id: int
+    function: int
+    length: int
+    until_s: float
+
+    @classmethod
+    def after(cls, frame: bytes, now_s: float) -> Self | None:
+        """What follows a frame, if that is a request whose answer's length is known."""
+        unit_id, function = frame[0], frame[1]
+        count = int.from_bytes(frame[4:6], "big")
+        if function in _MULTIPLE_WRITES and len(frame) > 8:
+            length = 8
+        elif len(frame) != 8 or unit_id == 0:
+            return None
+        elif function in _SINGLE_WRITES:
+            length = 8
+        elif function in _BIT_READS:
+            length = 5 + (count + 7) // 8
+        elif function in _REGISTER_READS:
+            length = 5 + 2 * count
+        else:
+            return None
+        return cls(unit_id, function, length, now_s + RESPONSE_TIMEOUT_S)
+
+    def is_begun_by(self, received: bytes) -> bool:
+        """Whether the answer can begin, or be damaged, like this."""
+        return received[0] == self.unit_id and received[1:2] in (b"", bytes([self.function]))
+
+
+class Bus:
+    """Follows one line for one unit."""
+
+    def __init__(self, unit_id: int) -> None:
+        self._unit_id = unit_id
+        self._fragments: list[bytes] = []
+        self._received_s = float("-inf")
+        self._awaited: _AwaitedResponse | None = None
+
+    def receive(self, received: bytes, now_s: float) -> bytes | None:
+        """Take what was received up to a silence; the request to this unit that ends it, without id, CRC."""
+        if now_s - self._received_s > FRAGMENT_TIMEOUT_S:
+            self._fragments.clear()
+        self._received_s = now_s
+        if self._awaited is not None and now_s > self._awaited.until_s:
+            self._awaited = None
+        self._fragments.append(received)
+        while len(self._fragments) > 1 and (
+            sum(map(len, self._fragments)) > MAX_FRAME_BYTES or len(self._fragments) > _MAX_FRAGMENTS
+        ):
+            del self._fragments[0]
+        for first in range(len(self._fragments)):
+            whole = b"".join(self._fragments[first:])
+            frames = frames_of(whole, self._unit_id)
+            if frames is not None:
+                return self._take(frames, now_s)
+            if first == 0 and self._awaited is not None and self._awaited.is_begun_by(whole):
+                if len(whole) < self._awaited.length:
+                    return None  # the rest is to come
+                if len(whole) == self._awaited.length:
+                    self.reset()  # damaged on its way
+                    return None
+        request = request_after_noise(received, self._unit_id)
+        if request is not None:
+            self.reset()
+        return request
+
+    def reset(self) -> None:
+        """Discard what was received so far, and await no response."""
+        self._fragments.clear()
+        self._awaited = None
+
+    def _take(self, frames: list[bytes], now_s: float) -> bytes | None:
+        awaited, last = self._awaited, frames[-1]
+        self.reset()
+        if last[0] == self._unit_id:
+            return last[1:-2]
+        is_answer = awaited is not None and awaited.is_begun_by(last) and len(last) == awaited.length
+        if not (is_answer and len(frames) == 1):
+            self._awaited = _AwaitedResponse.after(last, now_s)
+        return None
+
+
+def frames_of(received: bytes, unit_id: int) -> list[bytes] | None:
+    """``received`` as whole frames, one behind the other; None when it is something else.
+
+    A frame of another unit has a length that its function knows; one to ``unit_id`` may be malformed.
+    """
+    begun_at: dict[
+        int, int
+    ] = {}  # where a frame ends, and where the first that was found to end there begins
+    begins = [0]
+    while begins:
+        begin = begins.pop()
+        for end in _ends_of_frames(received, begin):
+            frame = received[begin:end]
+            is_frame = frame[0] == unit_id or (frame[0] <= MAX_UNIT_ID and _has_its_length(frame))
+            if is_frame and end not in begun_at:
+                begun_at[end] = begin
+                begins.append(end)
+    frames, end = list[bytes](), len(received)
+    while end > 0:
+        if end not in begun_at:
+            return None
+        frames.append(received[begun_at[end] : end])
+        end = begun_at[end]
+    return frames[::-1]
+
+
+def request_after_noise(received: bytes, unit_id: int) -> bytes | None:
+    """The request to this unit at the end of bytes that are no frames, without id and CRC."""
+    for length, head in _REQUESTS_AFTER_NOISE:
+        frame = received[-length:]
+        if frame.startswith(bytes([unit_id]) + head) and len(frame) == length:
+            crc = int.from_bytes(frame[-2:], "big")
+            if FramerRTU.check_CRC(frame[:-2], crc):
+                return frame[1:-2]
+    return None
+
+
+def _ends_of_frames(received: bytes, begin: int) -> list[int]:
+    """Where a frame that begins there may end, the last place first: its CRC leaves nothing over."""
+    register, ends = 0xFFFF, []
+    for place in range(begin, min(len(received), begin + MAX_FRAME_BYTES)):
+        register = (register >> 8) ^ _CRC[(register ^ received[place]) & 0xFF]
+        if register == 0 and place + 1 - begin >= MIN_FRAME_BYTES:
+            ends.append(place + 1)
+    return ends[::-1]
+
+
+def _has_its_length(frame: bytes) -> bool:
+    """Whether a request or an answer of this function can be so long; of most functions it is not known."""
+    function, length = frame[1], len(frame)
+    if function & _EXCEPTION_BIT:
+        return length == 5
+    if function in _BIT_READS | _REGISTER_READS:
+        return length in (8, 5 + frame[2])
+    if function in _SINGLE_WRITES:
+        return length == 8
+    if function in _MULTIPLE_WRITES:
+        return length == 8 or (length > 8 and length == 9 + frame[6])
+    return True
+
 
 BITS_PER_CHARACTER = 11
 

@@ -11,8 +11,15 @@ from dataclasses import dataclass
 from textwrap import fill
 from typing import NamedTuple
 
-from altd.publish.serial.parts_text import calibration_text, health_text, spots_text
-from altd.publish.serial.past_text import SPANS_S, Past, history_text, log_text
+from altd.publish.serial.parts_text import (
+    SPANS_S,
+    Past,
+    calibration_text,
+    health_text,
+    history_text,
+    log_text,
+    spots_text,
+)
 from altd.publish.serial.words import WIDTH, measurement_text, status_text, watch_head, watch_line
 from altd.reasons import Signal
 from altd.records import Measurement, Quantities

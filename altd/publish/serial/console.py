@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from altd.publish.serial.commands import Asked, Later, Question, UsageError, Watch, answer_to
 from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
-from altd.publish.serial.past_text import Past
+from altd.publish.serial.parts_text import Past
 from altd.publish.serial.words import WIDTH, watch_line
 from altd.records import Measurement, Quantities
 from altd.status.health import Health

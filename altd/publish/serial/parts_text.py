@@ -1,13 +1,18 @@
-"""The parts of a unit in the words of a technician: spots, components, calibration."""
+"""The parts of a unit and its past in the words of a technician: spots, components, events, trends."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
-from altd.publish.serial.words import NO_MEASUREMENT, component_lines, hanging
-from altd.records import Measurement, Quantities
+from altd.history.history import History, NoHistoryError
+from altd.history.records import SummaryPoint
+from altd.publish.serial.words import NO_MEASUREMENT, WIDTH, component_lines, hanging
+from altd.records import Measurement, Quantities, Quantity
 from altd.status.conditions import Condition
+from altd.status.event_log import Event, EventLog
 from altd.status.health import MEASURING, Health
 from altd.status.target_area import TargetArea
 
@@ -72,3 +77,63 @@ def _where(target: TargetArea) -> str:
         return text
     (left, right), (low, high) = ((min(side), max(side)) for side in zip(*target.valid_mm, strict=True))
     return f"{text}, valid within x {left:.1f} to {right:.1f}, y {low:.1f} to {high:.1f} mm"
+
+
+SHOWN_EVENTS = 12
+ROWS = 12
+SPANS_S = {"hour": 3600, "day": 86_400, "month": 30 * 86_400}
+_TIMES = {"hour": "%H:%M:%S", "day": "%d, %H:%M", "month": "%m-%d, %H:%M"}
+
+
+@dataclass(frozen=True, slots=True)
+class Past:
+    """What a daemon remembers; ``now`` is its time of day, None: not known."""
+
+    events: EventLog
+    history: History
+    now: Callable[[], datetime | None]
+
+
+def log_text(past: Past) -> str:
+    """The newest events, the newest first."""
+    events = past.events.after(0)[-SHOWN_EVENTS:]
+    return "\n".join(map(_event_line, reversed(events))) or "nothing has happened so far"
+
+
+async def history_text(past: Past, quantities: Quantities, span: str) -> str:
+    """The means of the last hour, day or month in equal steps, the newest last; or why there are none."""
+    now = past.now()
+    if now is None:
+        return "no history: the time of day is not known"
+    to_us = int(now.timestamp() * 1e6)
+    keys = [quantity.key for quantity in quantities.main]
+    try:
+        trend = await past.history.trend(max(to_us - SPANS_S[span] * 10**6, 0), to_us, ROWS, keys)
+    except (NoHistoryError, ValueError) as error:
+        return hanging("", f"no history: {error}", 2).strip()
+    if not trend.points:
+        return f"nothing was measured in the last {span}"
+    head = "".join(f"{f'{quantity.label} {_unit(quantity)}':>10}" for quantity in quantities.main)
+    rows = [_row(point, quantities, _TIMES[span]) for point in trend.points]
+    return "\n".join([f"{'from (UTC)':<13}{'valid':>6}{head}", *rows])
+
+
+def _row(point: SummaryPoint, quantities: Quantities, form: str) -> str:
+    begun = datetime.fromtimestamp(point.t_us / 1e6, UTC).strftime(form)
+    share = f"{100 * point.n_valid // point.n} %" if point.n else "-"
+    numbers = ""
+    for quantity in quantities.main:
+        value = point.values.get(quantity.key)
+        numbers += f"{'-':>10}" if value is None else f"{value.mean:10.{quantity.decimals - 1}f}"
+    return f"{begun:<13}{share:>6}{numbers} {point.lost_to}"[:WIDTH].rstrip()
+
+
+def _unit(quantity: Quantity) -> str:
+    return quantity.unit.replace("°", "deg")
+
+
+def _event_line(event: Event) -> str:
+    of = f" {event.of}" if event.of else ""
+    alike = f" ({event.held_back} alike before it)" if event.held_back else ""
+    time = event.time.astimezone(UTC).strftime("%m-%d %H:%M:%S")
+    return hanging(time, f"{event.kind}{of}: {event.text}{alike}", 15)

@@ -9,9 +9,8 @@ from collections.abc import Callable
 from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
-from altd.publish.serial.past_text import Past
-from altd.publish.serial.proof_sentence import with_proof
-from altd.publish.serial.telegram import LINE_END, MAX_CHECKED_BYTES, encode
+from altd.publish.serial.parts_text import Past
+from altd.publish.serial.telegram import LINE_END, MAX_CHECKED_BYTES, encode, with_proof
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
 from altd.status.health import Component, Health, State

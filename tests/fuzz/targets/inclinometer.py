@@ -8,7 +8,7 @@ from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 from support.modbus_rtu_wire import crc, frame
 
-from altd.devices.inclinometer.protocol import Question
+from altd.devices.inclinometer.registers import Question
 from altd.ports import InclinometerError
 
 NAME = "inclinometer"

@@ -12,7 +12,7 @@ from fuzz.targets.http import STREAMS, send_in_pieces
 from hypothesis import strategies as st
 
 from altd.local_socket.asking import ask
-from altd.publish.http.local import LocalPublisher
+from altd.publish.http.publisher import LocalPublisher
 
 NAME = "local_socket"
 EXAMPLES = st.tuples(STREAMS, st.sampled_from((1_000_000, 200, 40, 7)))

@@ -12,8 +12,8 @@ from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
-from altd.publish.modbus.bus import Bus
 from altd.publish.modbus.responder import Responder
+from altd.publish.modbus.rtu import Bus
 
 NAME = "modbus_rtu"
 UNIT = 7

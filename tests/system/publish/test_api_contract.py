@@ -20,7 +20,7 @@ from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of
 from altd.calibration.file import load_calibration, save_calibration
 from altd.config import HttpSettings
-from altd.credentials.changing import change
+from altd.credentials.file import change
 from altd.credentials.hashes import new_token, token_digest
 from altd.history.history import History
 from altd.instruments.beam.quantities import QUANTITIES

@@ -19,12 +19,11 @@ from support.places import DOCS
 
 from altd.publish.modbus.checked_block import ROWS, CheckedBlock
 from altd.publish.modbus.values import Snapshot
-from altd.publish.serial.proof_sentence import PROOF, with_proof
-from altd.publish.serial.telegram import encode
+from altd.publish.serial.telegram import PROOF, encode, with_proof
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.board import Board
-from altd.status.checked_json import PROOF_KEYS, checked_line
+from altd.status.measurement_json import PROOF_KEYS, checked_line
 from altd.status.proof import Identity, Stamp
 from tools.pages import proof as page
 

@@ -12,8 +12,7 @@ from support.frames import Blob, frame, light
 
 from altd.acquisition.frame_pairs import ROOM, FramePairs
 from altd.acquisition.kept_frames.ring import FrameRing
-from altd.acquisition.self_check.frames import MarkedFrames
-from altd.acquisition.self_check.light import LedLog
+from altd.acquisition.self_check.frames import LedLog, MarkedFrames
 from altd.measuring.pairing import Pairer
 from altd.reasons import Reason
 from altd.records import Frame

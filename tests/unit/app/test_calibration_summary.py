@@ -16,14 +16,13 @@ from support.recordings import PX_PER_MM, header
 from support.unit_toml import played_toml
 
 from altd.app.calibration_files import ReadCalibrationFiles
-from altd.app.calibration_summary import MAX_TEXT_CHARACTERS, summary_of
+from altd.app.calibration_summary import MAX_TEXT_CHARACTERS, summary_of, target_areas_of
 from altd.app.settings import load_settings
-from altd.app.target_areas import target_areas_of
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.report.content import report_on
-from altd.calibration.report.source import Source
+from altd.calibration.report.write import Source
 from altd.instruments.beam.quantities import QUANTITIES
-from altd.publish.http.calibration_models import CalibrationSummary
+from altd.publish.http.calibration import CalibrationSummary
 from altd.publish.serial.console import Console
 from altd.recording.header import RecordingHeader
 from altd.records import CameraIdentity, Origin

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from support.played_unit import PlayedUnit
 
+from altd.app.calibration_summary import target_areas_of
 from altd.app.settings import load_settings
-from altd.app.target_areas import target_areas_of
 from altd.calibration.file import load_calibration
 from altd.status.target_area import as_object
 

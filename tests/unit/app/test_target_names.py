@@ -17,8 +17,7 @@ from altd.app.settings import load_settings
 from altd.calibration.file import save_calibration
 from altd.errors import BadInputError
 from altd.records.sensors import Quality, SensorValue
-from altd.status.checked_json import checked_line
-from altd.status.measurement_json import as_scan_object
+from altd.status.measurement_json import as_scan_object, checked_line
 from tools.pages.example import MEASURED, STAMP, board
 
 WITH_ROLL = replace(MEASURED, from_sensors={"roll_deg": SensorValue(Quality.FROZEN)})

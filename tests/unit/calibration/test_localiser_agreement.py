@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.frames import Blob, frame, light
 
-from altd.calibration.localiser_agreement import Agreement, localiser_agreement, verdict
+from altd.calibration.spot_reference import Agreement, localiser_agreement, verdict
 from altd.records import Frame
 from altd.vision.flat import Flat
 from altd.vision.settings import SpotSettings

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.calibration.node_cache import NodeCache
+from altd.calibration.scan_nodes import NodeCache
 
 
 def test_items_up_to_the_bound_are_made_once_and_the_others_each_time() -> None:

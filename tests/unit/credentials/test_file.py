@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from altd.credentials.changing import change
-from altd.credentials.file import MAX_ENTRIES, Credentials, load_credentials, save_credentials
+from altd.credentials.file import MAX_ENTRIES, Credentials, change, load_credentials, save_credentials
 from altd.credentials.hashes import PasswordHash, new_token, token_digest
 from altd.credentials.keeper import CredentialsKeeper
 from altd.errors import BadInputError

@@ -8,7 +8,7 @@ import socket
 import pytest
 
 from altd.config import Config
-from altd.devices.aravis import gvcp_client
+from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import DiscoveredCamera
 from altd.doctor import network
 from altd.doctor.finding import Finding, Verdict
@@ -30,9 +30,9 @@ def computer(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> Tree:
     )
     interface(tree, "eth0")
     interface(tree, "eth1")
-    monkeypatch.setattr(gvcp_client, "discover_at", lambda address, _: camera(address))
-    monkeypatch.setattr(gvcp_client, "discover", lambda _: [camera(name="Maker-1234")])
-    monkeypatch.setattr(gvcp_client, "control_privilege", lambda *_: 0)
+    monkeypatch.setattr(gvcp, "discover_at", lambda address, _: camera(address))
+    monkeypatch.setattr(gvcp, "discover", lambda _: [camera(name="Maker-1234")])
+    monkeypatch.setattr(gvcp, "control_privilege", lambda *_: 0)
     tree.write("/proc/sys/net/core/rmem_max", 4194304)
     tree.write("/proc/sys/net/ipv4/conf/all/rp_filter", 1)
     return tree
@@ -102,9 +102,9 @@ def test_what_a_camera_itself_says(
     verdict: Verdict,
     words: str,
 ) -> None:
-    monkeypatch.setattr(gvcp_client, "discover_at", lambda *_: there[0] if there else None)
-    monkeypatch.setattr(gvcp_client, "discover", lambda _: there)
-    monkeypatch.setattr(gvcp_client, "control_privilege", lambda *_: privilege)
+    monkeypatch.setattr(gvcp, "discover_at", lambda *_: there[0] if there else None)
+    monkeypatch.setattr(gvcp, "discover", lambda _: there)
+    monkeypatch.setattr(gvcp, "control_privilege", lambda *_: privilege)
     computer.write("/proc/77/cmdline", process)
     findings = [
         one for one in found(gige(configured, device), computer) if one.subject.startswith("camera front")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.gram import equidistant_nodes
 
-from altd.mapping.gram import gram_basis, gram_powers
+from altd.mapping.polynomials import gram_basis, gram_powers
 
 
 @pytest.mark.parametrize("nodes", [4, 5, 6, 7, 30])

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from support.gram import equidistant_nodes
 
-from altd.mapping.gram import gram_basis
 from altd.mapping.hull import convex_hull_mm, edge_lines
 from altd.mapping.inverse import InverseMap
+from altd.mapping.polynomials import gram_basis
 from altd.mapping.tensor_map import Fit, fit_tensor_map
 
 CAMERA = np.array([[950.0, 0, 370.0], [0, 950.0, 245.0], [0, 0, 1]])

@@ -11,7 +11,7 @@ from altd.instruments.beam.solver import Beam
 from altd.measuring.gate import Gate
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 NUMBERS = list(Beam.__dataclass_fields__)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from altd.measuring.motion_memory import MotionMemory
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 PERIOD_NS = 50_000_000
 SPAN_S = 0.95

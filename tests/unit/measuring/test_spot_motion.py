@@ -8,7 +8,7 @@ import pytest
 from altd.measuring.averaging import mean_spots
 from altd.reasons import Reason
 from altd.records import FrameSet, MeanSpots, NoSpot, Spot
-from altd.records.motion import SpotMotion
+from altd.records.spots import SpotMotion
 
 TARGETS = ("front", "rear")
 PERIOD_NS = 50_000_000

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 
 TIMES_S = (np.arange(20) - 9.5) / 20.0
 """Of the exposures of one window, from their middle."""

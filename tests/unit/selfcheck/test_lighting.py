@@ -10,7 +10,7 @@ import pytest
 from support.frames import Blob, frame, light
 
 from altd.records import Frame
-from altd.selfcheck.lighting import Finding, findings
+from altd.selfcheck.lights import Finding, findings
 
 LEDS_PX = np.array([(120.0, 80.0), (640.0, 80.0), (640.0, 400.0), (120.0, 400.0)])
 LEDS = tuple(Blob(u, v, 14.0, peak=120.0) for u, v in LEDS_PX)

@@ -23,8 +23,7 @@ from altd.status.event_log import (
 )
 from altd.status.health import Health
 from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
-from altd.status.state import UnitState
-from altd.status.state_events import StateEvents
+from altd.status.state import StateEvents, UnitState
 
 __all__ = ["board", "clock", "health"]
 

@@ -16,8 +16,8 @@ from altd.instruments.beam.quantities import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import Knowledge
+from altd.terminal.lines import WIDTH, status_text
 from altd.terminal.screen import PAGES, View, draw
-from altd.terminal.status_text import WIDTH, status_text
 
 
 def test_a_measurement_is_read_by_the_units_own_quantities() -> None:

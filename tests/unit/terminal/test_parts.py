@@ -8,9 +8,8 @@ from support.daemon_documents import TARGETS, measurement, status
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import Reading, TargetsDocument, reading_of, self_check_of, status_of, targets_of
-from altd.terminal.status_text import WIDTH, is_fine, status_text
-from altd.terminal.target_picture import Frame, draw_target, half_size_mm, rows_for
-from altd.terminal.trend import draw_trend, limits_of
+from altd.terminal.lines import WIDTH, is_fine, status_text
+from altd.terminal.target_picture import Frame, draw_target, draw_trend, half_size_mm, limits_of, rows_for
 
 
 @pytest.fixture

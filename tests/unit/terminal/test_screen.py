@@ -14,8 +14,8 @@ from altd.instruments.beam.quantities import QUANTITIES
 from altd.terminal.canvas import Canvas, Style
 from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import HOLD_S, Knowledge
+from altd.terminal.lines import status_text
 from altd.terminal.screen import PAGES, View, draw
-from altd.terminal.status_text import status_text
 
 from .moments import LAST_S, after_a_minute, hear, screen
 

@@ -21,7 +21,7 @@ from altd.calibration.report.content import report_on
 from altd.calibration.report.document import Document, Heading, Row, Table
 from altd.calibration.report.html import html_page
 from altd.calibration.report.sheets import pdf_sheets
-from altd.calibration.report.source import Source
+from altd.calibration.report.write import Source
 from altd.recording.header import RecordingHeader
 
 SIZE = {"width": 752, "height": 480, "bits": 8}

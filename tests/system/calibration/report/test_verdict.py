@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.evidence import calibration, evidence, target
 
-from altd.calibration.evidence import TargetEvidence
 from altd.calibration.report.prediction import predict
 from altd.calibration.report.verdict import Check, Level, Verdict, judge
+from altd.calibration.soundness import TargetEvidence
 from altd.measuring.calibration import Calibration
 from altd.vision.flat import Flat
 

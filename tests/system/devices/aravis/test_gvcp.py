@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.gige import HOME, Cameras, register, wait_for
 
-from altd.devices.aravis import gvcp_client
+from altd.devices.aravis import gvcp
 
 
 @pytest.mark.own_network
@@ -13,7 +13,7 @@ class TestCameras:
     def test_are_found_by_broadcast_and_called_by_four_names(self, cameras: Cameras) -> None:
         cameras.start(HOME, "T1")
         cameras.start("127.0.0.2", "T2")
-        first, second = gvcp_client.discover(1.5)
+        first, second = gvcp.discover(1.5)
         assert (first.address, first.serial) == (HOME, "T1")
         assert (second.address, second.serial, second.vendor, second.model) == (
             "127.0.0.2",
@@ -27,9 +27,9 @@ class TestCameras:
 
     def test_tell_who_controls_them(self, cameras: Cameras) -> None:
         cameras.start()
-        assert gvcp_client.control_privilege(HOME, 5.0) == 0
-        assert gvcp_client.heartbeat_timeout_s(HOME, 5.0) == 3.0
+        assert gvcp.control_privilege(HOME, 5.0) == 0
+        assert gvcp.heartbeat_timeout_s(HOME, 5.0) == 3.0
         register(HOME, 0xA00, 2)
-        assert gvcp_client.control_privilege(HOME, 5.0) == 2
+        assert gvcp.control_privilege(HOME, 5.0) == 2
         cameras.stop()
-        wait_for(lambda: gvcp_client.control_privilege(HOME, 0.1) is None)
+        wait_for(lambda: gvcp.control_privilege(HOME, 0.1) is None)

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 import pytest
 from support.clock import FakeClock
 
-from altd.acquisition.lamps.frame_leds import FrameLamps
+from altd.acquisition.lamps.controller import FrameLamps
 from altd.ports import LampsError
 from altd.status.health import Component, Health, State
 

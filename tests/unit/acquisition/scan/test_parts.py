@@ -13,8 +13,7 @@ from support.frames import Blob, frame, light
 from support.unit_toml import write_config
 
 from altd.acquisition.scan.folder import DoneNode, ScanFolder
-from altd.acquisition.scan.node import BadNode, NodeSpots, judge
-from altd.acquisition.scan.plan import fingerprint, nodes_of
+from altd.acquisition.scan.plan import BadNode, NodeSpots, fingerprint, judge, nodes_of
 from altd.config import Config, Scan, load_config
 from altd.errors import BadInputError
 from altd.measuring.pairing import Pair

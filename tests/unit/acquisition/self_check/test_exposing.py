@@ -10,8 +10,7 @@ from support.clock import FakeClock, settle
 from support.lit_cameras import CAMERAS, Leds, LitCameras, QuickLamps
 
 from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
-from altd.acquisition.self_check.frames import MarkedFrames
-from altd.acquisition.self_check.light import LedLog, Light
+from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames
 
 EXPOSURES = 3
 

@@ -12,8 +12,8 @@ from support.clock import FakeClock
 from support.recordings import picture
 
 from altd.acquisition.self_check.correction import Correction
+from altd.acquisition.self_check.frames import LedLog
 from altd.acquisition.self_check.judging import CheckJudge
-from altd.acquisition.self_check.light import LedLog
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks

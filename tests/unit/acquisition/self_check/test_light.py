@@ -6,7 +6,7 @@ import pytest
 from support.clock import FakeClock
 from support.frames import frame, light
 
-from altd.acquisition.self_check.light import LedLog, Light
+from altd.acquisition.self_check.frames import LedLog, Light
 from altd.records import Frame
 
 MS = 1_000_000

@@ -16,8 +16,8 @@ from support.located import SPOT, located
 from support.measurements import measured
 
 from altd.acquisition.self_check.exposing import CheckFailedError
+from altd.acquisition.self_check.frames import LedLog, Light
 from altd.acquisition.self_check.judging import Judged
-from altd.acquisition.self_check.light import LedLog, Light
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks

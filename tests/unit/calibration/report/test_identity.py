@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from altd.calibration.report.identity import HEAD_BYTES, checksum_in, meta_line, page_beside
+from altd.calibration.report.write import HEAD_BYTES, checksum_in, meta_line, page_beside
 
 CHECKSUM = f"sha256:{'0123456789abcdef' * 4}"
 PAGE = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n{meta_line(CHECKSUM)}\n'

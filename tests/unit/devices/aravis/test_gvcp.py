@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from altd.devices.aravis import gvcp, gvcp_client
+from altd.devices.aravis import gvcp
 
 ELSEWHERE = f"127.99.{os.getpid() % 250}.{os.getpid() // 250 % 250 + 1}"
 """Port 3956 is fixed; an address of our own keeps test runs apart."""
@@ -48,7 +48,7 @@ def ack(question: bytes, payload: bytes, status: int = 0, of: int = 0, claimed: 
 class TestQuestions:
     def test_a_register_is_read(self) -> None:
         with answering(lambda question: [ack(question, b"\0\0\1\2")]):
-            assert gvcp_client.control_privilege(ELSEWHERE, 1.0) == 0x102
+            assert gvcp.control_privilege(ELSEWHERE, 1.0) == 0x102
 
     @pytest.mark.parametrize(
         "answer",
@@ -79,29 +79,29 @@ class TestQuestions:
     )
     def test_what_is_no_answer_is_none(self, answer: Callable[[bytes], list[bytes]]) -> None:
         with answering(answer):
-            assert gvcp_client.control_privilege(ELSEWHERE, 0.1) is None
-            assert gvcp_client.discover_at(ELSEWHERE, 0.1) is None
+            assert gvcp.control_privilege(ELSEWHERE, 0.1) is None
+            assert gvcp.discover_at(ELSEWHERE, 0.1) is None
 
     def test_no_two_have_the_same_number(self) -> None:
         """Who does not see the question cannot forge its answer."""
         asked: list[bytes] = []
         with answering(lambda question: asked.append(question[6:8]) or []):
             for _ in range(20):
-                gvcp_client.control_privilege(ELSEWHERE, 0.01)
+                gvcp.control_privilege(ELSEWHERE, 0.01)
         assert len(set(asked)) > 15
 
     def test_the_answer_is_found_behind_noise(self) -> None:
         with answering(
             lambda question: [b"\0", ack(question, b"\0\0\0\7", of=3), ack(question, b"\0\0\0\2")]
         ):
-            assert gvcp_client.control_privilege(ELSEWHERE, 1.0) == 2
+            assert gvcp.control_privilege(ELSEWHERE, 1.0) == 2
 
     def test_a_name_is_text_whatever_the_camera_says(self) -> None:
         hostile = bytearray(248)
         hostile[0x24:0x28] = socket.inet_aton(ELSEWHERE)
         hostile[0x48:0x68] = b"\xff\x1b[2J\n" * 5 + b"\xff\xff"
         with answering(lambda question: [ack(question, bytes(hostile))]):
-            camera = gvcp_client.discover_at(ELSEWHERE, 1.0)
+            camera = gvcp.discover_at(ELSEWHERE, 1.0)
         assert camera is not None
         assert camera.vendor.isprintable()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.publish.http.addresses import Allowed, OwnNames
+from altd.publish.http.limits import Allowed, OwnNames
 
 
 @pytest.mark.parametrize(

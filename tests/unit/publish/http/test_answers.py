@@ -21,9 +21,8 @@ from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
-from altd.status.checked_json import PROOF_KEYS
 from altd.status.health import Component, Health, State
-from altd.status.measurement_json import as_object_now
+from altd.status.measurement_json import PROOF_KEYS, as_object_now
 from altd.status.self_check_desk import SelfCheckReport
 
 from .conftest import Served

@@ -9,9 +9,9 @@ import pytest
 from support.evidence import calibration
 
 from altd.app.calibration_summary import summary_of
-from altd.credentials.changing import change
+from altd.credentials.file import change
 from altd.credentials.hashes import new_token, token_digest
-from altd.publish.http.downloads import MAX_DOWNLOADS
+from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.status.health import Health
 
 from .calibration_files import FILE, PAGE, Files

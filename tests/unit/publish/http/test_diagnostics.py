@@ -19,7 +19,7 @@ from support.history import START_S, WallClock, at, event, store, write_seconds
 from support.history import batch as batch_of
 
 from altd.app.calibration_summary import summary_of
-from altd.credentials.changing import change
+from altd.credentials.file import change
 from altd.history.history import History
 from altd.publish.http import diagnostics
 from altd.status.board import Board

@@ -13,7 +13,7 @@ from support.clock import FakeClock
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from altd.credentials.changing import change
+from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
 from altd.publish.http.guard import Guard, Refused
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR

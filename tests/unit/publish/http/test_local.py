@@ -14,9 +14,9 @@ from support.clock import FakeClock, stop
 from support.serving import serving
 
 from altd.local_socket.asking import ask
-from altd.publish.http import local, server
-from altd.publish.http.local import LocalPublisher
+from altd.publish.http import publisher, server
 from altd.publish.http.paths import PATHS
+from altd.publish.http.publisher import LocalPublisher
 from altd.records import Measurement
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
@@ -99,7 +99,7 @@ async def test_its_file_is_gone_with_it_and_a_second_one_is_refused(
 async def test_one_whose_file_is_deleted_or_replaced_says_so_and_serves_again(
     tmp_path: Path, board: Board, health: Health, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
-    monkeypatch.setattr(local, "_LOOK_INTERVAL_S", 0.01)
+    monkeypatch.setattr(publisher, "_LOOK_INTERVAL_S", 0.01)
     path, component, clock = tmp_path / "s", health.component("local"), FakeClock()
     face = asyncio.create_task(
         keep_running("local", LocalPublisher(path, board, health, component), component, clock)

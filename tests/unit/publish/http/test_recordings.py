@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from unit.publish.http.conftest import Answer, Served, Unit
 
-from altd.publish.http.downloads import MAX_DOWNLOADS
+from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.status.health import Health
 from altd.status.recording_desk import KeptRecording, NotKeptError
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.modbus_rtu_wire import COLLIDING, OTHER, READ_OF_20, frame, register_after
 from support.modbus_wire import ONE, UNIT
 
-from altd.publish.modbus.bus import FRAGMENT_TIMEOUT_S, MAX_FRAME_BYTES, Bus, frames_of
+from altd.publish.modbus.rtu import FRAGMENT_TIMEOUT_S, MAX_FRAME_BYTES, Bus, frames_of
 
 
 def received(*chunks: bytes, gap_s: float = 0.01) -> list[bytes | None]:

@@ -16,7 +16,7 @@ from altd.publish.modbus.responder import Responder
 from altd.publish.modbus.values import Snapshot
 from altd.reasons import Reason, Signal
 from altd.records import Fault
-from altd.records.motion import Motion
+from altd.records.spots import Motion
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.cause import StateReport

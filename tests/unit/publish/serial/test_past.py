@@ -15,7 +15,7 @@ from altd.config import ConsolePortSettings
 from altd.history.history import History
 from altd.instruments.beam.quantities import QUANTITIES
 from altd.publish.serial.console import Console
-from altd.publish.serial.past_text import SHOWN_EVENTS, Past, history_text
+from altd.publish.serial.parts_text import SHOWN_EVENTS, Past, history_text
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog

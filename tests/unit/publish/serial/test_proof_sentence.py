@@ -9,8 +9,7 @@ from datetime import UTC, datetime, timedelta, timezone
 import pynmea2
 import pytest
 
-from altd.publish.serial.proof_sentence import PROOF, with_proof
-from altd.publish.serial.telegram import encode
+from altd.publish.serial.telegram import PROOF, encode, with_proof
 from altd.records import Measurement
 from altd.status.proof import Identity, Stamp
 
