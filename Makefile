@@ -171,7 +171,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium unzip mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl ssh-keygen=openssh-client unzip mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \

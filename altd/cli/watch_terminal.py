@@ -102,13 +102,19 @@ class Terminal:
 
 
 def in_terminal(work: Callable[[Terminal], None]) -> None:
-    """Do it on a screen of its own; the terminal is as it was afterwards, however it ends."""
+    """Do it on a screen of its own; the terminal is as it was afterwards, however it ends.
+
+    A terminal that is gone cannot be restored, which does not hide why the work ended.
+    """
     locale.setlocale(locale.LC_ALL, "")
     curses.set_escdelay(_ESCAPE_DELAY_MS)
     if all(os.get_terminal_size(sys.stdout.fileno())):
         for stated in ("LINES", "COLUMNS"):  # what a shell exports would count for ever, whatever the size
             os.environ.pop(stated, None)
-    curses.wrapper(lambda window: work(Terminal(window)))
+    try:
+        curses.wrapper(lambda window: work(Terminal(window)))
+    except curses.error as error:
+        raise error.__context__ or error from None
 
 
 def _shows_blocks() -> bool:

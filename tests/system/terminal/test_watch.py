@@ -252,12 +252,16 @@ class TestRestored:
             os.close(line.far)
             assert line.process.wait(PATIENCE_S) in (1, 129)
 
-    def test_so_does_one_whose_hang_up_is_ignored(self, unit: LocalDaemon) -> None:
-        with on_a_line("sh", "-c", f"trap '' HUP; exec {shlex.join(watch(unit.socket))}") as line:
+    def test_so_does_one_whose_hang_up_is_ignored_and_without_a_traceback(
+        self, unit: LocalDaemon, tmp_path: Path
+    ) -> None:
+        errors = tmp_path / "errors"
+        with on_a_line("sh", "-c", f"trap '' HUP; exec {shlex.join(watch(unit.socket))} 2>{errors}") as line:
             line.await_shown(b"TEST-1")
             os.close(line.near)
             os.close(line.far)
             assert line.process.wait(PATIENCE_S) == 1
+        assert errors.read_text() == ""
 
 
 def assert_left_as_it_was(line: Line) -> None:
