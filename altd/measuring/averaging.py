@@ -132,37 +132,49 @@ def mean_spots(
         return _reasons_of_unusable(frame_sets)
     if len(usable) < least:
         return (_WARMING_UP,)
-    spots = [[_spot(frame_set, target) for target in targets] for frame_set in usable]
-    px = np.array([[c for spot in row for c in (spot.u_px, spot.v_px)] for row in spots])
-    typical_noise = np.repeat(median(np.array([[spot.sigma_px for spot in row] for row in spots]), axis=0), 2)
+    spots = np.array([[_numbers_of(frame_set, target) for target in targets] for frame_set in usable])
+    px = spots[:, :, :2].reshape(len(usable), 2 * len(targets))
+    typical_noise = np.repeat(median(spots[:, :, _SIGMA], axis=0), 2)
     is_inlier = _is_inlier(px, typical_noise)
-    too_many = np.count_nonzero(~is_inlier) > _MAX_OUTLIER_FRACTION * len(usable)
+    count = int(np.count_nonzero(is_inlier))
+    too_many = len(usable) - count > _MAX_OUTLIER_FRACTION * len(usable)
     if too_many or _has_two_clusters(px[is_inlier], typical_noise):
         return (Fault(Reason.UNSTEADY, detail="the beam moved while it was averaged"),)
-    inliers = [frame_set for frame_set, near in zip(usable, is_inlier, strict=True) if near]
-    middle_ns = _middle_ns([frame_set.t_ns for frame_set in inliers])
-    since_middle_ns = np.array([frame_set.t_ns - middle_ns for frame_set in inliers], dtype=np.float64)
-    mean = px[is_inlier].mean(axis=0)
-    speed = _speed_px_per_ns(px[is_inlier] - mean, since_middle_ns)
-    covariance_px2 = _covariance_of_mean(px[is_inlier] - mean, speed, since_middle_ns, typical_noise)
-    by_target = [[_spot(frame_set, target) for frame_set in inliers] for target in targets]
-    excess_px2 = [sum(spot.excess_px**2 for spot in of_target) / len(inliers) for of_target in by_target]
+    times_ns = [frame_set.t_ns for frame_set in usable]
+    middle_ns = _middle_ns([t_ns for t_ns, near in zip(times_ns, is_inlier, strict=True) if near])
+    since_middle_ns = np.array([t_ns - middle_ns for t_ns in times_ns], dtype=np.float64)
+    inliers = spots[is_inlier]
+    mean = inliers.mean(axis=0)
+    deviations_px = px - mean[:, :2].ravel()
+    speed = _speed_px_per_ns(deviations_px[is_inlier], since_middle_ns[is_inlier])
+    covariance_px2 = _covariance_of_mean(
+        deviations_px[is_inlier], speed, since_middle_ns[is_inlier], typical_noise
+    )
     return MeanSpots(
         targets=targets,
-        px=(mean - speed * np.repeat(_behind_ns(inliers, targets), 2)).reshape(len(targets), 2),
-        covariance_px2=covariance_px2 + np.diag(np.repeat(excess_px2, 2)),
+        px=mean[:, :2] - speed.reshape(-1, 2) * mean[:, _BEHIND_NS, None],
+        covariance_px2=covariance_px2 + np.diag(np.repeat(mean[:, _EXCESS2], 2)),
         t_ns=middle_ns,
-        frames=int(np.count_nonzero(is_inlier)),
+        frames=count,
         lost=len(frame_sets) - len(usable),
-        shapes=tuple(_mean_shape(of_target) for of_target in by_target),
-        excess_px=tuple(math.sqrt(square) for square in excess_px2),
-        motion=_motion(
-            px - mean,
-            np.array([frame_set.t_ns - middle_ns for frame_set in usable], dtype=np.float64),
-            is_inlier,
-            covariance_px2,
-            typical_noise,
-        ),
+        shapes=tuple(_mean_shape(inliers[:, place, _SHAPE]) for place in range(len(targets))),
+        excess_px=tuple(math.sqrt(square) for square in mean[:, _EXCESS2].tolist()),
+        motion=_motion(deviations_px, since_middle_ns, is_inlier, covariance_px2, typical_noise),
+    )
+
+
+_SIGMA, _EXCESS2, _BEHIND_NS, _SHAPE = 2, 3, 4, slice(5, 9)
+_NO_SHAPE = (math.nan,) * 4
+
+
+def _numbers_of(frame_set: FrameSet, target: str) -> tuple[float, ...]:
+    """u, v, sigma, excess², time behind the frame set's, and shape of a target's spot."""
+    spot = frame_set.spots[target]
+    assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has nothing else
+    shape = spot.shape
+    return (
+        *(spot.u_px, spot.v_px, spot.sigma_px, spot.excess_px**2, frame_set.behind_ns.get(target, 0)),
+        *(_NO_SHAPE if shape is None else (shape.a, shape.b, shape.c, shape.order)),
     )
 
 
@@ -184,22 +196,14 @@ def _motion(
     )
 
 
-def _mean_shape(spots: Sequence[Spot]) -> SpotShape | None:
-    shapes = [spot.shape for spot in spots if spot.shape is not None]
-    if not shapes:
-        return None
-    of_all = np.array([(shape.a, shape.b, shape.c, shape.order) for shape in shapes])
-    return SpotShape(*of_all.mean(axis=0).tolist())
+def _mean_shape(shapes: FloatArray) -> SpotShape | None:
+    """Of a target's shapes (n, 4), NaN where there was none."""
+    known = shapes[~np.isnan(shapes[:, 0])]
+    return SpotShape(*known.mean(axis=0).tolist()) if len(known) else None
 
 
 def _middle_ns(times_ns: Sequence[int]) -> int:
     return times_ns[0] + round(sum(t_ns - times_ns[0] for t_ns in times_ns) / len(times_ns))
-
-
-def _spot(frame_set: FrameSet, target: str) -> Spot:
-    spot = frame_set.spots[target]
-    assert isinstance(spot, Spot)  # noqa: S101  a usable frame set has nothing else
-    return spot
 
 
 def _is_inlier(px: FloatArray, noise: FloatArray) -> BoolArray:
@@ -233,13 +237,6 @@ def _has_two_clusters(px: FloatArray, noise: FloatArray) -> bool:
         if gaps[split - 1, column] > _MIN_GAP_SIGMAS * (within + noise[column]):
             return True
     return False
-
-
-def _behind_ns(frame_sets: Sequence[FrameSet], targets: tuple[str, ...]) -> FloatArray:
-    """How far behind its frame set's time each target was exposed, on the mean, (targets,)."""
-    behind_ns = np.array([[e.behind_ns.get(t, 0) for t in targets] for e in frame_sets], dtype=np.float64)
-    mean: FloatArray = behind_ns.mean(axis=0)
-    return mean
 
 
 def _speed_px_per_ns(deviations: FloatArray, since_middle_ns: FloatArray) -> FloatArray:
