@@ -23,7 +23,7 @@ from altd.history.opening import open_to_write
 from altd.history.reader import Reader
 from altd.history.schema import HOURS, MINUTES, SECONDS, SUMMARY_PARTS, SummaryTable, column_name
 from altd.history.store import Store
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 
 END_S = 1_795_161_600
 """2026-11-20T08:00:00Z: the history ends there, at a whole hour."""

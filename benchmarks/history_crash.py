@@ -61,7 +61,7 @@ def write(
     from altd.history.columns import columns_of
     from altd.history.recorder import HistoryRecorder
     from altd.history.store import Store
-    from altd.instruments.beam.quantities import QUANTITIES
+    from altd.instruments.beam.instrument import QUANTITIES
     from altd.records import Measurement, Value
     from altd.runtime.clock import SystemClock
     from altd.status.board import Board

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.app.daemon import Daemon
-from altd.app.history import FILE_NAME, history_about
+from altd.app.keeping import FILE_NAME, history_about
 from altd.config import KeptFrames
 from altd.status.health import State
 from benchmarks.cameras import Source

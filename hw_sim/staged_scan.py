@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from altd.app.scan import scanner_of
+from altd.app.record import scanner_of
 from altd.cli.scan import run_scan
 from altd.cli.scan_screen import ScanScreen
 from altd.config import Config, GrblStageSettings, Scan, Target

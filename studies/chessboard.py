@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
 from altd.errors import BadInputError
-from altd.mapping.homography import apply_homography, fit_homography
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 from altd.records import FloatArray
 from studies.bench import rms
+from studies.homography import apply_homography, fit_homography
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -111,7 +111,7 @@ to the rest, and the model's pixel is compared with the corner that was found: {
 the 35 corners {int(RIM.sum())} lie on the rim, where a left-out corner is extrapolated; *inner corners*
 are the others.
 
-*homography*: `altd.mapping.homography` (vanishing line and Gauss-Newton) through the other 34 corners.
+*homography*: `studies.homography` (vanishing line and Gauss-Newton) through the other 34 corners.
 *Tensor polynomial 3 × 3*: the thesis' map. *altd's map*: what `altd.calibration.fitting.fit_nodes`
 chooses for the 34 corners by cross-validation. *OpenCV camera, this photograph*: `cv2.calibrateCamera` on
 the same 34 corners (without k3), so with the same knowledge as altd. *OpenCV camera, other photographs*:

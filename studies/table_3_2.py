@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from altd.calibration.fitting import fit_nodes
-from altd.mapping.homography import apply_homography, fit_homography
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.light_centre import disc_moment_mm2, light_centre_shift_px
 from altd.mapping.nodes import Nodes
@@ -21,6 +20,7 @@ from altd.vision.led_grid import match_grid
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.plate import COLUMNS, LED_DIAMETER_MM, ROWS, WIDE_PITCH_MM, Plate, with_plate
 from hw_sim.unit import CAMERAS, FRONT, Unit, UnitConfig
+from studies.homography import apply_homography, fit_homography
 from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
@@ -120,7 +120,7 @@ are means over a grid of {ACROSS} × {ACROSS} places between the LEDs that no ma
 where the simulated lens puts them. For the very last, altd's map is fitted not to discs found in pictures
 but to the LEDs' true pixels with a noise of {NOISE_PX:g} px.
 
-*homography*: px → mm by `altd.mapping.homography` (vanishing line and Gauss-Newton, Eq. 2.44–2.58).
+*homography*: px → mm by `studies.homography` (vanishing line and Gauss-Newton, Eq. 2.44–2.58).
 *tensor 3 × 3*: the thesis' map. *altd's map*: what `altd.calibration.fitting.fit_nodes` chooses by
 cross-validation, with the discs' centres corrected for tilt and distortion. The thesis' lenses are not
 ours: its 12 mm lens was a good one, while here all distort alike for the same angle of view.

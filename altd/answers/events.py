@@ -1,24 +1,49 @@
-"""``altd events``: a line an event, on standard output."""
+"""``altd events``: what happened to a unit, out of its history."""
 
 from __future__ import annotations
 
+import sqlite3
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
-from altd.answers.past import opened
 from altd.errors import BadInputError, did_you_mean
 from altd.files.documents import line_of
+from altd.history.reader import Reader
 from altd.history.records import StoredEvent
+from altd.history.schema import UnusableFileError
 from altd.process.standard_streams import say
 from altd.records import utc_text
 from altd.status.event_log import EventKind
 from altd.tables.columns import Column, CsvTable, Type, text
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Reader]:
+    """The history in that file; raises BadInputError for whatever it is that cannot be read."""
+    try:
+        with Reader(path) as reader:
+            yield reader
+    except UnusableFileError as error:
+        raise BadInputError(path, str(error)) from error
+    except sqlite3.Error as error:
+        raise BadInputError(path, f"cannot be read: {error}") from error
+    except FileNotFoundError as error:
+        if error.filename is None or Path(error.filename) != path:
+            raise
+        raise BadInputError(path, "No such file or directory") from error
+    except PermissionError as error:
+        if error.filename is None or Path(error.filename) != path:
+            raise
+        raise BadInputError(path, "Permission denied: it is the daemon's and root's") from error
+    except ValueError as error:  # a NUL in the path
+        raise BadInputError(path, "is no path") from error
+
 
 _LOOK_INTERVAL_S = 0.5
 _MAX_LOOKS = 60

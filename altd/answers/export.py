@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from altd import __version__
-from altd.answers.events import time_text
-from altd.answers.past import opened
+from altd.answers.events import opened, time_text
 from altd.errors import BadInputError
 from altd.files.writing import check_replaceable, replacing
 from altd.history.columns import Column as Stored

@@ -18,7 +18,7 @@ from altd.app.settings import socket_to_ask
 from altd.config import Config
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.local_socket.asking import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.self_check import WAIT_S

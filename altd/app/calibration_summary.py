@@ -12,7 +12,7 @@ from typing import Any
 from altd.calibration.report.prediction import EXPOSURES, predict
 from altd.config import Config
 from altd.errors import one_line
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import utc_text
 from altd.status.measurement_json import reserved_names

@@ -94,7 +94,7 @@ def _gpio_chips() -> Iterator[str]:
 
 
 def _serial_ports() -> Iterator[str]:
-    from altd.serial_port.find_ports import find_ports
+    from altd.serial_port.opening import find_ports
 
     for found in find_ports():
         yield f'  device = "{found.path}"'

@@ -26,8 +26,7 @@ from altd.acquisition.self_check.service import SelfChecks
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.diagnostics import diagnostic_parts
-from altd.app.history import DaemonHistory
-from altd.app.kept_frames import folder_of_recordings, frame_keeper
+from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.app.settings import local_socket_of

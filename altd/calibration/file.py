@@ -27,7 +27,7 @@ from altd.measuring.cross_check import CrossCheck
 from altd.recording.header import RecordingHeader
 from altd.records import CameraIdentity, FloatArray, utc_text
 from altd.vision.flat import Flat
-from altd.vision.reference import UNKNOWN_SPOT
+from altd.vision.settings import UNKNOWN_SPOT
 
 
 def document_of(calibration: Calibration) -> dict[str, Any]:

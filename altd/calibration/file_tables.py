@@ -13,8 +13,7 @@ from altd.mapping.grid import Axis
 from altd.mapping.tensor_map import Model
 from altd.records import Origin
 from altd.vision.flat import Source
-from altd.vision.reference import ShapeReference, SpotReference
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import ShapeReference, SpotReference, SpotSettings
 
 FORMAT = "altd-calibration/1"
 

@@ -16,11 +16,9 @@ import numpy.typing as npt
 
 from altd.calibration.soundness import Candidate
 from altd.mapping.camera_model import Optics
-from altd.mapping.fiducials import Fiducials
-from altd.mapping.grid import Axis
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import Axis, convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
-from altd.mapping.nodes import Nodes
+from altd.mapping.nodes import Fiducials, Nodes
 from altd.mapping.tensor_map import Fit, TensorMap, fit_tensor_map, fit_tensor_maps
 from altd.measuring.cross_check import CrossCheck
 from altd.records import FloatArray

@@ -28,14 +28,12 @@ from altd.calibration.soundness import TargetEvidence
 from altd.calibration.spot_reference import Verdict, localiser_agreement, spot_reference, verdict
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
-from altd.mapping.fiducials import Fiducials
 from altd.mapping.inverse import InverseMap
-from altd.mapping.nodes import Nodes
+from altd.mapping.nodes import Fiducials, Nodes
 from altd.measuring.calibration import TargetCalibration
 from altd.records import FloatArray
 from altd.vision.flat import Flat
-from altd.vision.reference import UNKNOWN_SPOT
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 _PROFILE, _MOMENT = SpotSettings(method="profile"), SpotSettings(method="moment")
 _MIN_CORRELATION = 0.5

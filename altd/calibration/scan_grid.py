@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.calibration.scan_nodes import Node, ScannedTarget
-from altd.mapping.grid import Axis, Block
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import Axis, Block, convex_hull_mm
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map

@@ -18,8 +18,7 @@ from altd.statistics.robust import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate, locate_ellipse
 from altd.vision.misfit import misfit_of
-from altd.vision.reference import ShapeReference, ShapeVector, SpotReference
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import ShapeReference, ShapeVector, SpotReference, SpotSettings
 
 _MIN_NODES = 6
 _LIMIT_SIGMAS = 3.0

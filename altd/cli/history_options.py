@@ -75,7 +75,7 @@ def history_of(options: argparse.Namespace) -> Path:
         return history
     if "config" not in options and not DEFAULT_CONFIG.is_file():
         raise BadInputError("--history", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
-    from altd.app.history import history_to_read
+    from altd.app.keeping import history_to_read
     from altd.app.settings import load_settings
 
     return history_to_read(load_settings(options.config if "config" in options else DEFAULT_CONFIG))

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Scan with the config's stage and cameras."""
-    from altd.app.scan import scanner_of
+    from altd.app.record import scanner_of
     from altd.app.settings import load_settings
     from altd.cli.scan_screen import ScanScreen
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from altd.config import Config, V4l2CameraSettings
 from altd.doctor.finding import Finding, good, skipped, wrong
 from altd.doctor.machine import Account, Machine, group_name, user_name
-from altd.serial_port.find_ports import has_hardware
+from altd.serial_port.opening import has_hardware
 
 _SERIAL_NODES = ("/dev/ttyUSB*", "/dev/ttyACM*", "/dev/ttyAMA*", "/dev/ttyS[0-9]*")
 SERIAL_NAMES = ("/dev/serial/by-id/*", "/dev/serial/by-path/*", *_SERIAL_NODES)

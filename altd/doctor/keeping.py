@@ -11,8 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 from altd.acquisition.kept_frames.store import MIN_FREE_BYTES
-from altd.app.history import FILE_NAME
-from altd.app.kept_frames import RECORDINGS
+from altd.app.keeping import FILE_NAME, RECORDINGS
 from altd.app.settings import SERVICE_SOCKET
 from altd.config import Config
 from altd.doctor.finding import Finding, better, good, skipped, wrong

@@ -16,8 +16,8 @@ from typing import Any, Self
 
 from altd.history.columns import Column, columns_in
 from altd.history.facts import check_unit
+from altd.history.numbering import codes_in, illness_in
 from altd.history.opening import damage_told, open_to_read
-from altd.history.reasons import codes_in, illness_in
 from altd.history.records import StoredEvent, StoredMeasurement, SummaryPoint, SummaryValue, Trend
 from altd.history.schema import (
     HOURS,

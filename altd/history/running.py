@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from altd.history.numbering import illness_in
 from altd.history.reader import Reader
-from altd.history.reasons import illness_in
 from altd.history.schema import HOURS, MINUTES, ROWS_PER_SPAN, SummaryTable, UnusableFileError
 from altd.reasons import Reason
 from altd.status.availability import Before, RunningSpan

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from altd.history.batch import About, Batch, ClockSet, Item, Notice, Sample, StateSample, Written
 from altd.history.columns import Column, prepare_columns, value_of
-from altd.history.epochs import Epochs
 from altd.history.facts import changed_facts, check_unit
 from altd.history.lock import WriteLock
+from altd.history.numbering import Epochs, Reasons
 from altd.history.opening import (
     check_folder,
     check_pages,
@@ -24,7 +24,6 @@ from altd.history.opening import (
     open_to_write,
     set_aside,
 )
-from altd.history.reasons import Reasons
 from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,

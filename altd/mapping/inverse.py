@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from altd.mapping.hull import edge_lines
+from altd.mapping.grid import edge_lines
 from altd.mapping.polynomials import Rows, horner, horner_with_slopes, plain, rows
 from altd.mapping.tensor_map import TensorMap
 from altd.records import FloatArray

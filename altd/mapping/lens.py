@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from altd.mapping.camera_model import OPTICS, Bend, Camera, Optics
-from altd.mapping.fiducials import Fiducials
 from altd.mapping.grid import Axis
-from altd.mapping.nodes import Nodes
+from altd.mapping.nodes import Fiducials, Nodes
 from altd.mapping.tensor_map import Fit, Model, TensorMap, tensor_basis
 from altd.records import FloatArray
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from altd.mapping.differences import ToPx, jacobian_px_per_mm
+from altd.mapping.camera_model import ToPx, jacobian_px_per_mm
 from altd.records import FloatArray
 
 _DELTA_MM = 0.5

@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from altd.mapping.grid import MIN_LINES, Axis
-from altd.mapping.hull import contains
+from altd.mapping.grid import MIN_LINES, Axis, contains
 from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 

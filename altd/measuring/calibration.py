@@ -8,15 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from altd.mapping.hull import moved_outwards
+from altd.mapping.grid import moved_outwards
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.cross_check import CrossCheck
 from altd.records import CameraIdentity, FloatArray, Origin, TargetPoint
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
-from altd.vision.reference import UNKNOWN_SPOT, SpotReference
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import UNKNOWN_SPOT, SpotReference, SpotSettings
 
 
 @dataclass(frozen=True)

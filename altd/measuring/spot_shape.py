@@ -10,7 +10,7 @@ import numpy as np
 
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, MeanSpots, SpotShape, TargetPoint
-from altd.vision.reference import ShapeReference
+from altd.vision.settings import ShapeReference
 
 _MAX_DIAMETER_MM = 17.0
 """Spots of up to 15 mm are measured (App. A.1); a beam that comes in aslant makes a longer one."""

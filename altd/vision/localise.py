@@ -19,9 +19,8 @@ from altd.vision.misfit import Misfit, excess_sigmas, misfit_of
 from altd.vision.moment import moment
 from altd.vision.patch import Outline, Patch
 from altd.vision.profile import Profile, fit_profile
-from altd.vision.reference import SpotReference
 from altd.vision.search import Region
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import SpotReference, SpotSettings
 
 SATURATED_FROM = 0.995
 """Share of full scale from which a pixel counts as saturated."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from playwright.async_api import Browser, Page
 
-from altd.app.history import FILE_NAME
+from altd.app.keeping import FILE_NAME
 from benchmarks.history import make_history
 from benchmarks.material import Material, make_config
 from benchmarks.served_unit import served_unit

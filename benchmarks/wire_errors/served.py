@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from altd.config import HttpSettings, ModbusRtuPortSettings, ModbusTcpSettings, TelegramPortSettings
-from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.publish.modbus.rtu import ModbusRtuPublisher

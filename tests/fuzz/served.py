@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from support.clock import FakeClock
 from support.measurements import measured
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
 from altd.records import Fault, Measurement

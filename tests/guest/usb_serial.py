@@ -25,7 +25,7 @@ from support.guest import leave_results
 from support.measurements import measurement
 
 from altd.config import ConsolePortSettings, ModbusRtuPortSettings, TelegramPortSettings
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher

@@ -10,7 +10,7 @@ from pathlib import Path
 from altd.history.batch import About, Batch, Item, Sample, StateSample
 from altd.history.columns import columns_of
 from altd.history.store import Store
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
 from altd.records import Fault, Measurement

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.reasons import Reason
 from altd.records import Fault, Measurement, Value

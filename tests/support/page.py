@@ -15,7 +15,7 @@ from urllib.request import urlopen
 
 from playwright.async_api import Browser, Locator, Page, Request, async_playwright
 
-from altd.app.history import history_about
+from altd.app.keeping import history_about
 from altd.config import HttpSettings, KeptFrames
 from altd.measuring.calibration import Calibration
 from hw_sim.beam import BeamPose

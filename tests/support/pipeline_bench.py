@@ -7,7 +7,7 @@ import asyncio
 from altd.acquisition.frame_pairs import FramePairs
 from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.pipeline import Pipeline
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.measuring.pairing import Pair, Pairer
 from altd.measuring.spot_locator import Located
 from altd.reasons import Reason

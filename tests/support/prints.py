@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from altd.calibration.printed.lattice import Lattice, find_lattice
-from altd.calibration.printed.plane import Plane
-from altd.calibration.printed.sample import sample_of
-from altd.mapping.hull import convex_hull_mm
+from altd.calibration.printed.sample import Plane, sample_of
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 from altd.records import Frame
 from altd.vision.settings import SpotSettings

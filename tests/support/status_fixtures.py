@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.proof import Identity

@@ -10,8 +10,7 @@ from support.measurements import beam_of
 
 from altd.config import Measuring
 from altd.files.documents import line_of
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES, BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.ports import CameraTimeoutError

@@ -19,7 +19,7 @@ CONTRACTS: list[dict[str, str]] = tomllib.loads((ROOT / "pyproject.toml").read_t
 BREAKS = {
     "One direction": ("altd/vision/frame_leds.py", "import altd.status.board"),
     "The settings": ("altd/config/devices.py", "import altd.config.rules"),
-    "An interface sees": ("altd/publish/http/page.py", "import altd.measuring.calibration"),
+    "An interface sees": ("altd/publish/http/answers.py", "import altd.measuring.calibration"),
     "A driver sees": ("altd/devices/grbl/line.py", "import altd.status.health"),
     "Publishers do not know": ("altd/publish/serial/words.py", "import altd.publish.modbus.registers"),
     "Drivers do not know": ("altd/devices/gpio/lamps.py", "import altd.devices.grbl.line"),

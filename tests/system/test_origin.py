@@ -33,7 +33,7 @@ from support.ports import free_port
 from support.recordings import header, quiet, write_beams, write_scan
 from support.unit_toml import write_config
 
-from altd.app.scan import scanner_of
+from altd.app.record import scanner_of
 from altd.config import Config, Scan
 from benchmarks.live.parts import Ports
 from benchmarks.live.parts import write_config as write_live_config

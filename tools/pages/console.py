@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from altd.history.history import MAX_WAITING, QUERY_TIMEOUT_S
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.commands import (
     COMMANDS,
     NO_TEST,

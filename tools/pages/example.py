@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from altd.instruments.beam.quantities import QUANTITIES, values_of
+from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.ports import Stop
 from altd.records import Measurement, Value

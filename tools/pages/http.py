@@ -15,6 +15,7 @@ from altd.publish.http.login import BODY_TIMEOUT_S, MAX_BODY_BYTES
 from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
 from altd.publish.http.paths import PATHS
+from altd.publish.http.pictures import MAX_BYTES_AT_ONCE, MAX_BYTES_PER_S
 from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.publish.http.resuming import MAX_ROWS
 from altd.publish.http.self_check import MAX_WAITING
@@ -29,7 +30,6 @@ from altd.publish.http.server import (
 from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS
 from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
-from altd.publish.http.websocket import MAX_BYTES_AT_ONCE, MAX_BYTES_PER_S
 from altd.status.measurement_json import checked_line
 from tools.pages.example import MEASURED, STAMP, board
 

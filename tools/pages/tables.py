@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.tables.columns import POINT_COLUMNS, SPOT_COLUMNS, Column, measurement_columns
 
 _TARGETS = ("front", "rear")

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from altd.calibration.printed.lattice import Lattice, find_lattice
-from altd.calibration.printed.plane import Plane
-from altd.calibration.printed.sample import Sample, sample_of
+from altd.calibration.printed.sample import Plane, Sample, sample_of
 from altd.calibration.scan_nodes import NodeCache
-from altd.mapping.fiducials import Fiducials
+from altd.mapping.nodes import Fiducials
 from altd.mapping.tensor_map import TensorMap
 from altd.records import ComplexArray, FloatArray, Frame
 from altd.vision.flat import Flat

@@ -21,7 +21,7 @@ from altd.calibration.report.prediction import (
 from altd.calibration.report.target_plots import Plane, Raster, nice_length
 from altd.calibration.report.write import Source, target_names_text
 from altd.calibration.soundness import Candidate, TargetEvidence
-from altd.mapping.hull import contains
+from altd.mapping.grid import contains
 from altd.measuring.calibration import TargetCalibration
 
 _MAX_ARROW_MM = 20.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.calibration.soundness import Candidate
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import fit_beam, joint_covariance_mm2
-from altd.mapping.hull import contains
+from altd.mapping.grid import contains
 from altd.mapping.tensor_map import TensorMap, tensor_basis
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.records import FloatArray, MeanSpots, TargetPoint

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from altd.devices.v4l2.controls import Control, controls_of
-from altd.devices.v4l2.image import PIXEL_FORMATS
+from altd.devices.v4l2.image import PIXEL_FORMATS, Size, fourccs, sizes
 from altd.devices.v4l2.node import Node
-from altd.devices.v4l2.offers import Size, fourccs, sizes
 
 _DEVICES = Path("/dev")
 _BY_PATH = Path("/dev/v4l/by-path")

@@ -9,8 +9,14 @@ import time
 from fractions import Fraction
 from mmap import mmap
 
-from altd.devices.v4l2 import abi, offers
-from altd.devices.v4l2.image import Layout, PixelFormat
+from altd.devices.v4l2 import abi
+from altd.devices.v4l2.image import (
+    Layout,
+    PixelFormat,
+    fourccs,
+    rates,
+    sizes,
+)
 from altd.devices.v4l2.node import Node
 from altd.ports import CameraRefusedError
 
@@ -29,10 +35,10 @@ def set_format(node: Node, width: int, height: int, pixel_format: PixelFormat) -
     wanted.fmt.pix.pixelformat = abi.v4l2_fourcc(pixel_format.fourcc)
     taken = node.call(abi.VIDIOC_S_FMT, wanted).fmt.pix
     if taken.pixelformat != abi.v4l2_fourcc(pixel_format.fourcc):
-        there = ", ".join(fourcc.strip() for fourcc in offers.fourccs(node))
+        there = ", ".join(fourcc.strip() for fourcc in fourccs(node))
         raise CameraRefusedError(f"has no pixel format {pixel_format.name}; it has {there or 'none'}")
     if (taken.width, taken.height) != (width, height):
-        there = ", ".join(map(str, offers.sizes(node, pixel_format.fourcc)))
+        there = ", ".join(map(str, sizes(node, pixel_format.fourcc)))
         nearest = f"the nearest is {taken.width} × {taken.height}" + (f" of {there}" if there else "")
         raise CameraRefusedError(f"has no frames of {width} × {height} in {pixel_format.name}; {nearest}")
     layout = Layout(width, height, taken.bytesperline or width * pixel_format.bytes_per_pixel, pixel_format)
@@ -62,7 +68,7 @@ def set_rate(node: Node, fps: float, layout: Layout) -> None:
     taken = capture.timeperframe
     rate = taken.denominator / taken.numerator if taken.numerator else 0.0
     if abs(rate - fps) > _RATE_TOLERANCE * fps:
-        there = offers.rates(node, layout.pixel_format.fourcc, layout.width, layout.height)
+        there = rates(node, layout.pixel_format.fourcc, layout.width, layout.height)
         listed = " of " + ", ".join(f"{rate:.6g}" for rate in there) if there else ""
         raise CameraRefusedError(f"does not run at {fps:g} frames/s; the nearest is {rate:.6g}{listed}")
 

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from altd.config import HttpSettings
-from altd.credentials.keeper import CredentialsKeeper
+from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
 from altd.local_socket.listening import identity_at, listening
 from altd.publish.http.answers import Answers

@@ -27,8 +27,8 @@ from altd.config import HttpSettings
 from altd.publish.http import pictures
 from altd.publish.http.errors import error_body
 from altd.publish.http.limits import Allowed, Buckets
+from altd.publish.http.pictures import BoundedWebSocket
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
-from altd.publish.http.websocket import BoundedWebSocket
 from altd.status.health import Component
 from altd.tcp_port.accepting import accept, is_among_last
 from altd.tcp_port.accepting import listen as listen_tcp

@@ -18,7 +18,7 @@ from altd.errors import BadInputError
 from altd.vision.fingerprint import Fingerprint
 from altd.vision.flat import Flat
 from altd.vision.hot_pixels import HotPixels, places_of
-from altd.vision.reference import ShapeReference, SpotReference
+from altd.vision.settings import ShapeReference, SpotReference
 from altd.vision.texture import Texture
 
 NAME = "calibration"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from support.history import START_S, US, batch, event, sample, store, write_seconds
 
 from altd.answers import events, export
-from altd.answers.past import opened
+from altd.answers.events import opened
 from altd.errors import BadInputError
 from altd.history.reader import Reader
 from altd.history.schema import UnusableFileError

@@ -23,7 +23,7 @@ from altd.config import HttpSettings
 from altd.credentials.file import change
 from altd.credentials.hashes import new_token, token_digest
 from altd.history.history import History
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http import guard
 from altd.publish.http.limits import Rate
 from altd.publish.http.openapi import document_of

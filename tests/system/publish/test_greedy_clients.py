@@ -18,7 +18,7 @@ from support.led_unit import LedUnit, config, led_unit
 from support.ports import free_port
 from websockets.asyncio.client import connect
 
-from altd.app.history import FILE_NAME, history_about
+from altd.app.keeping import FILE_NAME, history_about
 from altd.config import HttpSettings, KeptFrames, ModbusTcpSettings
 from altd.measuring.calibration import Calibration
 from altd.publish.http.pictures import MAX_VIEWERS

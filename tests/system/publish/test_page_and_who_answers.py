@@ -22,7 +22,7 @@ from altd.credentials.file import Credentials, save_credentials
 from altd.credentials.hashes import PasswordHash
 from altd.history.batch import About
 from altd.history.history import History
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http.publisher import HttpPublisher
 from altd.runtime.clock import SystemClock
 from altd.status.board import Board

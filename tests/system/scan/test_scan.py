@@ -14,7 +14,7 @@ from support.scanning import QUICK_TABLE, nodes
 
 from altd.acquisition import frame_sets
 from altd.acquisition.scan.scanner import ScanResult, ScanStoppedError
-from altd.app.scan import scanner_of
+from altd.app.record import scanner_of
 from altd.calibration.calibrating import calibrate
 from altd.config import Config, Scan
 from altd.errors import BadInputError

@@ -13,8 +13,7 @@ from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 from altd.vision.localise import fitted_profile, locate
 from altd.vision.misfit import Residuals, excess_sigmas, misfit_of
-from altd.vision.reference import SpotReference
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import SpotReference, SpotSettings
 
 GRAIN = 0.1
 USUAL = SpotReference(grain=GRAIN, misfit_ratio=1.0, pattern_px=0.017, noise_px=0.02, shape=None)

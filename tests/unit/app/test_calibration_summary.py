@@ -21,7 +21,7 @@ from altd.app.settings import load_settings
 from altd.calibration.file import load_calibration, save_calibration
 from altd.calibration.report.content import report_on
 from altd.calibration.report.write import Source
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http.calibration import CalibrationSummary
 from altd.publish.serial.console import Console
 from altd.recording.header import RecordingHeader

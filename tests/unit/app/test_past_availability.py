@@ -11,11 +11,11 @@ from typing import Any, cast
 import pytest
 from support.history import ABOUT, MAX_BYTES, WallClock, store, write_seconds
 
-from altd.app.history import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
+from altd.app.keeping import LOOK_INTERVAL_S, DaemonHistory, PastAvailability
 from altd.history.batch import About
 from altd.history.history import History, NoHistoryError
 from altd.history.lock import WriteLock
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.availability import Availability
 from altd.status.board import Board
 from altd.status.health import Health

@@ -7,7 +7,7 @@ import pytest
 from support.lenses import SIZE, TABLE_3_2, grid, make_lens, seen
 
 from altd.calibration.fitting import fit_nodes
-from altd.mapping.hull import contains, convex_hull_mm
+from altd.mapping.grid import contains, convex_hull_mm
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import fit_tensor_map
 

@@ -11,9 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from altd.credentials.file import MAX_ENTRIES, Credentials, change, load_credentials, save_credentials
+from altd.credentials.file import (
+    MAX_ENTRIES,
+    Credentials,
+    CredentialsKeeper,
+    change,
+    load_credentials,
+    save_credentials,
+)
 from altd.credentials.hashes import PasswordHash, new_token, token_digest
-from altd.credentials.keeper import CredentialsKeeper
 from altd.errors import BadInputError
 
 HASH = PasswordHash(2, 1, 1, bytes(16), PasswordHash(2, 1, 1, bytes(16), bytes(32)).hashed("open sesame"))

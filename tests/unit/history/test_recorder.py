@@ -22,7 +22,7 @@ from altd.history.reader import Reader
 from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
 from altd.history.schema import SECONDS
 from altd.history.store import Store
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.status import event_log
 from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog

@@ -13,7 +13,7 @@ from altd.history.batch import About, ClockSet, Sample
 from altd.history.columns import columns_of
 from altd.history.reader import Reader
 from altd.history.schema import HOURS, MINUTES, SECONDS
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.records.sensors import Quality, SensorValue
 from altd.status.event_log import EventKind

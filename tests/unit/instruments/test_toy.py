@@ -18,7 +18,7 @@ from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
 from altd.measuring.gate import Gate
 from altd.measuring.instrument import Solution
-from altd.publish.http.page import page_of
+from altd.publish.http.answers import page_of
 from altd.publish.serial.words import measurement_text, watch_head, watch_line
 from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, Measurement, Quantities, Quantity, Spot, Value

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap, fit_tensor_map
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.lenses import TABLE_3_2, LensKind, grid, make_lens, seen
 
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import Fit, fit_tensor_map, fit_tensor_maps
 
 NODES = grid(7, 5)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from altd.mapping.camera_model import Camera
-from altd.mapping.fiducials import Fiducials
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
-from altd.mapping.nodes import Nodes
+from altd.mapping.nodes import Fiducials, Nodes
 from hw_sim.assembly import FRONT_FOCAL_MM, make_lens
 from hw_sim.lens import HEIGHT_PX, WIDTH_PX, Lens
 from hw_sim.scan import Grid

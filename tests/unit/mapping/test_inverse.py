@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.lenses import TABLE_3_2, grid, make_lens
 
-from altd.mapping.hull import convex_hull_mm, edge_lines
+from altd.mapping.grid import convex_hull_mm, edge_lines
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes

@@ -9,7 +9,7 @@ from support.lenses import TABLE_3_2, LensKind, make_lens
 from support.plates import View, tilted
 
 from altd.mapping.camera_model import Camera, Optics
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map, fit_lens_maps
 from altd.mapping.nodes import Nodes
 from altd.mapping.tensor_map import Fit, fit_tensor_map

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.gram import equidistant_nodes
 
-from altd.mapping.hull import convex_hull_mm, edge_lines
+from altd.mapping.grid import convex_hull_mm, edge_lines
 from altd.mapping.inverse import InverseMap
 from altd.mapping.polynomials import gram_basis
 from altd.mapping.tensor_map import Fit, fit_tensor_map

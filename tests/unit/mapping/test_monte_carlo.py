@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.lenses import SIZE, TABLE_3_2, grid, make_lens, seen
 
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.inverse import InverseMap
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes

@@ -10,7 +10,7 @@ import pytest
 from altd.measuring.spot_shape import shape_doubts_mm, shape_in_mm
 from altd.reasons import Reason
 from altd.records import Fault, MeanSpots, SpotShape, TargetPoint
-from altd.vision.reference import ShapeReference
+from altd.vision.settings import ShapeReference
 
 PX_PER_MM = 5.0
 MM_PER_PX = np.array([[-1 / PX_PER_MM, 0.0], [0.0, -1 / PX_PER_MM]])  # a mirrored picture, v down

@@ -8,7 +8,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import measurement
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.runtime.service_manager import ServiceManager, notify, state_folder
 from altd.status.board import Board

@@ -7,7 +7,7 @@ from dataclasses import replace
 from support.clock import FakeClock
 from support.measurements import measurement
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.board import Board

@@ -7,7 +7,7 @@ import pytest
 from support.clock import FakeClock, settle
 from support.measurements import measurement, points_of
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.reasons import Reason
 from altd.status.board import Board
 

@@ -5,7 +5,7 @@ import sys
 
 from support.clock import FakeClock
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.status.board import Board
 from altd.status.proof import Identity, Stamps, crc32, unit_number
 

@@ -11,8 +11,8 @@ from support.clock import FakeClock
 from support.measurements import BEAM, beam_of, measurement
 
 from altd.files.documents import line_of
-from altd.instruments.beam.quantities import QUANTITIES
-from altd.publish.http.page import page_of
+from altd.instruments.beam.instrument import QUANTITIES
+from altd.publish.http.answers import page_of
 from altd.publish.modbus.registers import REGISTERS, Snapshot, image
 from altd.publish.serial.telegram import encode
 from altd.publish.serial.words import measurement_text, watch_line

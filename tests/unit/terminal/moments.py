@@ -6,7 +6,7 @@ from typing import Any
 
 from support.daemon_documents import CHECK, DUSTY, SPOT_MISSING, TARGETS, invalid, measurement, status
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import reading_of, self_check_of, status_of, targets_of
 from altd.terminal.knowledge import Knowledge

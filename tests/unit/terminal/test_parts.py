@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.daemon_documents import TARGETS, measurement, status
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.terminal.canvas import Canvas
 from altd.terminal.documents import Reading, TargetsDocument, reading_of, self_check_of, status_of, targets_of
 from altd.terminal.lines import WIDTH, is_fine, status_text

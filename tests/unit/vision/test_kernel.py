@@ -20,8 +20,7 @@ from altd.vision.blocks import Blocks
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate
 from altd.vision.misfit import Misfit, Residuals
-from altd.vision.reference import SpotReference
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import SpotReference, SpotSettings
 
 CLOSE = 1e-9
 """Of the value. Sums in another order differ by 1e-13; a fit carries on what is left of its last step."""

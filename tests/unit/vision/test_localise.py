@@ -11,8 +11,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 from altd.reasons import Reason
 from altd.records import NoSpot, Spot
 from altd.vision.localise import locate
-from altd.vision.reference import UNKNOWN_SPOT
-from altd.vision.settings import SpotSettings
+from altd.vision.settings import UNKNOWN_SPOT, SpotSettings
 
 
 def found(outcome: Spot | NoSpot) -> Spot:

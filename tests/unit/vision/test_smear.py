@@ -12,7 +12,7 @@ from support.frames import HEIGHT, WIDTH, Blob, frame, light
 from altd.records import Spot
 from altd.vision.flat import Flat
 from altd.vision.localise import locate
-from altd.vision.reference import SpotReference
+from altd.vision.settings import SpotReference
 
 DIAMETER_PX = 44.0
 CLEAN_PLATE = SpotReference(grain=0.005, misfit_ratio=1.0, pattern_px=0.005, noise_px=0.006, shape=None)

@@ -5,7 +5,7 @@ import pytest
 from support.prints import NODES_MM, Dots, Scene, steps
 
 from altd.calibration.printed.find import Print, find_print
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.lens import fit_lens_map
 from altd.mapping.nodes import Nodes
 from altd.vision.settings import SpotSettings

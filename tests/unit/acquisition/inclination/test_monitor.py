@@ -15,7 +15,7 @@ from support.measurements import BEAM, beam_of, measurement
 from altd.acquisition.inclination import monitor
 from altd.acquisition.inclination.monitor import InclinationMonitor, PitchDivergence
 from altd.config import InclinometerSettings, Installation
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import (
     InclinometerAccuracy,
     InclinometerDisturbedError,

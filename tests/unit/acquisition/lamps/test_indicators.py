@@ -15,7 +15,7 @@ from altd.acquisition.lamps.indicators import (
     error_light,
     validity_of,
 )
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Indicator
 from altd.reasons import Reason
 from altd.records import Measurement

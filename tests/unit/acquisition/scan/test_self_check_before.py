@@ -16,7 +16,7 @@ from support.led_scan import LedCamera, ScanLamps, StillStage, Told, scan_settin
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
 from altd.acquisition.scan.scanner import Scanner, ScanResult, ScanStoppedError
-from altd.app.scan import known_unit_of
+from altd.app.record import known_unit_of
 from altd.calibration.file import save_calibration
 from altd.measuring.calibration import Calibration
 from altd.ports import StageAlarmError

@@ -6,7 +6,7 @@ from support.evidence import nodes_mm, straight_px
 
 from altd.calibration.report.prediction import noise_in_map_px
 from altd.calibration.soundness import Candidate
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 
 

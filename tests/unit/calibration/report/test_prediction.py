@@ -16,7 +16,7 @@ from altd.calibration.report.prediction import (
     predict,
     spectrum_covariance_px2,
 )
-from altd.mapping.hull import convex_hull_mm
+from altd.mapping.grid import convex_hull_mm
 from altd.mapping.tensor_map import fit_tensor_map
 
 PATTERN_PX, SHIFT_PX, SCATTER_PX = 0.03, 0.01, 0.02

@@ -15,8 +15,8 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import changed
 
-from altd.publish.http import page
-from altd.publish.http.page import page_files
+from altd.publish.http import answers
+from altd.publish.http.answers import page_files
 from altd.publish.http.paths import PATHS
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
@@ -130,8 +130,8 @@ async def test_every_file_of_the_page_is_served_as_what_it_is(served: Served) ->
 
 
 NO_FILES = (
-    "", "nothing.js", "index.html", "vendor/uPlot.LICENSE", "../page.py", "..%2fpage.py", "%2e%2e/page.py",
-    "/etc/passwd", "vendor", "main.js/", "main.js%00", "vendor/../main.js", "MAIN.JS",
+    "", "nothing.js", "index.html", "vendor/uPlot.LICENSE", "../answers.py", "..%2fanswers.py",
+    "%2e%2e/answers.py", "/etc/passwd", "vendor", "main.js/", "main.js%00", "vendor/../main.js", "MAIN.JS",
 )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ async def test_nothing_else_is_served_of_it(served: Served, name: str) -> None:
 
 
 def test_vendored_files_are_those_of_their_releases() -> None:
-    folder = Path(page.__file__).with_name("page_files") / "vendor"
+    folder = Path(answers.__file__).with_name("page_files") / "vendor"
     listed = re.findall(r"^([0-9a-f]{64})  (\S+)$", (folder / "README.md").read_text(), re.M)
     assert {name for _, name in listed} == {path.name for path in folder.iterdir()} - {"README.md"}
     for digest, name in listed:

@@ -16,7 +16,7 @@ from support.measurements import changed, measured
 from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.schedule import Cause
 from altd.acquisition.self_check.service import Occasion, report_of
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.openapi import document_of
 from altd.publish.http.paths import PATHS

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from support.foreign import need_program
 
-from altd.publish.http.page import page_files
+from altd.publish.http.answers import page_files
 from altd.status.measurement_json import as_object_now
 from tools.pages.example import AGE_S, MEASURED
 

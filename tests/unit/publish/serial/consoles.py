@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
 from altd.records import Measurement
 from altd.status.health import MEASURING, Health, State

@@ -14,7 +14,7 @@ from support.serving import serving
 from support.wire import Wire
 
 from altd.config import ConsolePortSettings
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.commands import COMMANDS, STATUS_BITS, identification
 from altd.publish.serial.console import PROMPT, QUESTION_PROMPT, QUESTION_S, Console
 from altd.publish.serial.publisher import ConsolePublisher

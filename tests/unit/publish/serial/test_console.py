@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.measurements import changed
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.console import PROMPT, Console
 from altd.publish.serial.words import WIDTH

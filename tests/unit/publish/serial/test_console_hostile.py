@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import re
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.console import Console
 from tools.pages.serial_examples import MEASURED

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import MORE_PROMPT, Console
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import Fault

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import PROMPT, Console
 from tools.pages.serial_examples import SPOT_LOST, health
 

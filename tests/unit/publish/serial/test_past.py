@@ -13,7 +13,7 @@ from support.wire import Wire
 
 from altd.config import ConsolePortSettings
 from altd.history.history import History
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.console import Console
 from altd.publish.serial.parts_text import SHOWN_EVENTS, Past, history_text
 from altd.publish.serial.publisher import ConsolePublisher

@@ -6,7 +6,7 @@ import pytest
 from support.clock import FakeClock
 from support.measurements import measurement
 
-from altd.instruments.beam.quantities import QUANTITIES
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.serial.words import WIDTH, status_text
 from altd.reasons import Reason
 from altd.status.board import Board
