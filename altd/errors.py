@@ -52,7 +52,7 @@ def escaped(text: str) -> str:
     )
 
 
-def bare(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:
+def unwrap_group(group: BaseExceptionGroup, *kinds: type[BaseException]) -> BaseException | None:
     """The first error of these kinds in a task group's failure, or None.
 
     For ``except BaseExceptionGroup``: what is raised inside ``except*`` comes out wrapped again in Python

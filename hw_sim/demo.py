@@ -26,7 +26,7 @@ from altd.config import (
     TelegramPortSettings,
 )
 from altd.config import Unit as UnitTable
-from altd.errors import BadInputError, bare
+from altd.errors import BadInputError, unwrap_group
 from altd.ports import Camera
 from hw_sim.arguments import natural, seconds
 from hw_sim.camera import make_cameras
@@ -165,7 +165,7 @@ async def _together(*work: Coroutine[None, None, None]) -> None:
             for one in work:
                 tasks.create_task(one)
     except BaseExceptionGroup as group:
-        error = bare(group, BadInputError, BrokenPipeError)
+        error = unwrap_group(group, BadInputError, BrokenPipeError)
         if error is None:
             raise
         raise error from None

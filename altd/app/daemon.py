@@ -27,10 +27,10 @@ from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.diagnostics import diagnostic_parts
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
+from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.app.settings import local_socket_of
-from altd.app.upkeep import Upkeep
 from altd.config import (
     AnyCameraSettings,
     AnySerialPortSettings,
@@ -40,7 +40,7 @@ from altd.config import (
     ModbusRtuPortSettings,
     TelegramPortSettings,
 )
-from altd.errors import BadInputError, bare, one_line
+from altd.errors import BadInputError, one_line, unwrap_group
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, Provenance, View
@@ -100,8 +100,8 @@ class Daemon:
                 *inclinometer, instrument.quantities, config.installation, component, self.clock
             )
         self.board = self._board(instrument.quantities, identity)
-        self._upkeep = Upkeep(config, calibration, cameras, self.health, self.clock)
-        self.state = UnitState(self.board, self.health, self.clock, self._upkeep.watches)
+        self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
+        self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
         self.health.state = self.state.read
         self.past = DaemonHistory(self.board, self.health, self.state, self.clock)
         self.lamps: FrameLamps | None = None
@@ -174,7 +174,7 @@ class Daemon:
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self.state.run(), name="state")
-                self._upkeep.start(tasks)
+                self._maintenance.start(tasks)
                 tried = [asyncio.Event() for _ in interfaces]
                 for (place, publisher), first_try in zip(interfaces.items(), tried, strict=True):
                     component = self.health.component(place)
@@ -187,7 +187,7 @@ class Daemon:
                         tasks.create_task(self._inclination.run(), name="inclinometer")
                     await self._lights()  # inside: told to end, they are dark before a camera is closed
         except BaseExceptionGroup as group:
-            refused = bare(group, BadInputError)
+            refused = unwrap_group(group, BadInputError)
             if refused is None:
                 raise
             raise refused from None
@@ -214,7 +214,7 @@ class Daemon:
             self.health.component(MEASURING),
             manager.progress,
             self.checks,
-            self._upkeep.trends,
+            self._maintenance.trends,
         )
         tasks.create_task(pipeline.run(), name="pipeline")
 

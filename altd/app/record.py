@@ -10,7 +10,7 @@ from altd.acquisition.exposures_writer import RecordingPlan
 from altd.acquisition.frame_sets import FrameSets
 from altd.acquisition.record import record
 from altd.acquisition.scan.leds import KnownUnit, ScanLeds
-from altd.acquisition.scan.scanner import Scanner, Teller
+from altd.acquisition.scan.scanner import ProgressReporter, Scanner
 from altd.acquisition.self_check.judging import CheckJudge, limits_of
 from altd.app.parts import calibration_of, cameras_of, exposure_controls_of, lamps_of, stage_of
 from altd.app.self_check import why_unchecked
@@ -54,7 +54,7 @@ def scanner_of(
     config: Config,
     place: Path,
     folder: Path,
-    teller: Teller,
+    progress: ProgressReporter,
     cameras: Mapping[str, Camera] | None = None,
     lamps: Lamps | None = None,
 ) -> Scanner:
@@ -68,7 +68,7 @@ def scanner_of(
     exposure = exposure_controls_of(config)
     sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()), exposure)
     leds = None if lamps is None else ScanLeds(lamps, known_unit_of(config, cameras))
-    return Scanner(config, folder, sets, stage, leds, teller)
+    return Scanner(config, folder, sets, stage, leds, progress)
 
 
 def known_unit_of(config: Config, cameras: Mapping[str, Camera]) -> KnownUnit | str:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.frames import LedLog
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.acquisition.self_check.judging import CheckJudge, limits_of
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts
-from altd.acquisition.self_check.standing import Standing
 from altd.config import Config, LiveCameraSettings
 from altd.measuring.calibration import Calibration
 from altd.measuring.chain import MeasuringChain, View
@@ -47,7 +47,7 @@ def check_parts_of(
         LedLog(clock, {view.camera: period_ns for view in views}),
         Schedule(clock, settings.interval_s, settings.enabled),
         CheckJudge(views, calibration, limits, config.installation),
-        Standing(settings, limits, calibration, clock),
+        GeometryState(settings, limits, calibration, clock),
         Correction(chain, calibration, {view.camera: view.target for view in views}),
         CheckMemory(calibration, clock),
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from altd.history.columns import Column
-from altd.history.summary import Illness
+from altd.history.summary import WorstFault
 from altd.records import Measurement
 from altd.status.event_log import Event, EventKind
 
@@ -24,7 +24,7 @@ class StateSample:
     """What the unit's state was at this UTC, µs."""
 
     wall_us: int
-    illness: Illness
+    fault: WorstFault
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import sqlite3
 from collections import Counter
 
 from altd.history.schema import SEVERITY_UNIT
-from altd.history.summary import Illness
+from altd.history.summary import WorstFault
 
 
 class Epochs:
@@ -78,9 +78,9 @@ class Reasons:
         self._connection = connection
         self._numbers: dict[str, int] = dict(connection.execute("SELECT code, number FROM reasons"))
 
-    def number_of(self, illness: Illness) -> int:
+    def number_of(self, fault: WorstFault) -> int:
         """What stands in the file for a severity and its code; inside of a transaction."""
-        severity, code = illness
+        severity, code = fault
         return severity * SEVERITY_UNIT + (self._number(code) if code else 0)
 
     def _number(self, code: str) -> int:
@@ -93,7 +93,7 @@ class Reasons:
         return self._numbers[code]
 
 
-def illness_in(number: object, codes: dict[int, str]) -> Illness:
+def fault_in(number: object, codes: dict[int, str]) -> WorstFault:
     """A severity and its code of what stands in the file."""
     if not isinstance(number, int) or number < 0:
         return 0, ""

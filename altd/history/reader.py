@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from altd.history.columns import Column, columns_in
 from altd.history.facts import check_unit
-from altd.history.numbering import codes_in, illness_in
+from altd.history.numbering import codes_in, fault_in
 from altd.history.opening import damage_told, open_to_read
 from altd.history.records import StoredEvent, StoredMeasurement, SummaryPoint, SummaryValue, Trend
 from altd.history.schema import (
@@ -222,7 +222,7 @@ class Reader:
             known_sigma = None if sigma is None else _number(column, sigma)
             values[column.key] = SummaryValue(_number(column, mean), known_sigma, low, high)
         t_us, span_us = key // ROWS_PER_SPAN * _US, table.span_s * _US
-        return SummaryPoint(t_us, span_us, n, n_valid, *self._illnesses(row[3], row[4]), values)
+        return SummaryPoint(t_us, span_us, n, n_valid, *self._faults(row[3], row[4]), values)
 
     def _point(
         self, row: Sequence[Any], first_s: int, width_s: int, columns: Sequence[tuple[int, Column]]
@@ -239,11 +239,11 @@ class Reader:
                 _number(column, mean), sigma, _number(column, low), _number(column, high)
             )
         t_us = (first_s + point * width_s) * _US
-        return SummaryPoint(t_us, width_s * _US, n, n_valid, *self._illnesses(row[3], row[4]), values)
+        return SummaryPoint(t_us, width_s * _US, n, n_valid, *self._faults(row[3], row[4]), values)
 
-    def _illnesses(self, worst: object, lost: object) -> tuple[int, str, str]:
-        severity, code = illness_in(worst, self._codes)
-        return severity, code, illness_in(lost, self._codes)[1]
+    def _faults(self, worst: object, lost: object) -> tuple[int, str, str]:
+        severity, code = fault_in(worst, self._codes)
+        return severity, code, fault_in(lost, self._codes)[1]
 
     def _chosen(self, keys: Sequence[str] | None) -> list[tuple[int, Column]]:
         by_key = {

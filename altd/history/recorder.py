@@ -11,7 +11,7 @@ from collections.abc import Callable
 from altd.history.batch import Batch, ClockSet, Item, Sample, StateSample, Written
 from altd.history.schema import UnusableFileError
 from altd.history.store import Store
-from altd.history.summary import Illness
+from altd.history.summary import WorstFault
 from altd.ports import Clock
 from altd.reasons import Reason
 from altd.records import Measurement
@@ -86,7 +86,7 @@ class HistoryRecorder:
 
     def step(self) -> None:
         """Take the state, and hand on what has come unless the disk is busy with what came before."""
-        self._add(StateSample(self._wall_us(), _illness(self._read_state())))
+        self._add(StateSample(self._wall_us(), _worst_fault(self._read_state())))
         if self._writing is not None and not self._settle(self._writing):
             return
         now_ns = self._clock.monotonic_ns()
@@ -186,7 +186,7 @@ class HistoryRecorder:
 
     async def _end(self, thread: DeviceThread) -> None:
         """Write what waits; what the disk does not take within the time is lost."""
-        self._add(StateSample(self._wall_us(), _illness(self._read_state())))
+        self._add(StateSample(self._wall_us(), _worst_fault(self._read_state())))
         if self._writing is not None:
             await asyncio.wait([self._writing], timeout=_END_TIMEOUT_S / 2)
             if not self._settle(self._writing):
@@ -205,7 +205,7 @@ def _end_store(store: Store, last: Batch | None) -> None:
         log.exception("history: a defect")
 
 
-def _illness(report: StateReport) -> Illness:
+def _worst_fault(report: StateReport) -> WorstFault:
     """The severity of what the unit shows, and the code of its worst cause."""
     if not report.causes:
         return report.signal.severity, ""

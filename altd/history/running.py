@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from altd.history.numbering import illness_in
+from altd.history.numbering import fault_in
 from altd.history.reader import Reader
 from altd.history.schema import HOURS, MINUTES, ROWS_PER_SPAN, SummaryTable, UnusableFileError
 from altd.reasons import Reason
@@ -109,7 +109,7 @@ def _measured(row: Any, codes: dict[int, str]) -> tuple[float, str]:
     _, n, n_valid, worst, lost = row
     if not isinstance(n, int) or not isinstance(n_valid, int) or not 0 <= n_valid <= n:
         raise UnusableFileError("is damaged: a summary without its whole numbers")
-    code = illness_in(worst if lost is None else lost, codes)[1]
+    code = fault_in(worst if lost is None else lost, codes)[1]
     return n_valid / n if n else 0.0, _without_target(code) or _UNKNOWN
 
 

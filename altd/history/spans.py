@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from altd.history.columns import Column
 from altd.history.schema import ROWS_PER_SPAN, SUMMARY_PARTS, SummaryTable, column_name
-from altd.history.summary import GOOD, Illness, Summary
+from altd.history.summary import GOOD, Summary, WorstFault
 
 GRACE_S = 3
 """A span takes what comes so long after its end, beyond the usual delay of a measurement."""
 
-IllnessNumber = Callable[[Illness], int | None]
+FaultNumber = Callable[[WorstFault], int | None]
 """What stands in the file for a severity and its code; None: good."""
 
 
@@ -46,7 +46,7 @@ class OpenSpans:
         span.is_changed = True
         return span.summary
 
-    def write(self, connection: sqlite3.Connection, epoch: int, number_of: IllnessNumber) -> int:
+    def write(self, connection: sqlite3.Connection, epoch: int, number_of: FaultNumber) -> int:
         """Write what has changed; returns how many rows are new."""
         new = 0
         for begin_s, span in self._open.items():
@@ -75,7 +75,7 @@ class OpenSpans:
         return int(largest) + 1 if largest < last else None
 
 
-def _row(key: int, epoch: int, summary: Summary, number_of: IllnessNumber) -> list[int | None]:
+def _row(key: int, epoch: int, summary: Summary, number_of: FaultNumber) -> list[int | None]:
     worst = None if summary.worst == GOOD else number_of(summary.worst)
     lost = None if summary.lost_to == GOOD else number_of(summary.lost_to)
     return [key, epoch, summary.measurements, summary.valid, worst, lost, *summary.numbers()]

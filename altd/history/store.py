@@ -264,7 +264,7 @@ class _OpenStore:
                 self._new_spans()
             case StateSample():
                 for spans in self._spans:
-                    spans.at(self.epochs.covering(item.wall_us // _US)).note_state(item.illness)
+                    spans.at(self.epochs.covering(item.wall_us // _US)).note_state(item.fault)
             case Sample():
                 self._take_measurement(item)
 

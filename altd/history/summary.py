@@ -12,10 +12,10 @@ from altd.records import Measurement
 from altd.status.cause import signal_of
 from altd.status.causes import is_warning
 
-Illness = tuple[int, str]
+WorstFault = tuple[int, str]
 """A severity (0 good to 4 failure) and the code that says why; the larger is the worse."""
 
-GOOD: Illness = (Signal.GOOD.severity, "")
+GOOD: WorstFault = (Signal.GOOD.severity, "")
 
 
 @dataclass(slots=True)
@@ -59,8 +59,8 @@ class Summary:
     columns: Sequence[Column]
     measurements: int = 0
     valid: int = 0
-    worst: Illness = GOOD
-    lost_to: Illness = GOOD
+    worst: WorstFault = GOOD
+    lost_to: WorstFault = GOOD
     _sums: list[_Sums] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -72,15 +72,15 @@ class Summary:
         if measurement.valid:
             self.valid += 1
         else:
-            self.lost_to = max(self.lost_to, illness_of(measurement))
+            self.lost_to = max(self.lost_to, worst_fault_of(measurement))
         for column, sums in zip(self.columns, self._sums, strict=True):
             known = value_of(measurement, column)
             if known is not None and math.isfinite(known.value):
                 sums.add(known.value, known.sigma)
 
-    def note_state(self, illness: Illness) -> None:
+    def note_state(self, fault: WorstFault) -> None:
         """Take the state that the unit showed in this time."""
-        self.worst = max(self.worst, illness)
+        self.worst = max(self.worst, fault)
 
     def numbers(self) -> list[int | None]:
         """Mean, sigma, mean − lowest and highest − mean of each column, in steps."""
@@ -91,7 +91,7 @@ class Summary:
         ]
 
 
-def illness_of(measurement: Measurement) -> Illness:
+def worst_fault_of(measurement: Measurement) -> WorstFault:
     """The worst of the reasons for which a measurement is invalid."""
     reasons = [fault for fault in measurement.status if not is_warning(fault)]
     return max(

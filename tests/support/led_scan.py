@@ -120,7 +120,7 @@ class StillStage:
 
 
 class Told:
-    """See ``altd.acquisition.scan.scanner.Teller``."""
+    """See ``altd.acquisition.scan.scanner.ProgressReporter``."""
 
     def __init__(self) -> None:
         self.said: list[str] = []

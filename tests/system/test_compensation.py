@@ -14,7 +14,7 @@ import pytest
 from support.clock import FakeClock
 
 from altd.acquisition.self_check.correction import Correction
-from altd.acquisition.self_check.standing import Standing
+from altd.acquisition.self_check.geometry_state import Standing
 from altd.config import Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration

@@ -42,7 +42,7 @@ class ScanResult:
     refused: tuple[str, ...]
 
 
-class Teller(Protocol):
+class ProgressReporter(Protocol):
     """Who is told how the scan does."""
 
     def say(self, line: str) -> None:
@@ -65,14 +65,14 @@ class Scanner:
         frame_sets: FrameSets,
         stage: Stage,
         leds: ScanLeds | None,
-        teller: Teller,
+        progress: ProgressReporter,
     ) -> None:
         """Raises BadInputError when ``output`` is in use, or holds another scan's beginning."""
         self._config = config.scan
         self._stage = stage
         self._leds = leds
         self._clock = frame_sets.clock
-        self._teller = teller
+        self._progress = progress
         self._nodes = nodes_of(config.scan)
         self._unit = unit_header(config.unit.serial, config.targets)
         self._cameras = frame_sets.cameras
@@ -108,9 +108,9 @@ class Scanner:
     async def _scan(self) -> None:
         state = self._folder.state
         if self._leds is None and self._config.led_pairs:
-            self._teller.say("no lamps are configured: the scan has no LED reference pairs")
+            self._progress.say("no lamps are configured: the scan has no LED reference pairs")
         if self._folder.resumed:
-            self._teller.say(
+            self._progress.say(
                 f"going on with {self._folder.path}: {len(state.nodes)} of {len(self._nodes)} nodes are done"
             )
             state.refused.clear()  # they are tried again
@@ -167,7 +167,7 @@ class Scanner:
             complaint = judged.complaint
         state.refused[_key(node)] = complaint
         self._folder.commit()
-        self._teller.say(f"node {node} refused: {complaint}")
+        self._progress.say(f"node {node} refused: {complaint}")
         refused = [n for n in self._nodes if _key(n) in state.refused and _key(n) not in state.nodes]
         left = Block.within(*([(n.column, n.row) for n in nodes] for nodes in (self._nodes, refused)))
         if not left.is_sufficient:
@@ -204,7 +204,7 @@ class Scanner:
     async def _self_check(self, known: KnownUnit | str, pairs: Sequence[Pair[Frame]]) -> None:
         """Say whether the cameras stand as they were calibrated before; raise ScanStoppedError where not."""
         if isinstance(known, str):
-            self._teller.say(f"no self-check: {known}")
+            self._progress.say(f"no self-check: {known}")
             return
         judged = await asyncio.to_thread(known.check, pairs, self._cameras)
         check = judged.check
@@ -213,7 +213,7 @@ class Scanner:
                 f"the self-check is {judged.sentence}. Put right what has moved; to calibrate the unit as it "
                 'stands now, set [scan] when_bad = "warning"'
             )
-        self._teller.say(f"self-check: {judged.sentence}")
+        self._progress.say(f"self-check: {judged.sentence}")
         self._folder.state.self_check = SelfCheckHeader(
             verdict=check.verdict.value, reasons=check.reasons, notes=judged.notes
         )
@@ -255,7 +255,7 @@ class Scanner:
 
     def _tell(self, doing: str) -> None:
         self._doing = doing
-        self._teller.progress(len(self._folder.state.nodes), len(self._nodes), doing)
+        self._progress.progress(len(self._folder.state.nodes), len(self._nodes), doing)
 
     async def _in_thread(self, call: Callable[..., Result], *arguments: object) -> Result:
         """A blocking call; cancellation stops the stage and waits until it stands."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from altd.acquisition.self_check.standing import Standing
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.measuring.calibration import Calibration, TargetCalibration
 from altd.measuring.chain import MeasuringChain
 from altd.measuring.spot_locator import Appearance
@@ -36,11 +36,11 @@ class Correction:
             if name in transforms:
                 self._flat_now(camera, self._known[name], transforms[name])
 
-    def apply(self, standing: Standing) -> None:
-        """Correct from now on as a standing says."""
-        self._chain.correct = standing.correct
+    def apply(self, geometry: GeometryState) -> None:
+        """Correct from now on for a state of the geometry."""
+        self._chain.correct = geometry.correct
         for camera, name in self._targets.items():
-            seen = self._seen(camera, self._known[name], standing.transforms.get(name))
+            seen = self._seen(camera, self._known[name], geometry.transforms.get(name))
             self._chain.locators[camera].appearance = seen
 
     def _seen(self, camera: str, target: TargetCalibration, transform: Similarity | None) -> Appearance:

@@ -10,7 +10,7 @@ from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames, Take
 from altd.ports import Clock, LampsError
 from altd.selfcheck.lights import have_one_exposure
 
-_PATIENCE = 3.0
+_TIMEOUT_FACTOR = 3.0
 """A check may take so many times as long as its exposures and their switching."""
 _SWITCHING_S = 2.0
 """For the lamps to answer, and a camera that is late."""
@@ -56,7 +56,7 @@ class CheckExposer:
         self._frames = frames
         self._clock = clock
         self._exposures = exposures
-        self._timeout_s = _SWITCHING_S + _PATIENCE * (3 * exposures + 4) / fps
+        self._timeout_s = _SWITCHING_S + _TIMEOUT_FACTOR * (3 * exposures + 4) / fps
 
     async def expose(self) -> CheckFrames:
         """The frames of a check; however it ends, the LEDs are dark or about to be.

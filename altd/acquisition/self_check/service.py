@@ -13,10 +13,10 @@ from altd.acquisition.lamps.controller import FrameLamps
 from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.exposing import CheckExposer, CheckFailedError, CheckFrames
 from altd.acquisition.self_check.frames import LedLog, Light, MarkedFrames
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.acquisition.self_check.judging import CheckJudge, Judged, SpotPx, unknown
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Cause, Schedule
-from altd.acquisition.self_check.standing import Standing
 from altd.measuring.shock import ShockWatch
 from altd.measuring.spot_locator import Located
 from altd.ports import Clock
@@ -72,7 +72,7 @@ class CheckParts:
     leds: LedLog
     schedule: Schedule
     judge: CheckJudge
-    standing: Standing
+    geometry: GeometryState
     correction: Correction
     memory: CheckMemory
 
@@ -91,7 +91,7 @@ class SelfChecks:
         self.leds = parts.leds
         self._schedule = parts.schedule
         self._judge = parts.judge
-        self._standing = parts.standing
+        self._geometry = parts.geometry
         self._correction = parts.correction
         self._memory = parts.memory
         self._desk = desk
@@ -121,7 +121,7 @@ class SelfChecks:
         if self._shocks.is_shock(located):
             self._component.count("shocks")
             self._schedule.ask(Cause.SHOCK)
-            self._standing.note_shock()
+            self._geometry.note_shock()
             self._has_jumped = True
 
     def pass_on(self, measurement: Measurement) -> Measurement | None:
@@ -131,11 +131,11 @@ class SelfChecks:
         """
         if self._is_valid and self._lacks_exposures(measurement):
             return None
-        passed = self._standing.applied_to(measurement)
+        passed = self._geometry.applied_to(measurement)
         self._is_valid = measurement.valid
-        if self._standing.lapse():  # this one was still corrected, and says so
-            self._correction.apply(self._standing)
-            self._component.set_state(self._standing.state, _LAPSED)
+        if self._geometry.lapse():  # this one was still corrected, and says so
+            self._correction.apply(self._geometry)
+            self._component.set_state(self._geometry.state, _LAPSED)
             log.warning("self-check: %s", _LAPSED)
         return passed
 
@@ -162,7 +162,7 @@ class SelfChecks:
                 judged, has_begun = Judged(unknown(str(error))), error.has_begun
             lost = _marked(frames) - lost_before
             occasion = Occasion(number, cause, self._clock.utc(self._clock.monotonic_ns()), lost)
-            if self._standing.awaits_first and not has_begun:
+            if self._geometry.awaits_first and not has_begun:
                 self._answer(occasion, judged)  # whoever asked; the first check is still to come
                 continue
             await self._memory.add(judged.check, occasion.time)
@@ -172,10 +172,10 @@ class SelfChecks:
 
     async def _recall(self) -> None:
         """What was bad before this start stays bad until a check has a verdict."""
-        if self._standing.verdict is None and await self._memory.was_bad():
-            self._standing.recall_bad()
-            if not self._standing.awaits_first:
-                self._component.set_state(self._standing.state, self._standing.faults[0].detail)
+        if self._geometry.verdict is None and await self._memory.was_bad():
+            self._geometry.recall_bad()
+            if not self._geometry.awaits_first:
+                self._component.set_state(self._geometry.state, self._geometry.faults[0].detail)
 
     async def _lamps_open(self, lamps: FrameLamps) -> None:
         """Wait for lamps that have not been tried yet, and a while for those that failed."""
@@ -200,22 +200,22 @@ class SelfChecks:
 
     def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> Judged:
         """The verdict, with all that takes long of what may follow from it; beside the loop."""
-        judged = self._judge.judge(frames, at, self._standing.verdict)
-        self._correction.prepare(self._standing.transforms_after(judged.check))
+        judged = self._judge.judge(frames, at, self._geometry.verdict)
+        self._correction.prepare(self._geometry.transforms_after(judged.check))
         return judged
 
     def _settle(self, occasion: Occasion, judged: Judged) -> None:
         """What follows from a check: for the measurements, for who asked, and for the next check."""
         check = judged.check
-        self._standing.take(check, self._memory.slow_drift)
+        self._geometry.take(check, self._memory.slow_drift)
         if self._has_jumped:
-            self._standing.note_shock()  # the check after it is still to come
+            self._geometry.note_shock()  # the check after it is still to come
         report = report_of(occasion, judged)
-        self._correction.apply(self._standing)
+        self._correction.apply(self._geometry)
         self._component.count("checks")
         self._component.count(f"checks_{check.verdict}")
         self._component.count("exposures_lost", occasion.exposures_lost)
-        self._component.set_state(self._standing.state, report.sentence)
+        self._component.set_state(self._geometry.state, report.sentence)
         if report.sentence != self._logged:
             self._logged = report.sentence
             level = logging.INFO if check.verdict is Verdict.GOOD else logging.WARNING

@@ -28,7 +28,7 @@ _LOCAL_NAMES = ("localhost", "")
 _STRANGERS = "strangers"
 
 
-class Known(Protocol):
+class CredentialStore(Protocol):
     """Who has a password or a token: ``altd.credentials``."""
 
     @property
@@ -54,20 +54,20 @@ class Refused(Exception):  # noqa: N818  an answer, not a fault
 
 
 class Guard:
-    """One interface's guard. ``known`` gives who may act at this moment; None: no credentials are set.
+    """One interface's guard. ``credentials`` gives those of this moment; None: no credentials are set.
 
     Who logs in and out, and who tries in vain, is noted in ``events``.
     """
 
     def __init__(
         self,
-        known: Callable[[], Known] | None,
+        credentials: Callable[[], CredentialStore] | None,
         clock: Clock,
         events: EventLog | None = None,
         *,
         is_local: bool = False,
     ) -> None:
-        self._known = known
+        self._credentials = credentials
         self._events = events
         self._is_local = is_local
         self._sessions = Sessions(clock)
@@ -80,23 +80,23 @@ class Guard:
     @property
     def has_credentials(self) -> bool:
         """Whether tokens and passwords say who may act."""
-        return self._known is not None
+        return self._credentials is not None
 
     def actor(self, request: HTTPConnection) -> str:
         """Who asks for an action; raises Refused when he may not."""
         _check_is_no_other_page(request)
-        if self._is_local or self._known is None:
+        if self._is_local or self._credentials is None:
             if not self._is_local:
                 _check_is_own_computer(request)
             return THIS_COMPUTER
-        return self._identified(request, self._known())
+        return self._identified(request, self._credentials())
 
     def check_may_look(self, connection: HTTPConnection) -> None:
         """Raise Refused where pictures are not for whoever asks: credentials are set, and he shows none."""
-        if self._known is not None and not self._is_local:
-            self._identified(connection, self._known())
+        if self._credentials is not None and not self._is_local:
+            self._identified(connection, self._credentials())
 
-    def _identified(self, request: HTTPConnection, known: Known) -> str:
+    def _identified(self, request: HTTPConnection, credentials: CredentialStore) -> str:
         """Who asks, by what he shows; raises Refused.
 
         What is wrong is not counted, as passwords are: nobody guesses 256 bits, and a page whose session is
@@ -104,9 +104,9 @@ class Guard:
         """
         token, secret = _token_of(request), secret_of(request)
         if token is not None:
-            name = known.name_of_token(token)
+            name = credentials.name_of_token(token)
         elif secret is not None:
-            name = self._name_of_session(secret, known)
+            name = self._name_of_session(secret, credentials)
         else:
             raise _unknown("a token, or a session that /api/v1/login begins, is needed")
         if name is None:
@@ -118,33 +118,33 @@ class Guard:
     def viewer(self, request: HTTPConnection) -> str | None:
         """Who is logged in, for who only looks; None: nobody."""
         secret = secret_of(request)
-        if self._known is None or secret is None:
+        if self._credentials is None or secret is None:
             return None
-        return self._name_of_session(secret, self._known())
+        return self._name_of_session(secret, self._credentials())
 
     async def log_in(self, request: HTTPConnection, name: str, password: str) -> str:
         """Begin a session; returns its secret. Raises Refused."""
         _check_is_no_other_page(request)
-        if self._known is None:
+        if self._credentials is None:
             raise Refused(refusal(409, "nobody can log in: [http] credentials is not set"))
         self._check_attempts(request)
         self._count_attempt(request)
         async with self._verifying:  # one at a time: each takes 16 MB and a core
-            known = self._known()
-            fits = await asyncio.to_thread(known.is_password, name, password)
+            credentials = self._credentials()
+            fits = await asyncio.to_thread(credentials.is_password, name, password)
         if not fits:
-            if name in known.names:
+            if name in credentials.names:
                 self._note(request, "a wrong password", "login_refused", name)
             else:  # what was typed is not noted: some type their password there
                 self._note(request, "a wrong name or password", "login_refused")
             raise _unknown("name or password is wrong")
         self._forgive(request)
         self._note(request, "logged in", "login", name)
-        return self._sessions.begin(name, known.password_of(name))
+        return self._sessions.begin(name, credentials.password_of(name))
 
     def may_act(self, request: HTTPConnection) -> bool:
         """Whether an action could be asked for from there, with what the request shows."""
-        if self._known is not None and not self._is_local:
+        if self._credentials is not None and not self._is_local:
             return self.viewer(request) is not None
         try:
             if not self._is_local:
@@ -156,15 +156,15 @@ class Guard:
     def log_out(self, request: HTTPConnection) -> None:
         """End the session of who asks; raises Refused where a page of elsewhere does."""
         _check_is_no_other_page(request)
-        if self._known is None or (secret := secret_of(request)) is None:
+        if self._credentials is None or (secret := secret_of(request)) is None:
             return
-        if (name := self._name_of_session(secret, self._known())) is not None:
+        if (name := self._name_of_session(secret, self._credentials())) is not None:
             self._note(request, "logged out", "logout", name)
         self._sessions.end(secret)
 
-    def _name_of_session(self, secret: str, known: Known) -> str | None:
+    def _name_of_session(self, secret: str, credentials: CredentialStore) -> str | None:
         """Whose it is; a password that was changed, or taken out, ends it."""
-        return self._sessions.name_of(secret, known.password_of)
+        return self._sessions.name_of(secret, credentials.password_of)
 
     def _check_attempts(self, request: HTTPConnection) -> None:
         address = _group(request)

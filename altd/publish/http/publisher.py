@@ -23,7 +23,7 @@ from altd.publish.http.limits import CONNECTIONS, REQUESTS, Allowed, Buckets, Ow
 from altd.publish.http.openapi import document_of
 from altd.publish.http.past import Past
 from altd.publish.http.paths import PATHS
-from altd.publish.http.server import Door, listen, serve
+from altd.publish.http.server import ConnectionPolicy, listen, serve
 from altd.publish.http.tls import Certificate
 from altd.status.board import Board
 from altd.status.event_log import EventLog
@@ -67,7 +67,9 @@ class HttpPublisher:
             certificate = Certificate(settings.certificate, settings.key, complain)
         known = None if keeper is None else keeper.current
         guard = Guard(known, component.clock, events, is_local=self.is_local)
-        self._door = Door(Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock))
+        self._policy = ConnectionPolicy(
+            Allowed(settings.allow), certificate, Buckets(CONNECTIONS, component.clock)
+        )
         # over TLS the browser itself compares the name with the certificate
         is_open = certificate is None and not self.is_local
         self._names = OwnNames(settings.names) if is_open else None
@@ -103,7 +105,7 @@ class HttpPublisher:
 
         requests = Buckets(REQUESTS, self._component.clock)
         application = application_of(PATHS, self._answers, self._component, requests, self._names)
-        await serve(application, listener, self._component, self._door, serving)
+        await serve(application, listener, self._component, self._policy, serving)
 
     def _complain(self, about: str, sentence: str) -> None:
         """A file that was changed cannot be used; with an empty sentence, it can again."""

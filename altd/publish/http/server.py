@@ -82,7 +82,7 @@ def listen(settings: HttpSettings) -> socket.socket:
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class ConnectionPolicy:
     """Who is let in before a byte is read, and whether TLS is spoken."""
 
     allowed: Allowed
@@ -107,7 +107,7 @@ async def serve(
     application: ASGIApp,
     listener: socket.socket,
     component: Component,
-    door: Door,
+    policy: ConnectionPolicy,
     ready: Callable[[], None],
 ) -> None:
     """Serve until cancelled; every connection is closed by then."""
@@ -129,7 +129,7 @@ async def serve(
         timeout_graceful_shutdown=2,
         h11_max_incomplete_event_size=MAX_HEADER_BYTES,
     )
-    await _Server(config, listener, component, door, ready).serve()
+    await _Server(config, listener, component, policy, ready).serve()
 
 
 class _Server(uvicorn.Server):
@@ -140,13 +140,13 @@ class _Server(uvicorn.Server):
         config: uvicorn.Config,
         listener: socket.socket,
         component: Component,
-        door: Door,
+        policy: ConnectionPolicy,
         ready: Callable[[], None],
     ) -> None:
         super().__init__(config)
         self._listener = listener
         self._component = component
-        self._door = door
+        self._policy = policy
         self._ready = ready
         self._handshakes: set[asyncio.Task[None]] = set()
 
@@ -177,18 +177,18 @@ class _Server(uvicorn.Server):
 
     async def _admit(self, connection: socket.socket) -> None:
         """Serve a connection, or close it where it may not be or there are enough."""
-        why = self._door.refuses(connection) or self._is_full(connection)
+        why = self._policy.refuses(connection) or self._is_full(connection)
         if why:
             self._component.count(why)
             connection.close()
             return
         # what TCP inherits of the listener, a local socket does not
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        if self._door.certificate is None:
+        if self._policy.certificate is None:
             protocol = _BoundedProtocol(self.config, self.server_state, {})
             await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
             return
-        task = asyncio.create_task(self._shake_hands(connection, self._door.certificate.context()))
+        task = asyncio.create_task(self._shake_hands(connection, self._policy.certificate.context()))
         self._handshakes.add(task)
         task.add_done_callback(self._handshakes.discard)
 

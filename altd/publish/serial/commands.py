@@ -94,7 +94,7 @@ WATCH_INTERVAL_LIMITS_S = (0.1, 3600.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class Sources:
     """What the commands tell of."""
 
     read: Callable[[], Measurement | None]
@@ -150,64 +150,64 @@ class Command:
         return f"{self.name} {self.argument}".rstrip()
 
 
-def answer_to(asked: Asked, name: str, arguments: list[str]) -> Answer:
+def answer_to(sources: Sources, name: str, arguments: list[str]) -> Answer:
     """What a command says; raises UsageError."""
     command = _BY_NAME.get(name.lower())
     if command is None:
         raise UsageError(f"no command {name[:24]!r}; type help for what there is")
     if len(arguments) > bool(command.argument):
         raise UsageError(f"too much after {name}; it is used as: {command.usage}")
-    return command.run(asked, *arguments)
+    return command.run(sources, *arguments)
 
 
-def _help(_: Asked) -> str:
+def _help(_: Sources) -> str:
     return "\n".join(f"{command.usage:<20}{command.does}" for command in COMMANDS.values())
 
 
-def _status(asked: Asked, whole: str = "") -> str:
+def _status(sources: Sources, whole: str = "") -> str:
     if whole.lower() not in ("", "all"):
         raise UsageError(f"status is used as: status [all], not {whole[:24]!r}")
-    return status_text(asked.read(), asked.health, asked.age_s(), whole=bool(whole))
+    return status_text(sources.read(), sources.health, sources.age_s(), whole=bool(whole))
 
 
-def _measure(asked: Asked) -> str:
-    return measurement_text(asked.read(), asked.age_s())
+def _measure(sources: Sources) -> str:
+    return measurement_text(sources.read(), sources.age_s())
 
 
-def _spots(asked: Asked) -> str:
-    return spots_text(asked.read(), asked.health)
+def _spots(sources: Sources) -> str:
+    return spots_text(sources.read(), sources.health)
 
 
-def _health(asked: Asked) -> str:
-    return health_text(asked.health)
+def _health(sources: Sources) -> str:
+    return health_text(sources.health)
 
 
-def _calibration(asked: Asked) -> str:
-    return calibration_text(asked.health, asked.quantities)
+def _calibration(sources: Sources) -> str:
+    return calibration_text(sources.health, sources.quantities)
 
 
-def _version(asked: Asked) -> str:
-    facts = asked.health.facts
+def _version(sources: Sources) -> str:
+    facts = sources.health.facts
     return f"altd {facts.get('version', 'of unknown version')}, unit {facts.get('serial', 'not known')}"
 
 
-def _self_check(asked: Asked, now: str = "") -> str | Question:
-    desk = asked.health.self_check
+def _self_check(sources: Sources, now: str = "") -> str | Question:
+    desk = sources.health.self_check
     if now.lower() not in ("", "now"):
         raise UsageError(f"selfcheck is used as: selfcheck [now], not {now[:24]!r}")
     if desk.unavailable:
         return _none(desk.unavailable)
     if now:
-        return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(asked))
+        return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(sources))
     if desk.latest is None:
         return "no self-check since the unit started"
     return fill(f"{_time_of(desk.latest)}{desk.latest.sentence}", WIDTH, subsequent_indent="  ")
 
 
-def _ask(asked: Asked) -> str:
-    if why := asked.health.self_check.unavailable:  # meanwhile
+def _ask(sources: Sources) -> str:
+    if why := sources.health.self_check.unavailable:  # meanwhile
         return _none(why)
-    asked.health.self_check.ask("console")
+    sources.health.self_check.ask("console")
     return "asked for; it comes within ten seconds, then type selfcheck"
 
 
@@ -220,27 +220,27 @@ def _time_of(report: SelfCheckReport) -> str:
     return f"{time}: " if time else ""
 
 
-def _history(asked: Asked, span: str = "hour") -> str | Later:
-    span, past = span.lower(), asked.past
+def _history(sources: Sources, span: str = "hour") -> str | Later:
+    span, past = span.lower(), sources.past
     if span not in SPANS_S:
         raise UsageError(f"history is used as: history [{'|'.join(SPANS_S)}], not {span[:24]!r}")
     if past is None:
         return _NO_PAST
-    return Later(lambda: history_text(past, asked.quantities, span))
+    return Later(lambda: history_text(past, sources.quantities, span))
 
 
-def _log(asked: Asked) -> str:
-    return _NO_PAST if asked.past is None else log_text(asked.past)
+def _log(sources: Sources) -> str:
+    return _NO_PAST if sources.past is None else log_text(sources.past)
 
 
-def _leave(_: Asked) -> str:
+def _leave(_: Sources) -> str:
     return (
         "there is nothing to leave: nobody is logged in, and the unit measures on.\n"
         "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
     )
 
 
-def _watch(asked: Asked, seconds: str = "1") -> Watch:
+def _watch(sources: Sources, seconds: str = "1") -> Watch:
     shortest, longest = WATCH_INTERVAL_LIMITS_S
     try:
         interval_s = float(seconds)
@@ -248,20 +248,20 @@ def _watch(asked: Asked, seconds: str = "1") -> Watch:
         interval_s = -1.0
     if not shortest <= interval_s <= longest:
         raise UsageError(f"watch wants seconds from {shortest:g} to {longest:g}, not {seconds!r}")
-    lines = ["any key ends it", watch_head(asked.quantities), watch_line(asked.read())]
+    lines = ["any key ends it", watch_head(sources.quantities), watch_line(sources.read())]
     return Watch("\n".join(lines), interval_s)
 
 
-def _identification(asked: Asked) -> str:
-    return identification(asked.health)
+def _identification(sources: Sources) -> str:
+    return identification(sources.health)
 
 
-def _status_byte(asked: Asked) -> str:
-    return str(status_byte(asked.read(), asked.health))
+def _status_byte(sources: Sources) -> str:
+    return str(status_byte(sources.read(), sources.health))
 
 
-def _test(asked: Asked) -> str:
-    return str(test_result(asked.health))
+def _test(sources: Sources) -> str:
+    return str(test_result(sources.health))
 
 
 _NO_PAST = "this daemon remembers nothing"

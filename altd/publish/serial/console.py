@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
 
-from altd.publish.serial.commands import Asked, Later, Question, UsageError, Watch, answer_to
+from altd.publish.serial.commands import Later, Question, Sources, UsageError, Watch, answer_to
 from altd.publish.serial.keys import Key, KeyReader
 from altd.publish.serial.lines import BadLine, LineEditor
 from altd.publish.serial.parts_text import Past
@@ -42,7 +42,7 @@ class Console:
         past: Past | None = None,
     ) -> None:
         self.health = health
-        self._asked = Asked(read, health, quantities, age_s, past)
+        self._sources = Sources(read, health, quantities, age_s, past)
         self._question: Question | None = None
         self._find: Callable[[], Awaitable[str]] | None = None
         self.watching_s: float | None = None
@@ -94,7 +94,7 @@ class Console:
 
     def tick(self) -> bytes:
         """The next line of ``watch``, nothing while nobody watches."""
-        return b"" if self.watching_s is None else _on_wire(watch_line(self._asked.read()))
+        return b"" if self.watching_s is None else _on_wire(watch_line(self._sources.read()))
 
     def _all(self, keys: Iterable[str | Key]) -> Iterable[bytes]:
         for key in keys:
@@ -161,7 +161,7 @@ class Console:
         if (leaving := _LEAVING.get(swallowed)) == swallowed + name.lower():
             name = leaving
         try:
-            answer = answer_to(self._asked, name, arguments)
+            answer = answer_to(self._sources, name, arguments)
         except UsageError as error:
             return _on_wire(str(error)) + PROMPT
         if isinstance(answer, Question):

@@ -23,7 +23,7 @@ def _of_roll(key: str, value: str, words: str) -> tuple[str, str, str, str]:
     return (_ROLL, f"{_ROLL}\n{key} = «{value}", f"inclinometer.{key}", words)
 
 
-def _of_upkeep(key: str, value: str, words: str) -> tuple[str, str, str, str]:
+def _of_maintenance(key: str, value: str, words: str) -> tuple[str, str, str, str]:
     """A case of ``[maintenance]``."""
     return (_DUE, f"{_DUE}\n{key} = «{value}", f"maintenance.{key}", words)
 
@@ -145,13 +145,13 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "maintenance.calibration_due_days",
         "2026-11-21 is no number",
     ),
-    _of_upkeep("min_light_share", "1.0", "1.0 is too large; possible: number from 0 to below 1"),
-    _of_upkeep("min_light_share", "-0.1", "-0.1 is too small"),
-    _of_upkeep("max_dust_share", "0.0", "0 is too small; possible: number above 0 to 1"),
-    _of_upkeep("max_dust_share", "1.5", "1.5 is too large"),
-    _of_upkeep("max_residual_share", "0", "0 is too small; possible: number above 0 to 1"),
-    _of_upkeep("max_residual_share", "1.1", "1.1 is too large"),
-    _of_upkeep("max_residual_share", "{}", "a table is no number"),
+    _of_maintenance("min_light_share", "1.0", "1.0 is too large; possible: number from 0 to below 1"),
+    _of_maintenance("min_light_share", "-0.1", "-0.1 is too small"),
+    _of_maintenance("max_dust_share", "0.0", "0 is too small; possible: number above 0 to 1"),
+    _of_maintenance("max_dust_share", "1.5", "1.5 is too large"),
+    _of_maintenance("max_residual_share", "0", "0 is too small; possible: number above 0 to 1"),
+    _of_maintenance("max_residual_share", "1.1", "1.1 is too large"),
+    _of_maintenance("max_residual_share", "{}", "a table is no number"),
     (_DUE, f"{_DUE}\n«min_light = 0.5", "maintenance.min_light", "did you mean `min_light_share`?"),
     # proof and commands on the wires
     (

@@ -14,7 +14,7 @@ from support.led_frames import Motion, Scene, unit
 from support.measurements import beam_of
 
 from altd.acquisition.self_check.correction import Correction
-from altd.acquisition.self_check.standing import Standing
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -53,7 +53,7 @@ class Bench:
         instrument = BeamInstrument(calibration, measuring)
         self.calibration = calibration
         self.chain = MeasuringChain(views, calibration, measuring, instrument)
-        self.standing = Standing(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
+        self.geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
         self.correction = Correction(self.chain, calibration, CAMERAS)
         self._rng = np.random.default_rng(3)
         self._number = 0
@@ -63,9 +63,9 @@ class Bench:
         rng = np.random.default_rng(seed)
         views = {"front": Scene(motion).view(rng), "rear": Scene().view(rng)}
         found = judge(views, self.calibration, None, Limits())
-        self.correction.prepare(self.standing.transforms_after(found))
-        self.standing.take(found)
-        self.correction.apply(self.standing)
+        self.correction.prepare(self.geometry.transforms_after(found))
+        self.geometry.take(found)
+        self.correction.apply(self.geometry)
         return found
 
     def measured(self, motion: Motion, surface: DottedPrint = PRINT) -> Measurement:
@@ -78,7 +78,7 @@ class Bench:
                 shown = frame(lit, self._rng, 1.0, camera=camera)
                 at = replace(shown, sequence=self._number, t_ns=self._number * 50_000_000)
                 told = self.chain.push(at)
-        return self.standing.applied_to(told[-1])
+        return self.geometry.applied_to(told[-1])
 
 
 def codes(measurement: Measurement) -> set[str]:

@@ -13,11 +13,11 @@ from support.recordings import picture
 
 from altd.acquisition.self_check.correction import Correction
 from altd.acquisition.self_check.frames import LedLog
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.acquisition.self_check.judging import CheckJudge
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
-from altd.acquisition.self_check.standing import Standing
 from altd.config import Installation, Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
@@ -49,7 +49,7 @@ class Bench:
             self._leds,
             Schedule(self._clock, 600.0, automatic=False),
             CheckJudge(views, calibration, limits, Installation()),
-            Standing(settings, limits, calibration, self._clock),
+            GeometryState(settings, limits, calibration, self._clock),
             Correction(self._chain, calibration, CAMERAS),
             CheckMemory(calibration, self._clock),
         )

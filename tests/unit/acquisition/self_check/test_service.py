@@ -17,11 +17,11 @@ from support.measurements import measured
 
 from altd.acquisition.self_check.exposing import CheckFailedError
 from altd.acquisition.self_check.frames import LedLog, Light
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.acquisition.self_check.judging import Judged
 from altd.acquisition.self_check.memory import CheckMemory
 from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, Schedule
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
-from altd.acquisition.self_check.standing import Standing
 from altd.config import SelfCheckSettings
 from altd.selfcheck.records import Limits, SelfCheck, Verdict
 from altd.status.health import Component
@@ -51,12 +51,12 @@ class Running:
     def __init__(self, has_begun: bool, found: SelfCheck | None = None, **settings: object) -> None:
         self.clock, self.desk = FakeClock(), SelfCheckDesk()
         checked = SelfCheckSettings.model_validate(settings)
-        standing = Standing(checked, Limits(), evidence.calibration(), self.clock)
+        geometry = GeometryState(checked, Limits(), evidence.calibration(), self.clock)
         parts = CheckParts(
             LedLog(self.clock, dict.fromkeys(CAMERAS, 50_000_000)),
             Schedule(self.clock, checked.interval_s, checked.enabled),
             SimpleNamespace(judge=lambda *_: Judged(found)),  # type: ignore[arg-type]
-            standing,
+            geometry,
             SimpleNamespace(apply=lambda _: None, prepare=lambda _: None),  # type: ignore[arg-type]
             CheckMemory(evidence.calibration(), self.clock),
         )

@@ -11,7 +11,7 @@ import pytest
 from support import evidence
 from support.located import located
 
-from altd.app.upkeep import Upkeep
+from altd.app.maintenance import MaintenanceWatches
 from altd.config import Config
 from altd.ports import Camera, CameraLostError, TemperatureCamera
 from altd.runtime.clock import SystemClock
@@ -46,20 +46,22 @@ def cameras(*celsius: float | Exception | None) -> Mapping[str, Camera]:
 async def told(settings: Config, celsius: float | Exception | None) -> tuple[Health, list[str]]:
     """The components, and the causes once the temperatures were read."""
     health = Health(SystemClock())
-    upkeep = Upkeep(settings, evidence.calibration(), cameras(celsius), health, SystemClock())
+    watches = MaintenanceWatches(settings, evidence.calibration(), cameras(celsius), health, SystemClock())
     async with asyncio.TaskGroup() as tasks:
-        running = tasks.create_task(started(upkeep))
+        running = tasks.create_task(started(watches))
         async with asyncio.timeout(60):
             while any(component.state == "starting" for component in health) or not list(health):  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
-        causes = [f"{cause.kind} {cause.of} {cause.detail}" for watch in upkeep.watches for cause in watch(0)]
+        causes = [
+            f"{cause.kind} {cause.of} {cause.detail}" for watch in watches.watches for cause in watch(0)
+        ]
         running.cancel()
     return health, [cause for cause in causes if cause.startswith("too_")]
 
 
-async def started(upkeep: Upkeep) -> None:
+async def started(watches: MaintenanceWatches) -> None:
     async with asyncio.TaskGroup() as tasks:
-        upkeep.start(tasks)
+        watches.start(tasks)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +93,10 @@ async def test_a_camera_without_a_temperature_or_that_is_away_is_no_cause(answer
 
 def test_dust_under_the_spots_of_a_camera_is_told_of_its_target() -> None:
     health = Health(SystemClock())
-    upkeep = Upkeep(config(), evidence.calibration(), cameras(), health, SystemClock())
+    watches = MaintenanceWatches(config(), evidence.calibration(), cameras(), health, SystemClock())
     for number in range(60):
-        upkeep.trends.add(replace(located("left", number, number * 5 * 10**9), dust=DustCount(0, 1000)))
-        upkeep.trends.add(replace(located("right", number, number * 5 * 10**9), dust=DustCount(1, 1000)))
-    causes = [(str(cause.kind), cause.of) for watch in upkeep.watches for cause in watch(0)]
+        watches.trends.add(replace(located("left", number, number * 5 * 10**9), dust=DustCount(0, 1000)))
+        watches.trends.add(replace(located("right", number, number * 5 * 10**9), dust=DustCount(1, 1000)))
+    causes = [(str(cause.kind), cause.of) for watch in watches.watches for cause in watch(0)]
     assert ("dusty", "rear") in causes
     assert ("dusty", "front") not in causes

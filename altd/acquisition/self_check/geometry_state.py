@@ -23,7 +23,7 @@ _AFTER_SHOCK = "the spots of all targets have jumped, and the check after it has
 _BEFORE_START = "the last check before this start found it bad, and none since says otherwise"
 
 
-class Standing:
+class GeometryState:
     """The unit's geometry as far as it is known. Before the first check nothing is valid.
 
     A check without a verdict takes nothing back: what was bad stays bad, and what was corrected is corrected

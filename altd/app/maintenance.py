@@ -15,7 +15,7 @@ from altd.status.maintenance import CalibrationAge, SpotTrends, TemperatureLimit
 from altd.status.state import Watch
 
 
-class Upkeep:
+class MaintenanceWatches:
     """The watches of one unit's state, and what feeds them."""
 
     def __init__(
