@@ -86,9 +86,9 @@ async def _measured(material: Material, line: LedLine, checks: int, busy: int) -
     port = free_port()
     line.forget()
     async with running(Source(material, FPS), make_config(modbus_port=port), line) as daemon:
-        desk = daemon.health.self_check
+        service = daemon.health.self_check
         async with asyncio.timeout(_WITHIN_S):
-            await desk.report(1)
+            await service.report(1)
         published_s: list[float] = []
         watching = asyncio.create_task(_watch(daemon, published_s))
         spans, verdicts, lost, answer_s = [], Counter[str](), [], []
@@ -100,7 +100,7 @@ async def _measured(material: Material, line: LedLine, checks: int, busy: int) -
                     await asyncio.sleep(REST_S)
                     begun_s = time.monotonic()
                     async with asyncio.timeout(_WITHIN_S):
-                        document = (await desk.report(desk.ask())).document
+                        document = (await service.report(service.ask())).document
                     answer_s.append(time.monotonic() - begun_s)
                     await asyncio.sleep(_AFTER_S)
                     spans.append((begun_s, time.monotonic()))

@@ -20,7 +20,7 @@ from altd.measuring.calibration import TargetCalibration
 from altd.ports import Clock
 from altd.records import Frame, NoSpot, Spot, SpotShape
 from altd.runtime.threads import DeviceThread
-from altd.status.picture_desk import NoPictureError, Picture, Points, SpotContour, TargetView
+from altd.status.services import NoPictureError, Picture, Points, SpotContour, TargetView
 
 MAX_RATE_HZ = 10.0
 """Pictures of one camera a second."""

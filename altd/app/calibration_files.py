@@ -12,7 +12,7 @@ from altd.errors import BadInputError
 from altd.files.reading import read_file, read_head
 from altd.measuring.calibration import CalibrationFile
 from altd.runtime.threads import DeviceThread
-from altd.status.calibration_desk import NoCalibrationFileError, NoReportError
+from altd.status.services import NoCalibrationFileError, NoReportError
 
 MAX_REPORT_BYTES = 1 << 26
 """A report has a megabyte, and 5 kB more a node."""

@@ -220,12 +220,12 @@ class Daemon:
 
     def _ring(self, tasks: asyncio.TaskGroup) -> FrameRing | None:
         """What keeps the last seconds of frames, where it may."""
-        desk, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
+        recordings, folder = self.health.recordings, folder_of_recordings(self.config, self._state_folder)
         if not self.config.kept_frames.memory_mb:
-            desk.unavailable = "kept_frames.memory_mb is 0"
+            recordings.unavailable = "kept_frames.memory_mb is 0"
             return None
         if folder is None:
-            desk.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
+            recordings.unavailable = "kept_frames.folder is not set, and this is no service that has a folder"
             return None
         note = self.past.note_recording
         keeper = frame_keeper(self.config, self._cameras, folder, self.state, self.health, note)

@@ -34,7 +34,7 @@ from altd.status.availability import MONTH_S, Availability, Before
 from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Health, State
-from altd.status.recording_desk import KeptRecording
+from altd.status.services import KeptRecording
 from altd.status.state import StateEvents, UnitState
 
 RECORDINGS = "recordings"
@@ -59,7 +59,7 @@ def frame_keeper(
     health: Health,
     note: Callable[[str, KeptRecording | None], None],
 ) -> FrameKeeper:
-    """Keeps and writes what a config asks for; the desk of ``health`` is open from now on."""
+    """Keeps and writes what a config asks for; the service in ``health`` is open from now on."""
     settings = config.kept_frames
     length_ns = round((settings.before_s + settings.after_s) * 1e9) + _MARGIN_NS
     ring = FrameRing(settings.memory_mb << 20, length_ns, lambda camera: cameras[camera].identity)

@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from altd.ports import Clock
-from altd.status.calibration_desk import CalibrationDesk
 from altd.status.cause import StateReport
 from altd.status.diagnostic_part import DiagnosticPart
-from altd.status.picture_desk import PictureDesk
-from altd.status.recording_desk import RecordingDesk
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
 from altd.status.target_area import TargetArea
 
 MEASURING = "measuring"
@@ -121,10 +118,10 @@ class Health:
         """What does not change while the daemon runs: serial, version, calibration."""
         self.targets: tuple[TargetArea, ...] = ()
         """In beam order."""
-        self.self_check = SelfCheckDesk()
-        self.recordings = RecordingDesk()
-        self.pictures = PictureDesk()
-        self.calibration = CalibrationDesk()
+        self.self_check = SelfCheckService()
+        self.recordings = RecordingService("this unit keeps no frames")
+        self.pictures = PictureService("this unit shows no pictures")
+        self.calibration = CalibrationService()
         self.diagnostics: tuple[DiagnosticPart, ...] = ()
         """What diagnostics hold beside what every interface sees."""
         self.state: Callable[[], StateReport | None] = lambda: None

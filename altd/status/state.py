@@ -18,7 +18,7 @@ from altd.status.causes import START_S, causes_now, is_warning
 from altd.status.conditions import Condition
 from altd.status.event_log import EventKind, EventLog
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import SelfCheckService
 
 TICK_S = 0.25
 """How often the state is looked at when nobody asks."""
@@ -92,16 +92,16 @@ class StateEvents:
     """One daemon's observer. A cause is shown for 2 s at least, so none is missed between two looks."""
 
     def __init__(
-        self, log: EventLog, read_state: Callable[[], StateReport], desk: SelfCheckDesk, clock: Clock
+        self, log: EventLog, read_state: Callable[[], StateReport], service: SelfCheckService, clock: Clock
     ) -> None:
         self._log = log
         self._read_state = read_state
-        self._desk = desk
+        self._service = service
         self._clock = clock
         self._signal: Signal | None = None
         self._causes: dict[tuple[Kind, str | None], ShownCause] = {}
         self._checks = 0
-        desk.on_ask = self._note_request
+        service.on_ask = self._note_request
 
     async def run(self) -> None:
         """Look until cancelled."""
@@ -146,7 +146,7 @@ class StateEvents:
         self._signal = report.signal
 
     def _look_at_self_checks(self) -> None:
-        latest = self._desk.latest
+        latest = self._service.latest
         if latest is None or latest.number == self._checks:
             return
         self._checks = latest.number

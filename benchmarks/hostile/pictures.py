@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Sequence
 
-from altd.status.picture_desk import Picture, TargetView
+from altd.status.services import Picture, TargetView
 
 PATH = "/api/v1/pictures"
 
@@ -17,7 +17,7 @@ _TARGETS = "front", "rear"
 
 
 class Maker:
-    """A picture of each target twenty times a second (``altd.status.picture_desk.PictureMaker``)."""
+    """A picture of each target twenty times a second (``altd.status.services.PictureMaker``)."""
 
     views = tuple(TargetView(name, name, 752, 480, (), (), *_AXES) for name in _TARGETS)
 

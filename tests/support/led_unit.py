@@ -17,7 +17,7 @@ from altd.config import Config
 from altd.measuring.calibration import Calibration
 from altd.ports import LampsError
 from altd.records import Frame, Measurement
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 from hw_sim.beam import BeamPose
 from hw_sim.camera import Schedule, SimulatedCamera
 from hw_sim.displacement import Displacement

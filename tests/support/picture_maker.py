@@ -1,4 +1,4 @@
-"""A maker of pictures behind the picture desk that gives what a test puts into it."""
+"""A maker of pictures behind the picture service that gives what a test puts into it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from altd.status.picture_desk import NoPictureError, Picture, SpotContour, TargetView
+from altd.status.services import NoPictureError, Picture, SpotContour, TargetView
 
 AXES = (375.0, 240.0), (-4.0, 0.0), (0.0, -4.0)
 VIEWS = (

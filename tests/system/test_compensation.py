@@ -14,7 +14,7 @@ import pytest
 from support.clock import FakeClock
 
 from altd.acquisition.self_check.correction import Correction
-from altd.acquisition.self_check.geometry_state import Standing
+from altd.acquisition.self_check.geometry_state import GeometryState
 from altd.config import Measuring, SelfCheckSettings
 from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.calibration import Calibration
@@ -48,7 +48,7 @@ class Bench:
         self._calibration = calibration
         instrument = BeamInstrument(calibration, measuring)
         self._chain = MeasuringChain([View(c, c) for c in CAMERAS], calibration, measuring, instrument)
-        self._standing = Standing(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
+        self._geometry = GeometryState(SelfCheckSettings(compensate=True), Limits(), calibration, FakeClock())
         self._correction = Correction(self._chain, calibration, {camera: camera for camera in CAMERAS})
         self._sequence = 1000
         self.unit = Unit(UnitConfig(seed=3, lux=LUX))
@@ -62,8 +62,8 @@ class Bench:
             for camera in CAMERAS:
                 frames[camera, on].append(self.exposed(camera, self._sequence))
         seen = {c: LedView(tuple(frames[c, True]), tuple(frames[c, False])) for c in CAMERAS}
-        self._standing.take(judge(seen, self._calibration, None, Limits()))
-        self._correction.apply(self._standing)
+        self._geometry.take(judge(seen, self._calibration, None, Limits()))
+        self._correction.apply(self._geometry)
 
     def exposed(self, camera: str, sequence: int) -> Frame:
         return self.unit.expose(camera, sequence, sequence * self.unit.config.period_ns)
@@ -76,7 +76,7 @@ class Bench:
             self._sequence += 1
             for camera in CAMERAS:
                 told = self._chain.push((expose or self.exposed)(camera, self._sequence))
-        return self._standing.applied_to(told[-1])
+        return self._geometry.applied_to(told[-1])
 
 
 def codes(measurement: Measurement) -> set[str]:

@@ -15,7 +15,7 @@ from support.led_unit import LedUnit, config, led_unit
 from altd.config import KeptFrames
 from altd.measuring.calibration import Calibration
 from altd.records import Frame, Measurement
-from altd.status.recording_desk import KeptRecording
+from altd.status.services import KeptRecording
 
 pytestmark = pytest.mark.real_time
 
@@ -53,7 +53,7 @@ async def test_the_frames_of_a_fault_are_replayed_as_they_were_measured(
             if (measurement := poll.measurement) is not None and measurement.time is not None:
                 live[measurement.time] = measurement
         folder = tmp_path / "recordings" / recording.name
-        assert (await running.daemon.health.recordings.keeper.keep("asked")).exposures > 20
+        assert (await running.daemon.health.recordings.provider.keep("asked")).exposures > 20
     assert 2.5 < recording.seconds < 3.3
 
     replayed = altd_here("replay", folder, "--calibration", unit_3 / "cal.json", "--window", WINDOW)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from support.led_unit import MOVED, POSE, LedUnit, codes, config, driven_led_unit
 
-from altd.acquisition.self_check import standing
+from altd.acquisition.self_check import geometry_state
 from altd.measuring.calibration import Calibration
 from hw_sim.displacement import Displacement
 from hw_sim.unit import FRONT, REAR
@@ -46,7 +46,7 @@ async def test_compensation_takes_a_drift_out_and_says_so(
 async def test_a_correction_that_no_check_confirms_ends_and_the_drift_counts(
     calibration_of_unit_3: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(standing, "MAX_UNCONFIRMED_INTERVALS", 0.3)  # 3 s, of the shortest interval
+    monkeypatch.setattr(geometry_state, "MAX_UNCONFIRMED_INTERVALS", 0.3)  # 3 s, of the shortest interval
 
     def prepare(running: LedUnit) -> None:
         running.unit.place(POSE)

@@ -13,7 +13,7 @@ from pathlib import Path
 from tools.defects.catalogue import DEFECTS, Defect
 
 ROOT = Path(__file__).resolve().parents[2]
-_UNIT_TESTS = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--maxfail=3", "tests/unit"]
+_PYTEST = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "--maxfail=3"]
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 
@@ -33,7 +33,7 @@ def main() -> int:
 
 
 def _caught_by(defect: Defect) -> list[str]:
-    """The unit tests that fail with the defect."""
+    """The unit tests that fail with the defect: those of its own room, else of any."""
     with tempfile.TemporaryDirectory(prefix="altd-defect-", dir=ROOT.parent) as name:
         copy = Path(name)  # beside the project: the tests' ../shared is there too
         ignored = shutil.ignore_patterns(".*", "__pycache__", "build", "dist")
@@ -43,8 +43,14 @@ def _caught_by(defect: Defect) -> list[str]:
         if text.count(defect.old) != 1:
             raise SystemExit(f"{defect.file}: the defect of {defect.room} has no place there any more")
         file.write_text(text.replace(defect.old, defect.new), encoding="utf-8")
-        ran = subprocess.run(_UNIT_TESTS, cwd=copy, capture_output=True, text=True, check=False)  # noqa: S603
-        return _FAILED.findall(ran.stdout)
+        caught: list[str] = []
+        for tests in (f"tests/unit/{Path(defect.file).parts[1]}", "tests/unit"):
+            command = [*_PYTEST, tests]
+            ran = subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)  # noqa: S603
+            caught = caught or _FAILED.findall(ran.stdout)
+            if caught:
+                break
+        return caught
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from altd.records import Frame, counted
 from altd.runtime.threads import DeviceThread, call_in_thread
 from altd.status.cause import ShownCause, StateReport
 from altd.status.health import Component, State
-from altd.status.recording_desk import KeptRecording, NoExposureError, NotKeptError
+from altd.status.services import KeptRecording, NoExposureError, NotKeptError
 
 log = logging.getLogger("altd")
 

@@ -21,7 +21,7 @@ from altd.files.reading import read_file
 from altd.files.writing import replace_file
 from altd.recording.header import HEADER_FILE
 from altd.records import utc_text
-from altd.status.recording_desk import KeptRecording, NoExposureError, NotKeptError
+from altd.status.services import KeptRecording, NoExposureError, NotKeptError
 
 _ABOUT_FILE = "kept.json"
 _MAX_ABOUT_BYTES = 4096

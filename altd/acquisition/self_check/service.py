@@ -26,7 +26,7 @@ from altd.runtime.threads import call_in_thread
 from altd.selfcheck.history_document import as_object
 from altd.selfcheck.records import Verdict
 from altd.status.health import Component, State
-from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
+from altd.status.services import SelfCheckReport, SelfCheckService
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class SelfChecks:
         self,
         parts: CheckParts,
         targets: Mapping[str, str],
-        desk: SelfCheckDesk,
+        service: SelfCheckService,
         component: Component,
         clock: Clock,
     ) -> None:
@@ -94,7 +94,7 @@ class SelfChecks:
         self._geometry = parts.geometry
         self._correction = parts.correction
         self._memory = parts.memory
-        self._desk = desk
+        self._service = service
         self._component = component
         self._clock = clock
         self._shocks = ShockWatch(targets)
@@ -105,7 +105,7 @@ class SelfChecks:
         self._has_jumped = False
         """There was a shock since the last check began."""
         self._logged = ""
-        desk.open(partial(parts.schedule.ask, Cause.REQUEST))
+        service.open(partial(parts.schedule.ask, Cause.REQUEST))
 
     def keep_history_in(self, path: Path, component: Component) -> None:
         """Keep the history of the checks in this file; ``component`` says how that does. Before ``run``."""
@@ -154,7 +154,7 @@ class SelfChecks:
             cause = await self._schedule.next()
             self._has_jumped = False
             lost_before = _marked(frames)
-            number = self._desk.begin()
+            number = self._service.begin()
             has_begun = True
             try:
                 judged = await self._checked(exposer)
@@ -196,7 +196,7 @@ class SelfChecks:
         """Tell that a check could not begin. Without frames nothing is measured either: it is tried again."""
         report = report_of(occasion, judged)
         self._component.set_state(State.DEGRADED, report.sentence)
-        self._desk.put_up(report)
+        self._service.publish(report)
 
     def _judged(self, frames: CheckFrames, at: Mapping[str, SpotPx]) -> Judged:
         """The verdict, with all that takes long of what may follow from it; beside the loop."""
@@ -221,7 +221,7 @@ class SelfChecks:
             level = logging.INFO if check.verdict is Verdict.GOOD else logging.WARNING
             log.log(level, "self-check: %s", report.sentence)
         self._schedule.ended(check.verdict in (Verdict.GOOD, Verdict.SUSPECT) and check.is_whole)
-        self._desk.put_up(report)
+        self._service.publish(report)
 
     def _lacks_exposures(self, measurement: Measurement) -> bool:
         errors = {fault.reason for fault in measurement.status if not fault.reason.is_warning}

@@ -13,9 +13,9 @@ from altd.publish.http.errors import refusal
 from altd.publish.http.guard import Guard, Refused
 from altd.publish.http.models import Answer
 from altd.publish.http.recordings import Downloads, saved_as, sent_whole
-from altd.status.calibration_desk import (
-    CalibrationDesk,
+from altd.status.services import (
     CalibrationFiles,
+    CalibrationService,
     NoCalibrationFileError,
     NoReportError,
 )
@@ -149,21 +149,21 @@ _NONE = "there is no calibration"
 class LoadedCalibration:
     """The calibration of one unit, as HTTP gives it."""
 
-    def __init__(self, desk: CalibrationDesk, guard: Guard, downloads: Downloads) -> None:
-        self._desk = desk
+    def __init__(self, service: CalibrationService, guard: Guard, downloads: Downloads) -> None:
+        self._service = service
         self._guard = guard
         self._downloads = downloads
 
     async def summary(self) -> Response:
         """What it says, and whether there is a report on it."""
-        if self._desk.files is None:
+        if self._service.files is None:
             return refusal(503, _NONE)
         why = ""
         try:
-            await self._desk.files.check_report()
+            await self._service.files.check_report()
         except NoReportError as error:
             why = str(error)
-        return JSONResponse({**self._desk.summary, "report": {"available": not why, "why": why}})
+        return JSONResponse({**self._service.summary, "report": {"available": not why, "why": why}})
 
     def file(self, request: Request) -> Response:
         """The file as it was loaded."""
@@ -201,4 +201,4 @@ class LoadedCalibration:
             self._guard.check_may_look(request)
         except Refused as refused:
             return refused.answer
-        return refusal(503, _NONE) if self._desk.files is None else self._desk.files
+        return refusal(503, _NONE) if self._service.files is None else self._service.files

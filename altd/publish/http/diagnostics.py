@@ -140,10 +140,10 @@ class Diagnostics:
         return _json(as_object_now(measurement, self._board.age_s()))
 
     def _self_check(self) -> bytes:
-        desk = self._health.self_check
-        if desk.latest is None:
-            raise LookupError(desk.unavailable or "there was no self-check since the unit started")
-        return _json(desk.latest.document)
+        service = self._health.self_check
+        if service.latest is None:
+            raise LookupError(service.unavailable or "there was no self-check since the unit started")
+        return _json(service.latest.document)
 
 
 def _of(name: str, meaning: str, make: Callable[[], bytes]) -> _Part:

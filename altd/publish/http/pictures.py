@@ -26,7 +26,7 @@ from wsproto.events import Ping
 
 from altd.publish.http.guard import Guard, Refused
 from altd.status.health import Component
-from altd.status.picture_desk import NoPictureError, Picture, PictureDesk
+from altd.status.services import NoPictureError, Picture, PictureService
 
 MAX_BYTES_AT_ONCE = 2048
 MAX_BYTES_PER_S = 1024
@@ -99,8 +99,8 @@ _TRY_LATER, _GOING_AWAY, _NOT_ACCEPTED, _NOT_ALLOWED = 1013, 1001, 1003, 1008
 class Viewers:
     """Browsers that look at the targets, so that they stay few."""
 
-    def __init__(self, desk: PictureDesk, component: Component, guard: Guard) -> None:
-        self._desk = desk
+    def __init__(self, service: PictureService, component: Component, guard: Guard) -> None:
+        self._service = service
         self._guard = guard
         self._component = component
         self.open = 0
@@ -132,7 +132,7 @@ class Viewers:
 
     async def _serve(self, socket: WebSocket) -> None:
         await socket.accept()
-        maker = self._desk.maker
+        maker = self._service.provider
         views = json.dumps({"views": [view.as_object() for view in maker.views]}, allow_nan=False)
         await _within(socket.send_text(views))
         seen: dict[str, int] = {}

@@ -12,7 +12,7 @@ from starlette.types import Receive, Scope, Send
 
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
-from altd.status.recording_desk import NotKeptError, RecordingDesk, RecordingKeeper
+from altd.status.services import NotKeptError, RecordingKeeper, RecordingService
 
 MAX_DOWNLOADS = 2
 """Recordings, diagnostics, calibration files and reports that are made or sent at a time."""
@@ -78,15 +78,15 @@ _READABLE = 0o644
 class Recordings:
     """The recordings of one unit, as HTTP gives them."""
 
-    def __init__(self, desk: RecordingDesk, guard: Guard, downloads: Downloads) -> None:
-        self._desk = desk
+    def __init__(self, service: RecordingService, guard: Guard, downloads: Downloads) -> None:
+        self._service = service
         self._guard = guard
         self._downloads = downloads
 
     def listed(self) -> Response:
         """What there is."""
-        kept = [recording.as_object() for recording in self._desk.recordings]
-        return JSONResponse({"unavailable": self._desk.unavailable, "recordings": kept})
+        kept = [recording.as_object() for recording in self._service.recordings]
+        return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
 
     async def keep(self, request: Request) -> Response:
         """Keep the last seconds, for who may act."""
@@ -94,7 +94,7 @@ class Recordings:
             actor = self._guard.actor(request)
             host = "" if request.client is None else f" {request.client.host}"
             by = f"asked by http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}"
-            kept = await self._desk.keeper.keep(by)
+            kept = await self._service.provider.keep(by)
         except Refused as refused:
             return refused.answer
         except NotKeptError as error:
@@ -106,7 +106,7 @@ class Recordings:
         try:
             self._guard.actor(request)
             name = self._known_name(request)
-            kept = await self._desk.keeper.mark(name, request.method == "PUT")
+            kept = await self._service.provider.mark(name, request.method == "PUT")
         except Refused as refused:
             return refused.answer
         except NotKeptError as error:
@@ -118,7 +118,7 @@ class Recordings:
         try:
             self._guard.check_may_look(request)
             name = self._known_name(request)
-            files = await self._desk.keeper.files(name)
+            files = await self._service.provider.files(name)
         except Refused as refused:
             return refused.answer
         except NotKeptError as error:
@@ -128,14 +128,16 @@ class Recordings:
 
         async def made() -> Response:
             named = saved_as(f"{name}.tar")
-            return StreamingResponse(_tar(self._desk.keeper, name, files), media_type=_TAR, headers=named)
+            return StreamingResponse(
+                _tar(self._service.provider, name, files), media_type=_TAR, headers=named
+            )
 
         return self._downloads.of(made)
 
     def _known_name(self, request: Request) -> str:
         """The recording that the path names, one of the list; raises Refused."""
         name = str(request.path_params["name"])
-        if all(name != recording.name for recording in self._desk.recordings):
+        if all(name != recording.name for recording in self._service.recordings):
             raise Refused(refusal(404, "there is no such recording"))
         return name
 

@@ -9,7 +9,7 @@ from starlette.responses import JSONResponse, Response
 
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import THIS_COMPUTER, Guard, Refused
-from altd.status.self_check_desk import NoSelfCheckError, SelfCheckDesk
+from altd.status.services import NoSelfCheckError, SelfCheckService
 
 WAIT_S = 25.0
 """A check that was asked for has ended by then, unless the cameras do not deliver."""
@@ -18,27 +18,27 @@ MAX_WAITING = 8
 """More do not wait for a check at once, so that connections are left for those who read."""
 
 
-async def answer(request: Request, desk: SelfCheckDesk, guard: Guard) -> Response:
+async def answer(request: Request, service: SelfCheckService, guard: Guard) -> Response:
     """What the last check said; after a POST, what one says that is made now."""
     if request.method != "POST":
-        if desk.latest is None:
-            why = desk.unavailable or "there was no self-check since the unit started"
+        if service.latest is None:
+            why = service.unavailable or "there was no self-check since the unit started"
             return JSONResponse({"verdict": None, "reasons": [why]})
-        return JSONResponse(desk.latest.document)
+        return JSONResponse(service.latest.document)
     try:
         actor = guard.actor(request)
     except Refused as refused:
         return refused.answer
-    if desk.waiting >= MAX_WAITING:
-        return refusal(503, f"{desk.waiting} wait for a self-check already; /api/self-check has it soon")
+    if service.waiting >= MAX_WAITING:
+        return refusal(503, f"{service.waiting} wait for a self-check already; /api/self-check has it soon")
     try:
         host = "" if request.client is None else f" {request.client.host}"
-        number = desk.ask(f"http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}")
+        number = service.ask(f"http{host}{'' if actor == THIS_COMPUTER else f', {actor}'}")
     except NoSelfCheckError as error:
         return refusal(409, str(error))
     try:
         async with asyncio.timeout(WAIT_S):
-            report = await desk.report(number)
+            report = await service.report(number)
     except TimeoutError:
         return refusal(504, f"the self-check has not ended within {WAIT_S:g} s; /api/status says why")
     return JSONResponse(report.document)

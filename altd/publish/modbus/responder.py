@@ -28,7 +28,7 @@ from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component
 from altd.status.proof import Stamps
-from altd.status.self_check_desk import NoSelfCheckError, SelfCheckDesk
+from altd.status.services import NoSelfCheckError, SelfCheckService
 
 WRITE_SINGLE_REGISTER = 6
 """Modbus Application Protocol V1.1b3, 6.6: function, address, value; the response is the request again."""
@@ -40,13 +40,13 @@ SELF_CHECK_NOW = 1
 _REQUEST = struct.Struct(">BHH")
 
 
-def command_response(request: bytes, desk: SelfCheckDesk) -> bytes:
+def command_response(request: bytes, service: SelfCheckService) -> bytes:
     """The response to a request with function 6, from the function code on."""
-    refusal = _refusal(request, desk)
+    refusal = _refusal(request, service)
     return request if refusal is None else bytes([WRITE_SINGLE_REGISTER | 0x80, refusal])
 
 
-def _refusal(request: bytes, desk: SelfCheckDesk) -> ExcCodes | None:
+def _refusal(request: bytes, service: SelfCheckService) -> ExcCodes | None:
     """Carry a request out; the code of the exception where that cannot be."""
     if len(request) != _REQUEST.size:
         return ExcCodes.ILLEGAL_VALUE
@@ -56,7 +56,7 @@ def _refusal(request: bytes, desk: SelfCheckDesk) -> ExcCodes | None:
     if value != SELF_CHECK_NOW:
         return ExcCodes.ILLEGAL_VALUE
     try:
-        desk.ask("modbus")
+        service.ask("modbus")
     except NoSelfCheckError:
         return ExcCodes.DEVICE_FAILURE
     return None

@@ -26,7 +26,7 @@ from altd.publish.modbus.responder import WRITE_SINGLE_REGISTER, Responder, comm
 from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, State
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import SelfCheckService
 from altd.tcp_port.accepting import accept, is_among_last, listen
 from altd.tcp_port.addresses import Networks, address_of, group_of
 
@@ -167,18 +167,18 @@ READ_AHEAD_BYTES = 1024
 
 
 class ModbusTcpPublisher:
-    """Serves the board over Modbus TCP. A self-check is asked for at ``desk`` where the settings allow it."""
+    """Serves the board over Modbus TCP. ``service`` takes self-checks that controllers may ask for."""
 
     def __init__(
         self,
         settings: ModbusTcpSettings,
         board: Board,
         component: Component,
-        desk: SelfCheckDesk | None = None,
+        service: SelfCheckService | None = None,
         state: Callable[[], StateReport | None] = lambda: None,
     ) -> None:
         self._settings = settings
-        self._desk = desk if settings.allow_self_check else None
+        self._service = service if settings.allow_self_check else None
         self._responder = Responder(board, component, state)
         self._component = component
         self._clients: dict[Connection, asyncio.Task[None]] = {}
@@ -253,9 +253,9 @@ class ModbusTcpPublisher:
 
     async def _answer(self, unit: int, request: bytes) -> bytes:
         if unit == self._settings.unit_id or unit in _DIRECT:
-            if self._desk is not None and request[0] == WRITE_SINGLE_REGISTER:
+            if self._service is not None and request[0] == WRITE_SINGLE_REGISTER:
                 self._component.count("commands")
-                return command_response(request, self._desk)
+                return command_response(request, self._service)
             return await self._responder.answer(request)
         self._component.count("other_units")
         return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])

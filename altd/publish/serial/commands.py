@@ -24,7 +24,7 @@ from altd.publish.serial.words import WIDTH, measurement_text, status_text, watc
 from altd.reasons import Signal
 from altd.records import Measurement, Quantities
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 _MAKER, _KIND = "altd", "Active Laser Target"
 _SUMMARY_BIT = 6
@@ -192,16 +192,16 @@ def _version(sources: Sources) -> str:
 
 
 def _self_check(sources: Sources, now: str = "") -> str | Question:
-    desk = sources.health.self_check
+    service = sources.health.self_check
     if now.lower() not in ("", "now"):
         raise UsageError(f"selfcheck is used as: selfcheck [now], not {now[:24]!r}")
-    if desk.unavailable:
-        return _none(desk.unavailable)
+    if service.unavailable:
+        return _none(service.unavailable)
     if now:
         return Question("the frame LEDs are lit for some exposures; check now?", lambda: _ask(sources))
-    if desk.latest is None:
+    if service.latest is None:
         return "no self-check since the unit started"
-    return fill(f"{_time_of(desk.latest)}{desk.latest.sentence}", WIDTH, subsequent_indent="  ")
+    return fill(f"{_time_of(service.latest)}{service.latest.sentence}", WIDTH, subsequent_indent="  ")
 
 
 def _ask(sources: Sources) -> str:

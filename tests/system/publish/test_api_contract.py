@@ -31,7 +31,7 @@ from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 SCHEMATHESIS = (sys.executable, "-m", "schemathesis.cli", "run", "--no-color", "--checks", "all")
 OPTIONS = ("--max-examples", "20", "--request-timeout", "5", "--generation-deterministic")
@@ -55,9 +55,9 @@ async def port(
     for name in ("ATTEMPTS", "ALL_ATTEMPTS"):
         monkeypatch.setattr(guard, name, Rate(burst=10**6, per_s=1e6))
     board.publish(measurement())
-    desk = health.self_check
+    service = health.self_check
     report = SelfCheckReport(1, "good", {"verdict": "good", "reasons": []})
-    desk.open(lambda: asyncio.get_running_loop().call_soon(desk.put_up, report) and None)
+    service.open(lambda: asyncio.get_running_loop().call_soon(service.publish, report) and None)
     digest = token_digest(token)
     change(tmp_path / "credentials", "press", lambda known: known.with_token("press", digest))
     settings = HttpSettings(host="127.0.0.1", port=0, credentials=tmp_path / "credentials")

@@ -24,7 +24,7 @@ from altd.publish.http.limits import REQUESTS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 
 @asynccontextmanager
@@ -66,7 +66,7 @@ async def test_curl_acts_by_token_and_by_session_over_tls(
     token = altd_here("token", credentials, "press").out.strip()
     desk = health.self_check
     report = SelfCheckReport(1, "good", {"verdict": "good", "reasons": []})
-    desk.open(lambda: asyncio.get_running_loop().call_soon(desk.put_up, report) and None)
+    desk.open(lambda: asyncio.get_running_loop().call_soon(desk.publish, report) and None)
     ours = ("--cacert", certificate, "-H", "X-Altd-Request: 1")
     login = json.dumps({"name": "ana", "password": "open sesame"})
     async with unit(board, health, certificate=certificate, key=key, credentials=credentials) as port:

@@ -107,7 +107,7 @@ async def unit(
         running.unit.place(POSE)
         await running.measured(valid=True)
         await asyncio.sleep(2.5)
-        await running.daemon.health.recordings.keeper.keep("for a test")
+        await running.daemon.health.recordings.provider.keep("for a test")
         await running.measured(valid=True)
         yield Unit(running, http, modbus, resident_mb())
 

@@ -29,7 +29,7 @@ from altd.status.board import Board
 from altd.status.event_log import EventKind
 from altd.status.health import Health
 from altd.status.proof import Identity
-from altd.status.recording_desk import KeptRecording, NotKeptError
+from altd.status.services import KeptRecording, NotKeptError
 
 pytestmark = pytest.mark.real_time
 

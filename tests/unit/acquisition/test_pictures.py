@@ -17,7 +17,7 @@ from support.evidence import calibration, nodes_mm, straight_px
 from altd.acquisition.pictures import MAX_RATE_HZ, MAX_WIDTH_PX, Pictures, contour_of
 from altd.reasons import Reason
 from altd.records import Frame, NoSpot, Spot, SpotShape
-from altd.status.picture_desk import NoPictureError, Picture
+from altd.status.services import NoPictureError, Picture
 
 SPOT = Spot(200.5, 100.25, 0.01, 44.0, 150.0)
 SECOND_NS = 10**9

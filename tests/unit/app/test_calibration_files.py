@@ -13,7 +13,7 @@ from support.evidence import calibration, target
 from altd.app import calibration_files
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.calibration.file import load_calibration, save_calibration
-from altd.status.calibration_desk import NoCalibrationFileError, NoReportError
+from altd.status.services import NoCalibrationFileError, NoReportError
 
 
 def page_of(checksum: str) -> str:

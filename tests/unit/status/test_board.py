@@ -28,17 +28,17 @@ def test_an_empty_board_reads_nothing(board: Board) -> None:
 
 
 async def test_a_value_that_nothing_follows_loses_its_numbers(board: Board, clock: FakeClock) -> None:
-    put_up = measurement()
-    board.publish(put_up)
+    published = measurement()
+    board.publish(published)
     await clock.advance(1.0)
-    assert board.read() is put_up
+    assert board.read() is published
     await clock.advance(0.001)
     stale = board.read()
     assert stale is not None
     assert not stale.valid
     assert points_of(stale) == {"front": None, "rear": None}
     assert [fault.reason for fault in stale.status] == [Reason.STALE]
-    assert stale.sequence == put_up.sequence
+    assert stale.sequence == published.sequence
 
 
 async def test_a_reader_that_is_late_gets_the_latest_and_knows_what_it_skipped(board: Board) -> None:

@@ -22,7 +22,7 @@ from altd.status.event_log import (
     EventLog,
 )
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckDesk, SelfCheckReport
+from altd.status.services import SelfCheckReport, SelfCheckService
 from altd.status.state import StateEvents, UnitState
 
 __all__ = ["board", "clock", "health"]
@@ -110,7 +110,7 @@ def test_the_page_of_the_history_has_every_kind() -> None:
 
 class TestStateEvents:
     @pytest.fixture
-    def desk(self, health: Health) -> SelfCheckDesk:
+    def service(self, health: Health) -> SelfCheckService:
         return health.self_check
 
     @pytest.fixture
@@ -144,11 +144,11 @@ class TestStateEvents:
         assert [event.time for event in log.after(0)] == sorted(event.time for event in log.after(0))
 
     def test_a_self_check_and_who_asked_are_noted(
-        self, observer: StateEvents, log: EventLog, desk: SelfCheckDesk
+        self, observer: StateEvents, log: EventLog, service: SelfCheckService
     ) -> None:
-        desk.open(lambda: None)
-        desk.ask("modbus")
-        desk.put_up(SelfCheckReport(1, "it is bad", {"verdict": "bad", "number": 1, "targets": {}}))
+        service.open(lambda: None)
+        service.ask("modbus")
+        service.publish(SelfCheckReport(1, "it is bad", {"verdict": "bad", "number": 1, "targets": {}}))
         observer.look()
         observer.look()
         told = [event for event in log.after(0) if event.kind in (EventKind.REQUEST, EventKind.SELF_CHECK)]
@@ -159,10 +159,10 @@ class TestStateEvents:
         assert told[1].detail == {"verdict": "bad", "number": 1}
 
     def test_how_far_each_target_has_moved_is_noted_with_its_check(
-        self, observer: StateEvents, log: EventLog, desk: SelfCheckDesk
+        self, observer: StateEvents, log: EventLog, service: SelfCheckService
     ) -> None:
         seen = {"front": {"leds_found": 8, "shift_px": [0.12, -0.3]}, "rear": {"shift_px": None}}
-        desk.put_up(SelfCheckReport(1, "good", {"verdict": "good", "number": 1, "targets": seen}))
+        service.publish(SelfCheckReport(1, "good", {"verdict": "good", "number": 1, "targets": seen}))
         observer.look()
         (told,) = [event for event in log.after(0) if event.kind is EventKind.SELF_CHECK]
         assert told.detail["shift_px"] == {"front": [0.12, -0.3], "rear": None}

@@ -31,7 +31,7 @@ from altd.status.availability import Availability
 from altd.status.cause import Cause, Kind, ShownCause, StateReport, worst
 from altd.status.conditions import Condition
 from altd.status.health import Component, Health, State
-from altd.status.recording_desk import KeptRecording, NotKeptError
+from altd.status.services import KeptRecording, NotKeptError
 
 PERIOD_NS = 50_000_000
 CAMERAS = "front", "rear"

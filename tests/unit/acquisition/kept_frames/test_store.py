@@ -16,7 +16,7 @@ import pytest
 
 from altd.acquisition.kept_frames.store import RecordingStore, Written
 from altd.errors import BadInputError
-from altd.status.recording_desk import KeptRecording, NotKeptError
+from altd.status.services import KeptRecording, NotKeptError
 
 START = datetime(2026, 11, 20, 1, 23, 45, tzinfo=UTC)
 KIB = 1024

@@ -24,7 +24,7 @@ from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame
 from altd.selfcheck.records import Limits
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import SelfCheckService
 
 CAMERAS = {"left": "front", "right": "rear"}
 PERIOD_NS = 50_000_000
@@ -54,7 +54,7 @@ class Bench:
             CheckMemory(calibration, self._clock),
         )
         component = Health(self._clock).component("self-check")
-        self._checks = SelfChecks(parts, CAMERAS, SelfCheckDesk(), component, self._clock)
+        self._checks = SelfChecks(parts, CAMERAS, SelfCheckService(), component, self._clock)
         self.told: dict[int, str] = {}
         self._rng = np.random.default_rng(2)
 

@@ -25,7 +25,7 @@ from altd.acquisition.self_check.service import CheckParts, SelfChecks
 from altd.config import SelfCheckSettings
 from altd.selfcheck.records import Limits, SelfCheck, Verdict
 from altd.status.health import Component
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import SelfCheckService
 
 CAMERAS = ("front", "rear")
 
@@ -49,7 +49,7 @@ class Running:
     """The service with what it needs of others made by hand; ``found``: what each check finds."""
 
     def __init__(self, has_begun: bool, found: SelfCheck | None = None, **settings: object) -> None:
-        self.clock, self.desk = FakeClock(), SelfCheckDesk()
+        self.clock, self.service = FakeClock(), SelfCheckService()
         checked = SelfCheckSettings.model_validate(settings)
         geometry = GeometryState(checked, Limits(), evidence.calibration(), self.clock)
         parts = CheckParts(
@@ -62,7 +62,7 @@ class Running:
         )
         component = Component("self-check", self.clock)
         self.checks = SelfChecks(
-            parts, dict(zip(CAMERAS, CAMERAS, strict=True)), self.desk, component, self.clock
+            parts, dict(zip(CAMERAS, CAMERAS, strict=True)), self.service, component, self.clock
         )
         self.exposer = Exposer(self.clock, has_begun, found is not None)
         self.lamps: Any = SimpleNamespace(complaint="", is_starting=False)
@@ -111,17 +111,17 @@ async def test_a_check_that_could_not_begin_is_not_the_first_whoever_asked_for_i
 ) -> None:
     running = Running(has_begun=False)
     if cause is Cause.REQUEST:
-        running.desk.ask()
+        running.service.ask()
     elif cause is Cause.SHOCK:
         running.checks._schedule.ask(cause)  # noqa: SLF001
     async with running:
         assert running.passed == (False, ["self_checking"])
         await running.clock.advance(3.1)
-        assert running.desk.latest is not None
-        assert running.desk.latest.sentence == "unknown: no camera had steady exposures"
+        assert running.service.latest is not None
+        assert running.service.latest.sentence == "unknown: no camera had steady exposures"
         assert running.passed == (False, ["self_checking"])
         for _ in range(5):
-            running.desk.ask()
+            running.service.ask()
             await running.clock.advance(3.1)
             assert running.passed == (False, ["self_checking"])
 
@@ -139,12 +139,12 @@ async def test_what_was_bad_before_the_start_is_not_valid_after_a_first_check_th
     before = Running(has_begun=True, found=SelfCheck(last, {}, {}, ("moved",)))
     before.checks.keep_history_in(tmp_path / "checks.json", Component("history", before.clock))
     async with before, asyncio.timeout(60):
-        await before.desk.report(1)
+        await before.service.report(1)
     after = Running(has_begun=True)
     after.checks.keep_history_in(tmp_path / "checks.json", Component("history", after.clock))
     async with after, asyncio.timeout(60):
         assert after.passed == (False, ["self_checking"])
-        while after.desk.latest is None:
+        while after.service.latest is None:
             await after.clock.advance(0.1)
         is_valid, says = after.passed
         assert is_valid is (last is not Verdict.BAD)
@@ -155,7 +155,7 @@ async def test_a_flood_of_requests_lights_the_leds_no_more_often_than_the_rest_a
     async with Running(has_begun=True) as running:
         for _ in range(600):
             for _ in range(50):
-                running.desk.ask()
+                running.service.ask()
             await running.clock.advance(0.1)
     asked_s = running.exposer.asked_s
     assert 6 <= len(asked_s) <= 8
@@ -164,18 +164,18 @@ async def test_a_flood_of_requests_lights_the_leds_no_more_often_than_the_rest_a
 
 async def test_a_requested_check_that_could_not_begin_answers_who_waits() -> None:
     async with Running(has_begun=False) as running:
-        waiting = asyncio.create_task(running.desk.report(running.desk.ask()))
+        waiting = asyncio.create_task(running.service.report(running.service.ask()))
         await running.clock.advance(3.1)
         await running.clock.advance(3.1)
         assert (await waiting).number == 2
-        assert running.desk.waiting == 0
+        assert running.service.waiting == 0
 
 
 @pytest.mark.parametrize(("is_whole", "checks"), [(True, 1), (False, 2)])
 async def test_a_check_that_saw_but_a_part_is_repeated_soon(is_whole: bool, checks: int) -> None:
     found = SelfCheck(Verdict.SUSPECT, {}, {}, ("rear: moved", "front: dark"), is_whole)
     async with Running(has_begun=True, found=found) as running, asyncio.timeout(60):
-        await running.desk.report(1)
+        await running.service.report(1)
         await settle()
         await running.clock.advance(FIRST_REPEAT_S + 0.1)
         assert len(running.exposer.asked_s) == checks
@@ -186,19 +186,19 @@ GOOD = SelfCheck(Verdict.GOOD, {}, {})
 
 async def test_after_a_shock_the_geometry_is_unknown_until_its_check_has_ended() -> None:
     async with Running(has_begun=True, found=GOOD) as running, asyncio.timeout(60):
-        await running.desk.report(1)
+        await running.service.report(1)
         assert running.passed == (True, [])
         running.strike()
         await running.clock.advance(REST_S - 0.1)
         assert running.passed == (True, ["geometry_unknown"])
         await running.clock.advance(0.2)
-        await running.desk.report(2)
+        await running.service.report(2)
         assert running.passed == (True, [])
 
 
 async def test_a_check_that_a_shock_falls_into_says_nothing_of_what_is_after_it() -> None:
     async with Running(has_begun=True, found=GOOD) as running, asyncio.timeout(60):
-        await running.desk.report(1)
+        await running.service.report(1)
         judged = running.checks._judge.judge  # noqa: SLF001
 
         def struck(*asked: Any) -> Judged:
@@ -206,11 +206,11 @@ async def test_a_check_that_a_shock_falls_into_says_nothing_of_what_is_after_it(
             return judged(*asked)
 
         running.checks._judge.judge = struck  # type: ignore[method-assign]  # noqa: SLF001
-        running.desk.ask()
+        running.service.ask()
         await running.clock.advance(REST_S + 0.1)
-        await running.desk.report(2)
+        await running.service.report(2)
         assert running.passed == (True, ["geometry_unknown"])
         running.checks._judge.judge = judged  # type: ignore[method-assign]  # noqa: SLF001
         await running.clock.advance(REST_S + 0.1)
-        await running.desk.report(3)
+        await running.service.report(3)
         assert running.passed == (True, [])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from altd.status.calibration_desk import NoCalibrationFileError, NoReportError
+from altd.status.services import NoCalibrationFileError, NoReportError
 
 PAGE = b'<!DOCTYPE html><meta charset="utf-8"><script>alert(document.cookie)</script>'
 FILE = b'{"format": "altd-calibration/1"}\n'

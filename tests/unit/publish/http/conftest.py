@@ -30,7 +30,7 @@ from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 
 @dataclass
@@ -180,7 +180,7 @@ def checked(health: Health) -> list[int]:
 
     def make() -> None:
         numbers.append(desk.begin())
-        desk.put_up(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
+        desk.publish(SelfCheckReport(numbers[-1], "good", {"verdict": "good", "reasons": []}))
 
     desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
     return numbers

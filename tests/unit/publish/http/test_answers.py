@@ -23,7 +23,7 @@ from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.measurement_json import PROOF_KEYS, as_object_now
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 from .conftest import Served
 from .documents import NEED_MORE
@@ -172,7 +172,7 @@ async def test_a_defect_is_answered_in_json_and_logged_as_one(
     served: Served, health: Health, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Such as a number that JSON does not have."""
-    health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "moved_mm": math.nan}))
+    health.self_check.publish(SelfCheckReport(1, "good", {"verdict": "good", "moved_mm": math.nan}))
     async with served() as unit:
         answer = await unit.ask("/api/v1/self-check")
         assert (await unit.ask("/healthz")).status == 200

@@ -25,7 +25,7 @@ from altd.publish.http import diagnostics
 from altd.status.board import Board
 from altd.status.diagnostic_part import DiagnosticPart
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 from .calibration_files import Files
 from .conftest import Answer, served_with
@@ -79,7 +79,7 @@ async def test_all_that_is_known_is_in_it(
     board: Board, health: Health, recorded: History, tmp_path: Path
 ) -> None:
     board.publish(at(START_S + 119.5, 2.0))
-    health.self_check.put_up(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
+    health.self_check.publish(SelfCheckReport(1, "good", {"verdict": "good", "reasons": []}))
     health.calibration.open(summary_of(calibration(), ("front",), "cal.json"), Files())
     health.diagnostics = (DiagnosticPart("versions.txt", "versions", lambda: b"altd 0.1.0\n"),)
     async with served_with(board, health, recorded) as unit:

@@ -19,7 +19,7 @@ from altd.publish.http.guard import Guard, Refused
 from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR
 from altd.publish.http.sessions import IDLE_S
 from altd.status.health import Component, Health, State
-from altd.status.picture_desk import Picture, TargetView
+from altd.status.services import Picture, TargetView
 
 from .conftest import OURS, PASSWORD, TOKEN, Served, check, cookie_of, log_in
 

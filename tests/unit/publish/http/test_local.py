@@ -21,7 +21,7 @@ from altd.records import Measurement
 from altd.runtime.supervision import keep_running
 from altd.status.board import Board
 from altd.status.health import Health, State
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 from .conftest import Served
 from .documents import NEED_MORE
@@ -67,12 +67,12 @@ async def test_every_path_of_the_network_is_answered_alike(
 
 
 async def test_who_may_open_the_file_may_ask_for_a_check(path: Path, health: Health) -> None:
-    desk, loop = health.self_check, asyncio.get_running_loop()
+    service, loop = health.self_check, asyncio.get_running_loop()
 
     def make() -> None:
-        desk.put_up(SelfCheckReport(desk.begin(), "good", {"verdict": "good"}))
+        service.publish(SelfCheckReport(service.begin(), "good", {"verdict": "good"}))
 
-    desk.open(lambda: loop.call_soon(make) and None)
+    service.open(lambda: loop.call_soon(make) and None)
     assert await said(path, "/api/self-check", "POST") == (200, {"verdict": "good"})
     assert (await said(path, "/api/v1/session"))[1]["may_act"] is True
 

@@ -117,7 +117,7 @@ async def test_what_self_checks_say_is_what_the_document_says(served: Served, he
         none = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
         for number, check in enumerate(checks, 1):
             report = report_of(Occasion(number, Cause.REQUEST, None, 3), Judged(check, ("a note",)))
-            health.self_check.put_up(report)
+            health.self_check.publish(report)
             shown = fits(DOCUMENT, "/api/v1/self-check", await unit.ask("/api/v1/self-check"))
             assert shown["number"] == number
     assert none["verdict"] is None

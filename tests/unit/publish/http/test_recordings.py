@@ -16,7 +16,7 @@ from unit.publish.http.conftest import Answer, Served, Unit
 
 from altd.publish.http.recordings import MAX_DOWNLOADS
 from altd.status.health import Health
-from altd.status.recording_desk import KeptRecording, NotKeptError
+from altd.status.services import KeptRecording, NotKeptError
 
 NAME = "20261120T012345Z-spot_missing-front"
 KEPT = KeptRecording(NAME, "spot_missing front", "2026-11-20T01:23:45.000Z", 12.0, 240, 50_000_000, False)

@@ -13,7 +13,7 @@ from altd.publish.http import self_check
 from altd.publish.http.guard import Guard
 from altd.publish.http.self_check import MAX_WAITING
 from altd.status.health import Health
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 
 from .conftest import Answer, Served, Unit
 
@@ -40,24 +40,24 @@ async def test_before_the_first_check_says_so(served: Served, health: Health) ->
 
 
 async def test_the_last_check_is_for_anybody_to_read(served: Served, health: Health) -> None:
-    health.self_check.put_up(report(3))
+    health.self_check.publish(report(3))
     async with served() as unit:
         answer = await unit.ask("/api/self-check")
     assert (answer.status, answer.json) == (200, {"verdict": "good", "number": 3})
 
 
 async def test_who_asks_gets_what_a_check_says_that_began_afterwards(served: Served, health: Health) -> None:
-    desk = health.self_check
+    service = health.self_check
     asked = asyncio.Event()
-    desk.open(asked.set)
-    assert desk.begin() == 1
+    service.open(asked.set)
+    assert service.begin() == 1
     async with served() as unit:
         answering = asyncio.create_task(post(unit))
         await asyncio.wait_for(asked.wait(), 60)
-        desk.put_up(report(1))  # it was under way before it was asked for
+        service.publish(report(1))  # it was under way before it was asked for
         await asyncio.sleep(0.05)
         assert not answering.done()
-        desk.put_up(report(desk.begin()))
+        service.publish(report(service.begin()))
         answer = await answering
     assert (answer.status, answer.json["number"]) == (200, 2)
 
@@ -136,13 +136,13 @@ ASKING = "POST /api/self-check HTTP/1.1\r\nHost: 127.0.0.1:80\r\nX-Altd-Request:
 @pytest.fixture
 def asked(health: Health) -> list[int]:
     """Which checks were made; each is made as soon as it was asked for."""
-    desk, numbers = health.self_check, list[int]()
+    service, numbers = health.self_check, list[int]()
 
     def make() -> None:
-        numbers.append(desk.begin())
-        desk.put_up(report(numbers[-1]))
+        numbers.append(service.begin())
+        service.publish(report(numbers[-1]))
 
-    desk.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
+    service.open(lambda: asyncio.get_running_loop().call_soon(make) and None)
     return numbers
 
 
@@ -191,18 +191,18 @@ async def test_what_is_malformed_asks_for_nothing_worse_than_a_check(
 
 
 async def test_a_flood_leaves_room_for_who_reads_and_is_one_check(served: Served, health: Health) -> None:
-    desk, asked = health.self_check, list[bool]()
-    desk.open(lambda: asked.append(True))
+    service, asked = health.self_check, list[bool]()
+    service.open(lambda: asked.append(True))
     async with served() as unit:
         flood = [asyncio.create_task(post(unit)) for _ in range(40)]
         await unit.until(lambda: sum(task.done() for task in flood) == 40 - MAX_WAITING)
         assert {task.result().status for task in flood if task.done()} == {503}
         assert len(asked) == MAX_WAITING  # the schedule makes one check of them
         assert (await unit.ask("/api/status")).status == 200
-        desk.put_up(report(desk.begin()))
+        service.publish(report(service.begin()))
         statuses = [answer.status for answer in await asyncio.gather(*flood)]
         assert sorted(statuses) == [200] * MAX_WAITING + [503] * (40 - MAX_WAITING)
         again = asyncio.create_task(post(unit))
         await unit.until(lambda: len(asked) == MAX_WAITING + 1)
-        desk.put_up(report(desk.begin()))
+        service.publish(report(service.begin()))
         assert (await again).status == 200

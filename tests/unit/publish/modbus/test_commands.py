@@ -12,7 +12,7 @@ from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
 from altd.status.health import Component
-from altd.status.self_check_desk import SelfCheckDesk
+from altd.status.services import SelfCheckService
 
 NOW = bytes.fromhex("06 03e8 0001")
 
@@ -23,18 +23,18 @@ def asked() -> list[bool]:
 
 
 @pytest.fixture
-def desk(asked: list[bool]) -> SelfCheckDesk:
-    desk = SelfCheckDesk()
-    desk.open(lambda: asked.append(True))
-    return desk
+def service(asked: list[bool]) -> SelfCheckService:
+    service = SelfCheckService()
+    service.open(lambda: asked.append(True))
+    return service
 
 
 @pytest.fixture(params=[True])
 async def controller(
-    request: pytest.FixtureRequest, board: Board, component: Component, desk: SelfCheckDesk
+    request: pytest.FixtureRequest, board: Board, component: Component, service: SelfCheckService
 ) -> AsyncIterator[Client]:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=request.param)
-    publisher = ModbusTcpPublisher(settings, board, component, desk)
+    publisher = ModbusTcpPublisher(settings, board, component, service)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -87,9 +87,9 @@ async def test_nothing_else_is_taken(
 
 
 async def test_a_unit_that_cannot_check_itself_is_a_failure_of_the_device(
-    controller: Client, desk: SelfCheckDesk
+    controller: Client, service: SelfCheckService
 ) -> None:
-    desk.unavailable = "the calibration has no LED references"
+    service.unavailable = "the calibration has no LED references"
     assert await controller.ask(NOW) == bytes.fromhex("86 04")
 
 
@@ -102,10 +102,10 @@ async def test_the_ids_of_the_device_itself_are_its_own(
 
 
 async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
-    board: Board, component: Component, desk: SelfCheckDesk, asked: list[bool]
+    board: Board, component: Component, service: SelfCheckService, asked: list[bool]
 ) -> None:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
-    publisher = ModbusTcpPublisher(settings, board, component, desk)
+    publisher = ModbusTcpPublisher(settings, board, component, service)
     status = bytes.fromhex("04 0000 0001")
     async with serving(publisher), connected(publisher) as flooding, connected(publisher) as reading:
         for number in range(2000):

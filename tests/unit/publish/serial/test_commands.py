@@ -22,7 +22,7 @@ from altd.reasons import Reason
 from altd.records import Fault, Measurement
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 from altd.status.state import UnitState
 from altd.status.target_area import TargetArea
 from tools.pages.serial_examples import MEASURED, SPOT_LOST
@@ -196,7 +196,7 @@ class TestForPrograms:
         unit.self_check.open(lambda: pytest.fail("it was asked for"))
         typed = Console(lambda: MEASURED, unit, QUANTITIES)
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n4\r\n> "
-        unit.self_check.put_up(SelfCheckReport(1, "", {"verdict": verdict}))
+        unit.self_check.publish(SelfCheckReport(1, "", {"verdict": verdict}))
         assert typed.feed(b"*TST?\r") == b"*TST?\r\n%d\r\n> " % number
 
     @pytest.mark.parametrize("line", ["*RST", "*CLS", "*ESR?", "*IDN", "*", "*IDN? 1"])

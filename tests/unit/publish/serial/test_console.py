@@ -16,7 +16,7 @@ from altd.publish.serial.words import WIDTH
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.status.health import State
-from altd.status.self_check_desk import SelfCheckReport
+from altd.status.services import SelfCheckReport
 from tools.pages.example import AGE_S
 from tools.pages.serial_examples import MEASURED, SPOT_LOST, health
 
@@ -165,7 +165,7 @@ class TestSelfCheck:
         assert b"no self-check since the unit started" in typed.feed(b"selfcheck\r")
         sentence = "bad: front: shift 1.20 px, " + "which is a great deal more than anybody allows " * 3
         time = "2026-11-20T08:15:30.125Z"
-        unit.self_check.put_up(SelfCheckReport(1, sentence, {"verdict": "bad", "time": time}))
+        unit.self_check.publish(SelfCheckReport(1, sentence, {"verdict": "bad", "time": time}))
         shown = typed.feed(b"selfcheck\r").decode("ascii")
         assert f"\r\n{time}: bad: front: shift 1.20 px" in shown
         assert "anybody allows\r\n>" in shown  # nothing of it is cut off
