@@ -19,7 +19,7 @@ from altd.config import Config
 from altd.errors import BadInputError
 from altd.files.documents import parse_json
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.local_socket.asking import MAX_ANSWER_BYTES, NoAnswerError, ask
+from altd.local_socket import MAX_ANSWER_BYTES, NoAnswerError, ask
 from altd.publish.http.guard import REQUEST_HEADER
 from altd.publish.http.self_check import WAIT_S
 from altd.terminal.documents import (

@@ -14,7 +14,7 @@ from altd.mapping.inverse import InverseMap
 from altd.mapping.tensor_map import TensorMap
 from altd.measuring.spot_shape import shape_in_mm
 from altd.records import FloatArray, Frame, Spot, SpotShape
-from altd.statistics.robust import MAD_TO_SIGMA, median
+from altd.statistics import MAD_TO_SIGMA, median
 from altd.vision.flat import Flat
 from altd.vision.localise import fitted_profile, locate, locate_ellipse
 from altd.vision.misfit import misfit_of

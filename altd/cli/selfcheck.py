@@ -50,7 +50,7 @@ def _ask_daemon(options: argparse.Namespace) -> int:
         raise BadInputError("RECORDING", f"missing, or --config FILE, for there is no {DEFAULT_CONFIG}")
     from altd.app.ask_daemon import ask_running_daemon
     from altd.app.settings import load_settings
-    from altd.local_socket.asking import NoAnswerError
+    from altd.local_socket import NoAnswerError
 
     place = options.config if "config" in options else DEFAULT_CONFIG
     try:

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """One screen of text; 0: it measures and is good or wants maintenance, 1: not so, or no answer."""
     from altd.app.ask_daemon import RunningDaemon
-    from altd.local_socket.asking import NoAnswerError
+    from altd.local_socket import NoAnswerError
     from altd.terminal.lines import is_fine, status_text
 
     daemon = RunningDaemon(socket_of(options), _TIMEOUT_S)

@@ -11,7 +11,7 @@ import numpy as np
 from altd.reasons import Reason
 from altd.records import Fault, FloatArray, FrameSet, MeanSpots, Spot, SpotShape
 from altd.records.spots import SpotMotion
-from altd.statistics.robust import MAD_TO_SIGMA, median
+from altd.statistics import MAD_TO_SIGMA, median
 
 
 def spot_motion(

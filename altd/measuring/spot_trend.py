@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from altd.records import Frame, Spot
-from altd.statistics.robust import median
+from altd.statistics import median
 from altd.vision.dust import DustCount
 from altd.vision.localise import MIN_DISTORTION_DIAMETERS, SATURATED_FROM
 

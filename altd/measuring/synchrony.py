@@ -19,7 +19,7 @@ from collections import deque
 import numpy as np
 
 from altd.records import FloatArray, FrameSet, Spot, counted
-from altd.statistics.robust import MAD_TO_SIGMA, median
+from altd.statistics import MAD_TO_SIGMA, median
 
 _WINDOW_FRAME_SETS = 200
 """10 s at 20 frame sets a second."""

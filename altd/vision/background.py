@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray, PixelArray
-from altd.statistics.robust import MAD_TO_SIGMA, mad_sigma, median
+from altd.statistics import MAD_TO_SIGMA, mad_sigma, median
 from altd.vision.image import Image
 
 CELL_PX = 8

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from altd.records import FloatArray
-from altd.statistics.robust import mad_sigma
+from altd.statistics import mad_sigma
 from altd.vision.blocks import Blocks, blocks_of
 from altd.vision.centre import Centre, Noise
 from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, PEAK, RESIDUAL, RISE_X, Solution, U, V, solve

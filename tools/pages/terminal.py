@@ -10,7 +10,7 @@ from typing import Any
 from altd.app.ask_daemon import READING_INTERVAL_S, STATUS_INTERVAL_S
 from altd.app.settings import SERVICE_SOCKET
 from altd.instruments.beam.instrument import QUANTITIES
-from altd.local_socket.listening import MODE
+from altd.local_socket import MODE
 from altd.status.conditions import Condition
 from altd.status.health import MEASURING, State
 from altd.status.measurement_json import checked_line

@@ -21,7 +21,7 @@ from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
-from altd.tcp_port.addresses import address_of, group_of, is_loopback
+from altd.tcp_port import address_of, group_of, is_loopback
 
 log = logging.getLogger("altd")
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from altd.ports import Clock
-from altd.tcp_port.addresses import Networks, address_of, is_loopback
+from altd.tcp_port import Networks, address_of, is_loopback
 
 
 def host_of(header: str) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from altd.config import HttpSettings
 from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
-from altd.local_socket.listening import identity_at, listening
+from altd.local_socket import identity_at, listening
 from altd.publish.http.answers import Answers
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.application import application_of

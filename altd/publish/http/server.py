@@ -30,9 +30,8 @@ from altd.publish.http.limits import Allowed, Buckets
 from altd.publish.http.pictures import BoundedWebSocket
 from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
 from altd.status.health import Component
-from altd.tcp_port.accepting import accept, is_among_last
-from altd.tcp_port.accepting import listen as listen_tcp
-from altd.tcp_port.addresses import address_of, group_of, is_loopback
+from altd.tcp_port import accept, address_of, group_of, is_among_last, is_loopback
+from altd.tcp_port import listen as listen_tcp
 
 MAX_CONNECTIONS = 64
 """More than these are closed at once: a flood must leave the daemon its file descriptors."""

@@ -27,8 +27,7 @@ from altd.status.board import Board
 from altd.status.cause import StateReport
 from altd.status.health import Component, State
 from altd.status.services import SelfCheckService
-from altd.tcp_port.accepting import accept, is_among_last, listen
-from altd.tcp_port.addresses import Networks, address_of, group_of
+from altd.tcp_port import Networks, accept, address_of, group_of, is_among_last, listen
 
 QUIET_S = 60.0
 """A connection without a request for so long has no claim to its place; a longer gap counts as this one."""

@@ -11,7 +11,7 @@ from fuzz.served import served
 from fuzz.targets.http import STREAMS, send_in_pieces
 from hypothesis import strategies as st
 
-from altd.local_socket.asking import ask
+from altd.local_socket import ask
 from altd.publish.http.publisher import LocalPublisher
 
 NAME = "local_socket"

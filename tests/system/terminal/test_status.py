@@ -20,7 +20,7 @@ from support.foreign import need
 from support.local_daemon import LocalDaemon, local_daemon
 from support.played_unit import PlayedUnit
 
-from altd.local_socket.asking import NoAnswerError, ask
+from altd.local_socket import NoAnswerError, ask
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from support.no_daemon import GARBAGE, http
 
-from altd.local_socket.asking import NoAnswerError, ask
+from altd.local_socket import NoAnswerError, ask
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from altd.local_socket.listening import MODE, listening
+from altd.local_socket import MODE, listening
 
 
 def left_by_the_dead(path: Path) -> None:

@@ -5,7 +5,7 @@ import statistics
 import numpy as np
 import pytest
 
-from altd.statistics.robust import MAD_TO_SIGMA, mad_sigma, median
+from altd.statistics import MAD_TO_SIGMA, mad_sigma, median
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 20, 21])

@@ -14,9 +14,9 @@ from collections.abc import AsyncIterator, Iterator
 import pytest
 from support.clock import FakeClock
 
+from altd import tcp_port
 from altd.status.health import Component
-from altd.tcp_port import accepting
-from altd.tcp_port.accepting import accept, is_among_last, listen
+from altd.tcp_port import accept, is_among_last, listen
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ async def test_without_descriptors_it_waits_says_so_and_goes_on(
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(accepting, "RETRY_INTERVAL_S", 0.05)
+    monkeypatch.setattr(tcp_port, "RETRY_INTERVAL_S", 0.05)
     async with accepting_into(admitted, component) as address:
         clients = [socket.socket() for _ in range(20)]
         await asyncio.sleep(0.01)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from altd.tcp_port.addresses import Networks, address_of, group_of
+from altd.tcp_port import Networks, address_of, group_of
 
 
 @pytest.mark.parametrize(

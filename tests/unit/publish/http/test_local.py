@@ -13,7 +13,7 @@ import pytest
 from support.clock import FakeClock, stop
 from support.serving import serving
 
-from altd.local_socket.asking import ask
+from altd.local_socket import ask
 from altd.publish.http import publisher, server
 from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import LocalPublisher

@@ -1,1 +1,0 @@
-"""Listening on TCP ports, for publishers: connections come one at a time, and never the last descriptors."""
