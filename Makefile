@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-peers bench-wires campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-wires campaign studies docs lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -138,10 +138,6 @@ bench-spray: programs venv ## datagrams with forged sources at the unit on GigE 
 
 bench-wires: venv ## errors on every wire and what a reader finds of them: docs/studies/wire-errors.md
 	@exec $(python) -m benchmarks.wire_errors --page docs/studies/wire-errors.md
-
-bench-peers: ## the same frames and grids through other libraries: docs/studies/peers.md
-	@.ci/venv peers
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec .venv-peers/bin/python -m benchmarks.peers_measure --page docs/studies/peers.md
 
 campaign: venv ## measurements spoilt in many ways, judged by truth; CAMPAIGN_S=36000 for ten hours
 	@exec $(python) -m benchmarks.campaign --seconds $(CAMPAIGN_S)

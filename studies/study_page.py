@@ -86,7 +86,7 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
             headline = " ".join(path.read_text().split("\n\n")[1].split("\n"))
             lines.append(f"| [{title}]({name}.md) | {headline} |")
     if (folder / PEERS).is_file():
-        lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS}), by `make bench-peers`."]
+        lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS})."]
     if (folder / CAMPAIGN).is_file():
         lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
     if (folder / WIRE_ERRORS).is_file():

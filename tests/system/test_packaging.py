@@ -22,7 +22,7 @@ from support.places import ROOT
 import altd as package
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "peers.lock", "aravis.lock")}
+LOCKS = {name: (ROOT / name).read_text() for name in ("requirements.lock", "aravis.lock")}
 
 
 def locked(lock: str = "requirements.lock") -> dict[str, str]:
@@ -35,12 +35,11 @@ def required() -> list[tuple[str, str]]:
     extras = project["optional-dependencies"]
     product = [
         *project["dependencies"],
-        *(line for extra in extras if extra not in ("peers", "aravis") for line in extras[extra]),
+        *(line for extra in extras if extra != "aravis" for line in extras[extra]),
         *PROJECT["build-system"]["requires"],
     ]
     return [
         *(("requirements.lock", line) for line in product if not line.startswith("altd[")),
-        *(("peers.lock", line) for line in (*project["dependencies"], *extras["peers"])),
         *(("aravis.lock", line) for line in extras["aravis"]),
     ]
 
@@ -58,9 +57,8 @@ class TestLock:
         wanted = Requirement(line)
         assert wanted.specifier.contains(locked(lock)[canonicalize_name(wanted.name)])
 
-    @pytest.mark.parametrize("lock", ["peers.lock", "aravis.lock"])
-    def test_of_an_extra_has_the_versions_that_the_product_runs_on(self, lock: str) -> None:
-        product, extra = locked(), locked(lock)
+    def test_of_an_extra_has_the_versions_that_the_product_runs_on(self) -> None:
+        product, extra = locked(), locked("aravis.lock")
         assert {name: extra[name] for name in product.keys() & extra.keys()} == {
             name: product[name] for name in product.keys() & extra.keys()
         }

@@ -190,7 +190,7 @@ Alarm on both:
 
 ## Is it alive, is it ready
 
-`/healthz` is 200 whenever the daemon answers: whoever restarts a daemon by it must not do so for a camera
+`/healthz` is 200 whenever the daemon answers: a supervisor must not restart the daemon for a camera
 that is unplugged. `/readyz` is 200 while the unit measures, **valid or not**, and 503 with the worst cause in
 `error` before the first measurement and when nothing new comes. A laser that is switched off at night is no
 reason: what is not ready is taken out of service, and with it the answer why. Whether the numbers may be
@@ -270,7 +270,7 @@ unit with the address 192.0.2.7:
     sudo chgrp altd /etc/altd/unit.key && sudo chmod 640 /etc/altd/unit.key
     curl --cacert unit.pem https://192.0.2.7:8080/api/v1/measurement
 
-Give `unit.pem`, never the key, to whoever is to trust it. With the plant's own authority: the unit's
+Give `unit.pem`, never the key, to the computers that trust it. With the plant's own authority: the unit's
 certificate first in `unit.pem`, then those that signed it.
 
 ## Errors and limits

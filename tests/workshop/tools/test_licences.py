@@ -47,7 +47,7 @@ class Project:
         self.lock.append(f"{name}=={version} \\")
 
     def write(self) -> Path:
-        extras = 'test = ["only-for-tests"]\npeers = ["only-for-peers"]'
+        extras = 'test = ["only-for-tests"]'
         (self.folder / "pyproject.toml").write_text(
             f'[project]\nname = "altd"\ndependencies = ["{self.depends}"]\n'
             f"[project.optional-dependencies]\n{extras}\n"
