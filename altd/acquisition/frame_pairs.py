@@ -121,7 +121,7 @@ class FramePairs:
                 self._changing.add(frame.camera)
 
     def _with_mark(self, frame: Frame) -> Frame:
-        """The frame, with the mark of one before it that nobody took."""
+        """The frame, with the mark of an earlier one that was dropped."""
         if frame.camera not in self._changing:
             return frame
         self._changing.discard(frame.camera)

@@ -41,7 +41,7 @@ class IndicatorsSettings(Table):
     chip: Annotated[str, Field(min_length=1, max_length=64)]
     """The chip's label (or its name or path), as `altd devices` shows it."""
     data: GpioLineName | None = None
-    """The line of the lamp that flashes when data was given to whoever asked for it."""
+    """The line of the lamp that flashes when a client was given data."""
     error: GpioLineName | None = None
     """Lit while nothing valid is measured; blinks while it is and a part has failed or wants maintenance."""
     power: GpioLineName | None = None

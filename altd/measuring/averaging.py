@@ -26,7 +26,7 @@ def spot_motion(
     ``deviations_px`` (n, coordinates) are from their mean, at ``since_middle_s`` (n,) from the mean of their
     times; ``exposure_covariance_px2`` is that of one exposure about steady motion, ``noise_px`` the spots'
     own. ``newest`` holds deviation and time of the newest exposure where that is an outlier: a beam that
-    begins to move is first seen as one, and the mean stands still meanwhile.
+    begins to move is first seen as one, and the mean does not move meanwhile.
     """
     square_s2 = float(since_middle_s @ since_middle_s)
     rate = since_middle_s @ deviations_px / square_s2

@@ -307,7 +307,7 @@ class MeasuringChain:
         return self._motion_memory.learn(mean.t_ns, newest_ns, span_s, of_window)
 
     def _invalid(self, frame_set: FrameSet, t_ns: int, faults: tuple[Fault, ...]) -> Measurement:
-        """No numbers at all, not even of a target whose own spot is good: nobody may steer by half a beam."""
+        """No numbers at all, not even of a target whose own spot is good: half a beam is no measurement."""
         return Measurement(
             sequence=frame_set.sequence,
             t_ns=t_ns,

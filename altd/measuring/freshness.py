@@ -37,7 +37,7 @@ class FreshnessCheck:
     60 rows of the picture, each cut into eight, make the blocks. Of each block a digest is kept: the sum of
     its eight-byte words times random odd numbers, modulo 2⁶⁴, of that the upper half (multilinear hashing).
     Two blocks with different noise have the same digest with a probability of 2⁻³². Blocks find a picture of
-    which only a part stands still, and one that stands still under a clock that is written into it.
+    which only a part is frozen, and a frozen one into which a clock is written.
 
     What cannot be detected: a repeat of a picture older than that, or of one that was dropped before it came
     here; a picture that an averaging camera mixes of old and new light; frames that somebody adds noise to;

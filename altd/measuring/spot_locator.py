@@ -41,7 +41,7 @@ class Located:
     frame that is not new. ``breaks`` counts the camera's frames, up to this one, that no window may reach
     across, so one that gets lost is in the next one's: frames that were exposed during a change, or of
     another view, and the second and later ones of a row that are not new: one that comes twice is lost, with
-    two in a row the camera stands still. ``view`` is what is known of the camera, ``light_per_ms`` the
+    two in a row the camera is frozen. ``view`` is what is known of the camera, ``light_per_ms`` the
     light of ``spot`` for equal exposure and gain, ``dust`` what covers it, looked for now and then; None: not
     known.
     ``leds_on``: the frame LEDs were lit, or being switched. Such a frame was not looked at, and its exposure
@@ -81,7 +81,7 @@ class SpotLocator:
         self._last_appearance = self.appearance
         self._identity = identity
         self._freshness = FreshnessCheck()
-        self._stands_still = False
+        self._is_frozen = False
         """The last frame was not new."""
         self._breaks = 0
         self._dust_ns: int | None = None
@@ -92,12 +92,12 @@ class SpotLocator:
         if frame.leds_on:
             self._breaks += frame.changing
             return self._located(frame, _UNDER_LEDS, None, leds_on=True)
-        stood_still = self._stands_still
+        was_frozen = self._is_frozen
         repeated = self._freshness.repeated(frame)
-        self._stands_still = bool(repeated)
+        self._is_frozen = bool(repeated)
         analysis = FrameAnalysis(frame, self._target.localiser)
         is_changed = self._takes_another_flat()
-        self._breaks += frame.changing or is_changed or (bool(repeated) and stood_still)
+        self._breaks += frame.changing or is_changed or (bool(repeated) and was_frozen)
         found = None if repeated else self._found(analysis)
         spot = NoSpot(Reason.FRAME_REPEATED, repeated) if found is None else self._checked(analysis, found)
         return self._located(frame, spot, found, self._dust(analysis, spot))

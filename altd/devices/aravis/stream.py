@@ -16,7 +16,7 @@ from altd.devices.aravis.packets import BATCH, PacketSocket
 log = logging.getLogger("altd")
 
 _MAX_READY_BLOCKS = 8
-"""Frames that nobody took; the oldest goes first."""
+"""Frames that wait to be taken; the oldest is dropped first."""
 _IDLE_POLL_INTERVAL_MS = 50
 _BUSY_POLL_INTERVAL_MS = 5
 _GATHERING_S = 0.0003

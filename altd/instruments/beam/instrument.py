@@ -44,7 +44,7 @@ QUANTITIES = Quantities(
             "roll_deg",
             "roll",
             "°",
-            "a beam cannot show it: empty unless an inclinometer is fitted",
+            "cannot be measured from the beam; empty without an inclinometer",
             5,
             False,
             True,
