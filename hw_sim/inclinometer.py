@@ -78,12 +78,16 @@ class Inclinometer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        self._thread.join()
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull the USB adapter: the port is gone."""
+        """Pull the USB adapter: the port is gone.
+
+        The thread ends first: it would read from whatever file gets the number of a closed one.
+        """
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join()
         terminal, line, self._terminal, self._line = self._terminal, self._line, -1, -1
         for descriptor in (terminal, line):
             if descriptor >= 0:
@@ -94,8 +98,8 @@ class Inclinometer:
         return angle_deg + self.random.gauss(0.0, self.noise_deg)
 
     def _serve(self) -> None:
-        heard = b""
-        while not self._ending.is_set() and (terminal := self._terminal) >= 0:
+        heard, terminal = b"", self._terminal
+        while not self._ending.is_set():
             try:
                 if not select.select([terminal], [], [], _WAIT_S)[0]:
                     heard = b""  # a silence ends a frame
