@@ -145,7 +145,7 @@ def listening(path: Path) -> Iterator[socket.socket]:
             raise OSError(number, f"{path}: {error.strerror or os.strerror(number)}") from error
         made = identity_at(path)
         try:
-            path.chmod(MODE)  # before it listens: until then nobody can connect, whatever the umask
+            path.chmod(MODE)  # before it listens: no client can connect until then, whatever the umask
             listener.listen(BACKLOG)
             listener.setblocking(False)
             yield listener
@@ -165,7 +165,7 @@ def identity_at(path: Path) -> tuple[int, int] | None:
 
 
 def _make_room(path: Path) -> None:
-    """Remove a socket that nobody listens at; whatever else is there stays, and is an error."""
+    """Remove a socket without a listener; any other file stays, and is an error."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:

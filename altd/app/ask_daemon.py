@@ -129,7 +129,7 @@ READING_INTERVAL_S = 0.2
 STATUS_INTERVAL_S = 0.5
 SELDOM_INTERVAL_S = 5.0
 _MAX_HEARD = 64
-"""Answers that wait for who shows them; while nobody takes any, later ones are dropped."""
+"""Answers that wait to be shown; further ones are dropped meanwhile."""
 
 Telling = Callable[[Knowledge], None]
 

@@ -28,7 +28,7 @@ MAX_BYTES = 1 << 15
 _HEAD = "# altd-credentials/1: made by `altd password` and `altd token`; hashes alone\n"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _TOO_OPEN = stat.S_IWGRP | stat.S_IRWXO
-"""The group may read it, for a daemon of another user; nobody else anything."""
+"""Its group may read it, for a daemon of another user; others have no access."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ _OWNER_ALONE = 0o077
 
 
 def check_name(name: str) -> None:
-    """Raise BadInputError for a name that nobody can have."""
+    """Raise BadInputError for a name that is not allowed."""
     if not is_name(name):
         text = f"{name[:40]!r} is no name; possible: small letters, digits and _, a letter first, up to 32"
         raise BadInputError("NAME", text)

@@ -48,7 +48,7 @@ _DIFFERENCE_MM = 0.05
 class Fiducials:
     """Places seen at ``px`` (n, 2) whose coordinates on a regular print are ``regular_mm`` (n, 2).
 
-    The regular coordinates are those of the plane but for an affine map, which nobody knows: print lies
+    The regular coordinates are those of the plane but for an unknown affine map: print lies
     anyhow on its glass. ``sigma_mm`` is the standard deviation of each coordinate.
     """
 

@@ -16,6 +16,9 @@ Made = TypeVar("Made")
 _PARTNER_TIMEOUT_FRAMES = 4
 """A frame waits for its partner until its own camera has delivered this many more. When more of a camera's
 frames than that are late in a row, it is not they who are wrong but what came before them."""
+_MAX_LATE_ITEMS = 8
+"""Two cameras' late frames in a row. Numbers that never settle a frame set must not fill the memory: of more,
+the oldest are dropped."""
 _MAX_COMPARED_FRAMES = 8
 """Frames of a camera whose times are compared: a frame may be delivered later than those that follow it."""
 _MAX_LAG_SAMPLES = 15
@@ -164,7 +167,7 @@ class Pairer(Generic[Item]):
         self._ahead: dict[str, int] = {}
         """By time: how far each camera's numbers are ahead of the frame sets', as far as it is known."""
         self._last_number: int | None = None
-        self._late: list[Item] = []
+        self._late: deque[Item] = deque(maxlen=_MAX_LATE_ITEMS)
         """Items that came too late since the last frame set; they come out with the next."""
         self.late = 0
         """Items that came after their frame set was given up."""
@@ -286,7 +289,8 @@ class Pairer(Generic[Item]):
         self.lost_pairs += gap + (len(group) < len(self.cameras) or skew_ns > self._max_skew_ns)
         self._last_number = sequence
         items = {camera: waiting.item for camera, waiting in group.items()}
-        late, self._late = tuple(self._late), []
+        late = tuple(self._late)
+        self._late.clear()
         if skew_ns > self._max_skew_ns:
             missing = dict.fromkeys(self.cameras, Reason.OUT_OF_STEP)
             return Pair(sequence, t_ns, skew_ns, {}, missing, {}, (*late, *items.values()))

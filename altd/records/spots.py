@@ -62,7 +62,7 @@ class Motion:
 
         Beyond the variance of the mean itself. None: not known. A mean of uniformly accelerated motion is
         ahead of the middle by half the acceleration times ``spread_s2``. Vibration counts in full at any age:
-        at some 20 exposures a second nobody can tell 2 Hz from 22, so its phase is not known. Rate and
+        20 exposures a second cannot tell 2 Hz from 22, so its phase is not known. Rate and
         acceleration are taken as independent, for one may end or turn at any time.
         """
         if self.probable_rate is None or self.acceleration is None:

@@ -31,7 +31,7 @@ class Light(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _Switching:
-    """From ``begin_ns`` to ``end_ns`` nobody knows; then they are on or off. No end: it is under way."""
+    """Unknown from ``begin_ns`` to ``end_ns``, then on or off. ``end_ns`` None: under way."""
 
     on: bool
     begin_ns: int
@@ -69,7 +69,7 @@ class LedLog:
         self._end(self._switchings[-1].on, self._clock.monotonic_ns())
 
     def lost(self) -> None:
-        """Nobody knows what they do; they are about to be let go."""
+        """Their state is unknown; the driver is about to release them."""
         if not self._switchings or self._switchings[-1].end_ns is not None:
             self.begin(False)
         self._end(False, self._clock.monotonic_ns() + DARK_AFTER_FAILURE_NS)

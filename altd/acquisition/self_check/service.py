@@ -133,7 +133,7 @@ class SelfChecks:
             return None
         passed = self._geometry.applied_to(measurement)
         self._is_valid = measurement.valid
-        if self._geometry.lapse():  # this one was still corrected, and says so
+        if self._geometry.lapse():  # this measurement was still corrected, and is marked so
             self._correction.apply(self._geometry)
             self._component.set_state(self._geometry.state, _LAPSED)
             log.warning("self-check: %s", _LAPSED)

@@ -155,7 +155,7 @@ def discover(timeout_s: float) -> list[gvcp.DiscoveredCamera]:
 
 
 def control_privilege(address: str, timeout_s: float) -> int | None:
-    """The camera's control privilege register, 0 when nobody controls it; None when it does not answer.
+    """The camera's control privilege register, 0 when no program controls it; None when it does not answer.
 
     Aravis' simulated camera takes this question, from whomever, for its controller's sign of life.
     """

@@ -1,4 +1,4 @@
-"""Which clients may connect, and how often one may ask, with a memory that stays small whoever asks."""
+"""Which clients may connect, and how often an address may ask; the memory for it is limited."""
 
 from __future__ import annotations
 

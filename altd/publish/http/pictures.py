@@ -64,7 +64,7 @@ class BoundedWebSocket(WSProtocol):
         await super().send(message)
 
     def handle_ping(self, event: Ping) -> None:
-        """Answer while there is somebody: asyncio logs each piece that is written to nobody."""
+        """Answer while the client is connected: asyncio logs each piece that is written after it left."""
         if not self.transport.is_closing():
             super().handle_ping(event)
 

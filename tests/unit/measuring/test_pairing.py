@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from weakref import WeakSet
 
 import numpy as np
 import pytest
@@ -307,3 +308,42 @@ def test_exposures_come_out_in_their_order_whatever_is_lost(by: str, lost: float
     assert len(out) > 1500
     assert times == sorted(set(times))
     assert [pair.sequence for pair in out] == sorted({pair.sequence for pair in out})
+
+
+class Picture:
+    """Something that takes memory."""
+
+
+def chance_numbers() -> Iterator[tuple[str, int, int]]:
+    """Cameras of any rate, whose numbers and times jump to and fro."""
+    random, t = np.random.default_rng(7), 0
+    for n in range(20_000):
+        t += int(random.integers(0, 60 * MS))
+        camera = ("front", "rear")[int(random.random() < random.choice([0.1, 0.5, 0.9]))]
+        number = n // 2 + int(random.choice([0, 0, 0, -3, 3, -10_000, 10_000]))
+        yield camera, number, t + int(random.choice([0, 0, 0, -900, 900])) * MS
+
+
+def numbers_that_settle_nothing() -> Iterator[tuple[str, int, int]]:
+    """One far ahead, then four too late, and again."""
+    for n in range(2_000):
+        yield "rear", 10**6 if n % 5 == 0 else -n, 0
+
+
+@pytest.mark.parametrize("by", ["sequence", "time"])
+@pytest.mark.parametrize("numbers", [chance_numbers, numbers_that_settle_nothing])
+def test_no_numbers_keep_many_frames_in_memory_or_give_one_twice(
+    numbers: Callable[[], Iterator[tuple[str, int, int]]], by: str
+) -> None:
+    p = pairer(by)
+    alive, out = WeakSet[Picture](), WeakSet[Picture]()
+    for camera, number, t_ns in numbers():
+        picture = Picture()
+        alive.add(picture)
+        pairs = p.add(camera, number, t_ns, picture)  # type: ignore[arg-type]
+        for item in (item for pair in pairs for item in pair.all_items):
+            assert item not in out
+            out.add(item)  # type: ignore[arg-type]
+        del picture, pairs
+        item = None
+        assert len(alive) <= 20
