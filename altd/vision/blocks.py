@@ -14,37 +14,27 @@ from altd.vision.flat import BLOCK_PX, BlockSums, Flat, block_sum, block_sums
 from altd.vision.image import Image
 from altd.vision.patch import Patch
 
+LIGHT, MONOMIALS, HALF_MOMENTS, F1, F2 = 0, slice(1, 7), slice(7, 10), 10, 11
+READ_NOISE, SHOT_NOISE, SPOT_TEXTURE, ROWS = range(12, 16)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """Blocks as vectors: Σ F·I, the sums of F and F², the places they stand for, the variances of Σ F·I."""
+    """Blocks as the columns of one array, ``rows`` (15, n), which compiled code takes as it is.
 
-    light: FloatArray
-    monomials: FloatArray
-    """1, x, y, x², xy, y² as rows; places count from the initial estimate in units of its sigma."""
-    half_moments: FloatArray | None
-    """½ xx, xy, ½ yy as rows, half the second moments of F² about the places; None where they are the same in
-    all blocks and only widen the spot."""
-    f1: FloatArray
-    f2: FloatArray
-    read_variance: FloatArray
-    shot_variance: FloatArray
-    """Per count of irradiance."""
-    texture_variance: FloatArray
-    """Per squared count of irradiance and squared texture contrast."""
+    LIGHT is Σ F·I, F1 and F2 the sums of F and F². MONOMIALS are 1, x, y, x², xy, y² of the places that the
+    blocks stand for, which count from the initial estimate in units of its sigma. HALF_MOMENTS are ½ xx, xy,
+    ½ yy, half the second moments of F² about the places; without ``has_moments`` they are the same in all
+    blocks, only widen the spot, and are not set. READ_NOISE, SHOT_NOISE per count of irradiance and
+    SPOT_TEXTURE per squared count of irradiance and squared texture contrast are variances of the light.
+    """
+
+    rows: FloatArray
+    has_moments: bool
 
     def only(self, kept: npt.NDArray[np.bool_]) -> Blocks:
         """Some of the blocks."""
-        return Blocks(
-            self.light[kept],
-            self.monomials[:, kept],
-            None if self.half_moments is None else self.half_moments[:, kept],
-            self.f1[kept],
-            self.f2[kept],
-            self.read_variance[kept],
-            self.shot_variance[kept],
-            self.texture_variance[kept],
-        )
+        return Blocks(self.rows[:, kept], self.has_moments)
 
 
 def blocks_of(
@@ -61,27 +51,24 @@ def blocks_of(
     """
     light, sums = _sums(patch, flat, clipped, size)
     f1, f2, f3, f4, u, v = sums.planes[:6].reshape(6, -1)
-    half_moments = None
-    if flat is not None or clipped is not None:
-        half_moments = sums.planes[6:].reshape(3, -1) * (np.array([[0.5], [1.0], [0.5]]) / sigma_px**2)
-    monomials = np.empty((6, f1.size))
-    monomials[0] = 1
-    _, x, y, xx, xy, yy = monomials
+    rows = np.empty((ROWS, f1.size))
+    rows[LIGHT] = np.ravel(light)
+    one, x, y, xx, xy, yy = rows[MONOMIALS]
+    one[:] = 1
     np.multiply(u - (patch.left + patch.outline.u), 1 / sigma_px, out=x)
     np.multiply(v - (patch.top + patch.outline.v), 1 / sigma_px, out=y)
     np.multiply(x, x, out=xx)
     np.multiply(x, y, out=xy)
     np.multiply(y, y, out=yy)
-    return Blocks(
-        light=np.ravel(light),
-        monomials=monomials,
-        half_moments=half_moments,
-        f1=f1,
-        f2=f2,
-        read_variance=noise.read_counts**2 * np.maximum(f2, 1e-9),
-        shot_variance=f3 / noise.electrons_per_count,
-        texture_variance=f4,
-    )
+    has_moments = flat is not None or clipped is not None
+    if has_moments:
+        halves = np.array([[0.5], [1.0], [0.5]]) / sigma_px**2
+        np.multiply(sums.planes[6:].reshape(3, -1), halves, out=rows[HALF_MOMENTS])
+    rows[F1], rows[F2] = f1, f2
+    np.multiply(np.maximum(f2, 1e-9), noise.read_counts**2, out=rows[READ_NOISE])
+    np.multiply(f3, 1 / noise.electrons_per_count, out=rows[SHOT_NOISE])
+    rows[SPOT_TEXTURE] = f4
+    return Blocks(rows, has_moments)
 
 
 def _sums(

@@ -13,7 +13,17 @@ import numpy as np
 
 from altd.records import FloatArray
 from altd.vision import kernel
-from altd.vision.blocks import Blocks
+from altd.vision.blocks import (
+    F1,
+    F2,
+    HALF_MOMENTS,
+    LIGHT,
+    MONOMIALS,
+    READ_NOISE,
+    SHOT_NOISE,
+    SPOT_TEXTURE,
+    Blocks,
+)
 
 _MAX_ITERATIONS = 16
 _CONVERGED_SIGMAS = 3e-4
@@ -31,7 +41,8 @@ _INITIAL_CONTRAST = 0.04
 _MIN_CONTRAST, _MAX_CONTRAST = 0.003, 1.0
 _MIN_PEAK_SHARE_FOR_CONTRAST = 0.1
 
-PEAK, U, V, A, B, C, OFFSET, RISE_X, RISE_Y, ORDER, RESIDUAL = range(11)
+PEAK, U, V, A, B, C, OFFSET, RISE_X, RISE_Y, ORDER = range(10)
+RESIDUAL, NOISE, TEXTURE, SPOT, ROWS = range(10, 15)
 State = Sequence[float]
 """The first ten of these, in units of the initial estimate's sigma: plain numbers, faster in Python."""
 
@@ -58,17 +69,32 @@ _LIMITS = kernel.FitLimits(
 class Solution:
     """The converged state, and the matrices of the last iteration.
 
-    ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes; ``rows``
-    are the derivatives and the residual.
+    ``rows`` (14, n) are the derivatives of the light by the parameters, its RESIDUAL, its variances by read
+    and shot NOISE and by a TEXTURE of contrast 1, and the irradiance of the SPOT in counts.
+    ``centre_variance`` is what read and shot noise do to the centre, the mean square of both axes;
+    ``contrast2`` is the squared texture contrast.
     """
 
     state: State
-    centre_variance: float
     rows: FloatArray
-    noise_variance: FloatArray
-    texture_variance: FloatArray
+    centre_variance: float
     contrast2: float
-    spot: FloatArray
+
+    @property
+    def derivatives(self) -> FloatArray:
+        """Of the light by the parameters, (RESIDUAL, n)."""
+        return self.rows[:RESIDUAL]
+
+    @property
+    def peak_shares(self) -> FloatArray:
+        """The irradiance as a share of the peak, (n,)."""
+        shares: FloatArray = self.rows[SPOT] / self.state[PEAK]
+        return shares
+
+    def variance(self, contrast2: float) -> FloatArray:
+        """The variance of the light with that squared texture contrast, (n,)."""
+        variance: FloatArray = self.rows[NOISE] + contrast2 * self.rows[TEXTURE]
+        return variance
 
 
 def solve(
@@ -92,17 +118,19 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
     one product gives the normal equations with their right-hand side.
     """
     contrast2 = contrast2_before = _INITIAL_CONTRAST**2
-    rows = np.empty((RESIDUAL + 1, data.light.size))
-    rows[OFFSET : RISE_Y + 1] = data.f1 * data.monomials[:3]
-    bright = np.empty(data.light.size)
+    blocks = data.rows
+    rows = np.empty((ROWS, blocks.shape[1]))
+    rows[OFFSET : RISE_Y + 1] = blocks[F1] * blocks[MONOMIALS][:3]
+    bright = np.empty(blocks.shape[1])
+    residual, noise_variance, texture_variance, spot = rows[RESIDUAL:]
     for iteration in range(_MAX_ITERATIONS):
-        spot = _linearise(data, state, rows)
+        _linearise(data, state, rows)
+        np.multiply(spot, blocks[SHOT_NOISE], out=noise_variance)
+        noise_variance += blocks[READ_NOISE]
+        np.multiply(spot, spot, out=texture_variance)
+        texture_variance *= blocks[SPOT_TEXTURE]
         is_order_free = iteration >= order_free_iteration
-        noise_variance = data.read_variance + spot * data.shot_variance
-        texture_variance = spot * spot
-        texture_variance *= data.texture_variance
         if is_order_free:
-            residual = rows[RESIDUAL]
             np.greater(spot, _MIN_PEAK_SHARE_FOR_CONTRAST * state[PEAK], out=bright)  # 0 or 1
             unexplained = float((residual * bright) @ residual - noise_variance @ bright)
             per_contrast2 = float(texture_variance @ bright)
@@ -111,7 +139,7 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
             contrast2_before = contrast2
             contrast2 = min(max(unexplained / per_contrast2, _MIN_CONTRAST**2), _MAX_CONTRAST**2)
         weighted = rows[:RESIDUAL] / (noise_variance + contrast2 * texture_variance)
-        equations = weighted @ rows.T
+        equations = weighted @ rows[: RESIDUAL + 1].T
         order_sigma = ORDER_PRIOR_SIGMA if is_order_free else _ORDER_HELD_SIGMA
         for index, known, sigma in ((RISE_X, 0.0, rise), (RISE_Y, 0.0, rise), (ORDER, 1.0, order_sigma)):
             equations[index, index] += sigma**-2
@@ -129,7 +157,7 @@ def solve_by_numpy(data: Blocks, state: State, rise: float, order_free_iteration
         if is_order_free and _is_converged(change, contrast_is_steady, iteration >= _LATE_ITERATION):
             sensitivities = covariance[U : V + 1] @ weighted
             centre_variance = float((np.square(sensitivities) @ noise_variance).sum()) / 2
-            return Solution(state, centre_variance, rows, noise_variance, texture_variance, contrast2, spot)
+            return Solution(state, rows, centre_variance, contrast2)
     return None
 
 
@@ -146,8 +174,8 @@ def _is_converged(change: Sequence[float], contrast_is_steady: bool, is_late: bo
     return max(change[A], change[C], change[ORDER]) < _CONVERGED_SHAPE
 
 
-def _linearise(data: Blocks, state: State, rows: FloatArray) -> FloatArray:
-    """Irradiance at the blocks; fills ``rows`` with the derivatives and residuals of the blocks' light."""
+def _linearise(data: Blocks, state: State, rows: FloatArray) -> None:
+    """Fill ``rows`` with the derivatives and residuals of the blocks' light, and the irradiance there."""
     peak, u, v, a, b, c, offset, rise_x, rise_y, order = state
     pull_u, pull_v = a * u + b * v, b * u + c * v
     quadratics = np.array(
@@ -161,31 +189,28 @@ def _linearise(data: Blocks, state: State, rows: FloatArray) -> FloatArray:
             (offset, rise_x, rise_y, 0.0, 0.0, 0.0),
         )
     )
-    polynomials = quadratics @ data.monomials
+    polynomials = quadratics @ data.rows[MONOMIALS]
     q, background = polynomials[0], polynomials[-1]
     np.maximum(q, 1e-9, out=q)
     logarithm = np.log(q)
     raised = np.exp(order * logarithm)
-    shape: FloatArray = np.exp(-raised)
+    shape = np.exp(-raised)
     steepness = raised / q
     steepness *= order
-    f2 = (
-        data.f2
-        if data.half_moments is None
-        else data.f2 * _block_mean_ratio(data.half_moments, steepness, polynomials[1:3], (a, b, c))
-    )
+    f2 = data.rows[F2]
+    if data.has_moments:
+        f2 = f2 * _block_mean_ratio(data.rows[HALF_MOMENTS], steepness, polynomials[1:3], (a, b, c))
     np.multiply(shape, f2, out=rows[PEAK])
     spot_light = rows[PEAK] * peak
-    np.subtract(data.light, spot_light, out=rows[RESIDUAL])
-    background *= data.f1
+    np.subtract(data.rows[LIGHT], spot_light, out=rows[RESIDUAL])
+    background *= data.rows[F1]
     rows[RESIDUAL] -= background
     raised *= logarithm
     np.multiply(spot_light, raised, out=rows[ORDER])
     np.negative(rows[ORDER], out=rows[ORDER])
     spot_light *= steepness
     np.multiply(polynomials[1:-1], spot_light, out=rows[U : C + 1])
-    shape *= peak
-    return shape
+    np.multiply(shape, peak, out=rows[SPOT])
 
 
 def _block_mean_ratio(

@@ -1,11 +1,15 @@
 /* The fit of a spot and its misfit, as fit.py and misfit.py do them with numpy; those explain what is done.
  *
- * C11 without state. Arrays belong to the caller: doubles, row after row. kernel.py has the same structures.
+ * C11 without state. Arrays belong to the caller: doubles, row after row. kernel.py has the same structures,
+ * blocks.py and fit.py the same rows.
  */
 #include <math.h>
 #include <string.h>
 
-enum { PEAK, U, V, A, B, C, OFFSET, RISE_X, RISE_Y, ORDER, RESIDUAL, ROWS };
+/* The rows of a fit, n values each: derivatives by the parameters, what follows from them, and a scratch one. */
+enum { PEAK, U, V, A, B, C, OFFSET, RISE_X, RISE_Y, ORDER, RESIDUAL, NOISE, TEXTURE, SPOT, WEIGHTED };
+/* The rows of the blocks of a spot's surroundings: blocks.py. */
+enum { LIGHT, ONE, X, Y, XX, XY, YY, HALF_XX, HALF_XY, HALF_YY, F1, F2, READ_NOISE, SHOT_NOISE, SPOT_TEXTURE };
 enum { PARAMETERS = RESIDUAL, MAX_PATTERNS = 27, RINGS = 5 };
 
 struct fit_limits {
@@ -13,17 +17,6 @@ struct fit_limits {
     double converged_sigmas, converged_shape, late_converged_sigmas, max_step, min_order, max_order;
     double order_prior_sigma, order_held_sigma;
     int max_iterations, late_iteration;
-};
-
-/* The blocks of a spot's surroundings, n values each; half_moments may be null. */
-struct blocks {
-    int n;
-    const double *light, *monomials, *half_moments, *f1, *f2, *read_variance, *shot_variance, *texture_variance;
-};
-
-/* What a fit leaves: ROWS x n, and n each; weighted is scratch. */
-struct fitted {
-    double *rows, *noise_variance, *texture_variance, *spot, *weighted, centre_variance, contrast2;
 };
 
 static double dot(int n, const double *restrict x, const double *restrict y) {
@@ -54,36 +47,33 @@ static int invert(int size, double *matrix) {
 }
 
 /* fit.py: _linearise and _block_mean_ratio */
-static void linearise(const struct blocks *of, const double *s, struct fitted *to) {
-    int n = of->n;
+static void linearise(int n, int has_moments, const double *from, const double *s, double *rows) {
     double peak = s[PEAK], u = s[U], v = s[V], a = s[A], b = s[B], c = s[C];
     double pull_u = a * u + b * v, pull_v = b * u + c * v, middle = (u * pull_u + v * pull_v) / 2;
-    const double *m = of->monomials, *h = of->half_moments;
-    double *rows = to->rows;
-    for (int i = 0; i < n; i++) {
-        double x = m[n + i], y = m[2 * n + i], xx = m[3 * n + i], xy = m[4 * n + i], yy = m[5 * n + i];
+    for (int i = 0; i < n; i++, from++, rows++) {
+        double x = from[X * n], y = from[Y * n], xx = from[XX * n], xy = from[XY * n], yy = from[YY * n];
         double q = fmax(middle - pull_u * x - pull_v * y + a / 2 * xx + b * xy + c / 2 * yy, 1e-9);
         double by_u = a * x + b * y - pull_u, by_v = b * x + c * y - pull_v;
         double logarithm = log(q), raised = exp(s[ORDER] * logarithm), shape = exp(-raised);
-        double steepness = s[ORDER] * raised / q, f2 = of->f2[i];
-        if (h) {
+        double steepness = s[ORDER] * raised / q, f2 = from[F2 * n];
+        if (has_moments) {
+            double half_xx = from[HALF_XX * n], half_xy = from[HALF_XY * n], half_yy = from[HALF_YY * n];
             double along_u = by_u * steepness, along_v = by_v * steepness;
-            f2 *= 1 - steepness * (a * h[i] + b * h[n + i] + c * h[2 * n + i]) +
-                  (h[i] * along_u + h[n + i] * along_v) * along_u + h[2 * n + i] * along_v * along_v;
+            f2 *= 1 - steepness * (a * half_xx + b * half_xy + c * half_yy) +
+                  (half_xx * along_u + half_xy * along_v) * along_u + half_yy * along_v * along_v;
         }
-        double light = shape * f2 * peak, steep_light = light * steepness;
-        rows[PEAK * n + i] = shape * f2;
-        rows[U * n + i] = by_u * steep_light;
-        rows[V * n + i] = by_v * steep_light;
-        rows[A * n + i] = (u * x - (u * u + xx) / 2) * steep_light;
-        rows[B * n + i] = (v * x + u * y - u * v - xy) * steep_light;
-        rows[C * n + i] = (v * y - (v * v + yy) / 2) * steep_light;
-        rows[ORDER * n + i] = -light * raised * logarithm;
-        rows[RESIDUAL * n + i] =
-            of->light[i] - light - (s[OFFSET] + s[RISE_X] * x + s[RISE_Y] * y) * of->f1[i];
-        to->spot[i] = shape * peak;
-        to->noise_variance[i] = of->read_variance[i] + to->spot[i] * of->shot_variance[i];
-        to->texture_variance[i] = to->spot[i] * to->spot[i] * of->texture_variance[i];
+        double light = shape * f2 * peak, steep_light = light * steepness, spot = shape * peak;
+        rows[PEAK * n] = shape * f2;
+        rows[U * n] = by_u * steep_light;
+        rows[V * n] = by_v * steep_light;
+        rows[A * n] = (u * x - (u * u + xx) / 2) * steep_light;
+        rows[B * n] = (v * x + u * y - u * v - xy) * steep_light;
+        rows[C * n] = (v * y - (v * v + yy) / 2) * steep_light;
+        rows[ORDER * n] = -light * raised * logarithm;
+        rows[RESIDUAL * n] = from[LIGHT * n] - light - (s[OFFSET] + s[RISE_X] * x + s[RISE_Y] * y) * from[F1 * n];
+        rows[SPOT * n] = spot;
+        rows[NOISE * n] = from[READ_NOISE * n] + spot * from[SHOT_NOISE * n];
+        rows[TEXTURE * n] = spot * spot * from[SPOT_TEXTURE * n];
     }
 }
 
@@ -111,44 +101,62 @@ static int damped_step(const struct fit_limits *limits, double *state, const dou
     return 0;
 }
 
+/* What noise does to the centre, or else texture (which is NOISE or TEXTURE): the mean square of both axes. */
+static double centre_variance(int n, const double *covariance, const double *rows, double contrast2, int which) {
+    double sum = 0;
+    for (int i = 0; i < n; i++) {
+        double weight = 1 / (rows[NOISE * n + i] + contrast2 * rows[TEXTURE * n + i]), by_u = 0, by_v = 0;
+        for (int k = 0; k < PARAMETERS; k++) {
+            by_u += covariance[U * PARAMETERS + k] * rows[k * n + i];
+            by_v += covariance[V * PARAMETERS + k] * rows[k * n + i];
+        }
+        sum += (by_u * by_u + by_v * by_v) * weight * weight * rows[which * n + i] / 2;
+    }
+    return which == TEXTURE ? contrast2 * sum : sum;
+}
+
+static void add_priors(const double *state, double rise, double order_sigma, double *equations, double *right) {
+    for (int k = RISE_X; k <= ORDER; k++) {
+        double known = k == ORDER, sigma = k == ORDER ? order_sigma : rise;
+        equations[k * PARAMETERS + k] += 1 / (sigma * sigma);
+        right[k] += (known - state[k]) / (sigma * sigma);
+    }
+}
+
 /* fit.py: solve_by_numpy. The state is replaced by the converged one; 0 when it does not converge. */
-int altd_fit(const struct fit_limits *limits, const struct blocks *of, double rise, int order_free_iteration,
-             double *state, struct fitted *to) {
-    int n = of->n;
-    double *rows = to->rows, contrast2 = limits->initial_contrast2, contrast2_before = contrast2;
+int altd_fit(const struct fit_limits *limits, int n, int has_moments, const double *blocks, double rise,
+             int order_free_iteration, double *state, double *rows, double *noise_of_centre, double *contrast_found) {
+    double contrast2 = limits->initial_contrast2, contrast2_before = contrast2, *weighted = rows + WEIGHTED * n;
+    const double *noise = rows + NOISE * n, *texture = rows + TEXTURE * n, *spot = rows + SPOT * n;
     for (int k = 0; k < 3; k++)
         for (int i = 0; i < n; i++)
-            rows[(OFFSET + k) * n + i] = of->f1[i] * of->monomials[k * n + i];
+            rows[(OFFSET + k) * n + i] = blocks[F1 * n + i] * blocks[(ONE + k) * n + i];
     for (int iteration = 0; iteration < limits->max_iterations; iteration++) {
-        linearise(of, state, to);
+        linearise(n, has_moments, blocks, state, rows);
         int is_order_free = iteration >= order_free_iteration;
         if (is_order_free) {
             double unexplained = 0, per_contrast2 = 0;
             for (int i = 0; i < n; i++) {
                 double residual = rows[RESIDUAL * n + i];
-                double bright = to->spot[i] > limits->min_peak_share_for_contrast * state[PEAK];
-                unexplained += bright * (residual * residual - to->noise_variance[i]);
-                per_contrast2 += bright * to->texture_variance[i];
+                double bright = spot[i] > limits->min_peak_share_for_contrast * state[PEAK];
+                unexplained += bright * (residual * residual - noise[i]);
+                per_contrast2 += bright * texture[i];
             }
             if (!(per_contrast2 > 0))
                 return 0;
             contrast2_before = contrast2;
             contrast2 = fmin(fmax(unexplained / per_contrast2, limits->min_contrast2), limits->max_contrast2);
         }
-        double equations[PARAMETERS * PARAMETERS], right[PARAMETERS], step[PARAMETERS], *weighted = to->weighted;
+        double equations[PARAMETERS * PARAMETERS], right[PARAMETERS], step[PARAMETERS];
         for (int k = 0; k < PARAMETERS; k++) {
             for (int i = 0; i < n; i++)
-                weighted[i] = rows[k * n + i] / (to->noise_variance[i] + contrast2 * to->texture_variance[i]);
+                weighted[i] = rows[k * n + i] / (noise[i] + contrast2 * texture[i]);
             for (int j = k; j < PARAMETERS; j++)
                 equations[k * PARAMETERS + j] = equations[j * PARAMETERS + k] = dot(n, weighted, rows + j * n);
             right[k] = dot(n, weighted, rows + RESIDUAL * n);
         }
         double order_sigma = is_order_free ? limits->order_prior_sigma : limits->order_held_sigma;
-        for (int k = RISE_X; k <= ORDER; k++) {
-            double known = k == ORDER, sigma = k == ORDER ? order_sigma : rise;
-            equations[k * PARAMETERS + k] += 1 / (sigma * sigma);
-            right[k] += (known - state[k]) / (sigma * sigma);
-        }
+        add_priors(state, rise, order_sigma, equations, right);
         if (!invert(PARAMETERS, equations))
             return 0;
         for (int k = 0; k < PARAMETERS; k++)
@@ -167,27 +175,12 @@ int altd_fit(const struct fit_limits *limits, const struct blocks *of, double ri
                   fmax(fmax(change[A], change[C]), change[ORDER]) < limits->converged_shape;
         if (!is_order_free || !is_converged)
             continue;
-        to->contrast2 = contrast2, to->centre_variance = 0;
-        for (int i = 0; i < n; i++) {
-            double by_u = 0, by_v = 0, noise = to->noise_variance[i];
-            for (int k = 0; k < PARAMETERS; k++) {
-                by_u += equations[U * PARAMETERS + k] * rows[k * n + i];
-                by_v += equations[V * PARAMETERS + k] * rows[k * n + i];
-            }
-            double weight = 1 / (noise + contrast2 * to->texture_variance[i]);
-            to->centre_variance += (by_u * by_u + by_v * by_v) * weight * weight * noise / 2;
-        }
+        *contrast_found = contrast2;
+        *noise_of_centre = centre_variance(n, equations, rows, contrast2, NOISE);
         return 1;
     }
     return 0;
 }
-
-/* misfit.py: Residuals; direction holds u and v in turn */
-struct residuals {
-    int n;
-    const double *light, *derivatives, *prior, *prior_gradient, *noise_variance, *texture_variance;
-    const double *irradiance, *spot_light, *flat_light, *direction;
-};
 
 /* The harmonics of a ring are those from first to before last. */
 struct rings {
@@ -198,17 +191,21 @@ struct rings {
 struct misfit { double chi2, degrees_of_freedom, uu, uv, vv, pattern_variance; };
 
 static int ring_of(const struct rings *rings, double irradiance) { /* -1: none */
-    int ring = irradiance <= rings->levels[0] ? 0 : -1;
-    while (ring >= 0 && ring < RINGS - 1 && irradiance <= rings->levels[ring + 1])
+    int ring = -1;
+    while (ring < RINGS - 1 && irradiance <= rings->levels[ring + 1])
         ring++;
     return ring;
 }
 
-/* The light of block i in the harmonics of its ring; how many. */
-static int patterns_of(const struct rings *rings, const struct residuals *of, int ring, int i, double *pattern) {
-    double u = of->direction[2 * i], v = of->direction[2 * i + 1], u2 = u * u - v * v, v2 = 2 * u * v;
+/* misfit.py: _patterns, the light of a block in the harmonics of its ring; how many. block is its column. */
+static int patterns_of(const struct rings *rings, int ring, int n, const double *block, const double *s, double spot,
+                       double *pattern) {
+    double x = block[X * n] - s[U], y = block[Y * n] - s[V], root = sqrt(s[A] * s[C] - s[B] * s[B]);
+    double u = (s[A] + root) * x + s[B] * y, v = s[B] * x + (s[C] + root) * y;
+    double length = fmax(sqrt(u * u + v * v), 1e-12), u2, v2;
+    u /= length, v /= length, u2 = u * u - v * v, v2 = 2 * u * v;
     const double harmonics[] = {1, u, v, u2, v2, u2 * u - v2 * v, u2 * v + v2 * u};
-    double light = ring == RINGS - 1 ? of->flat_light[i] : of->spot_light[i];
+    double light = ring == RINGS - 1 ? s[PEAK] * block[F1 * n] : spot * block[F2 * n];
     int count = rings->last[ring] - rings->first[ring];
     for (int h = 0; h < count; h++)
         pattern[h] = light * harmonics[rings->first[ring] + h];
@@ -216,47 +213,48 @@ static int patterns_of(const struct rings *rings, const struct residuals *of, in
 }
 
 /* misfit.py: misfit_by_numpy; 0 where there are too few blocks to tell, or no solution */
-int altd_misfit(const struct rings *rings, const struct residuals *of, double contrast, struct misfit *to) {
+int altd_misfit(const struct rings *rings, int n, const double *blocks, const double *state, const double *rows,
+                double rise, double order_sigma, double contrast, struct misfit *to) {
     enum { P = PARAMETERS, M = MAX_PATTERNS };
-    int n = of->n, blocks[RINGS] = {0}, first[RINGS], count = 0;
+    int members[RINGS] = {0}, first[RINGS], count = 0;
+    const double *spot = rows + SPOT * n;
     double equations[P * P] = {0}, right[P] = {0}, shared[M * P] = {0}, information[M * M] = {0}, score[M] = {0};
     for (int i = 0, ring; i < n; i++)
-        if ((ring = ring_of(rings, of->irradiance[i])) >= 0)
-            blocks[ring]++;
+        if ((ring = ring_of(rings, spot[i] / state[PEAK])) >= 0)
+            members[ring]++;
     for (int ring = 0; ring < RINGS; ring++) {
-        first[ring] = blocks[ring] < rings->min_blocks ? -1 : count;
+        first[ring] = members[ring] < rings->min_blocks ? -1 : count;
         if (first[ring] >= 0)
             count += rings->last[ring] - rings->first[ring];
     }
     if (!count)
         return 0;
     for (int i = 0; i < n; i++) {
-        double weight = 1 / (of->noise_variance[i] + contrast * contrast * of->texture_variance[i]), by[P];
+        double weight = 1 / (rows[NOISE * n + i] + contrast * contrast * rows[TEXTURE * n + i]), by[P];
+        double light = rows[RESIDUAL * n + i];
         for (int k = 0; k < P; k++)
-            by[k] = of->derivatives[k * n + i];
+            by[k] = rows[k * n + i];
         for (int k = 0; k < P; k++) {
             double weighted = weight * by[k];
-            right[k] += weighted * of->light[i];
+            right[k] += weighted * light;
             for (int j = 0; j < P; j++)
                 equations[k * P + j] += weighted * by[j];
         }
-        int ring = ring_of(rings, of->irradiance[i]);
         double pattern[7];
-        int patterns = ring < 0 || first[ring] < 0 ? 0 : patterns_of(rings, of, ring, i, pattern);
+        int ring = ring_of(rings, spot[i] / state[PEAK]), patterns = 0;
+        if (ring >= 0 && first[ring] >= 0)
+            patterns = patterns_of(rings, ring, n, blocks + i, state, spot[i], pattern);
         for (int h = 0; h < patterns; h++) {
             int row = first[ring] + h;
             double weighted = weight * pattern[h];
-            score[row] += weighted * of->light[i];
+            score[row] += weighted * light;
             for (int k = 0; k < P; k++)
                 shared[row * P + k] += weighted * by[k];
             for (int g = 0; g < patterns; g++)
                 information[row * M + first[ring] + g] += weighted * pattern[g];
         }
     }
-    for (int k = 0; k < P; k++) {
-        equations[k * P + k] += of->prior[k];
-        right[k] += of->prior_gradient[k];
-    }
+    add_priors(state, rise, order_sigma, equations, right);
     if (!invert(P, equations))
         return 0;
     double step[P], scale[M], ridged[M * M];
@@ -286,15 +284,6 @@ int altd_misfit(const struct rings *rings, const struct residuals *of, double co
         to->degrees_of_freedom -= rings->ridge_share * ridged[r * size + r];
     }
     to->uu = equations[U * P + U], to->uv = equations[U * P + V], to->vv = equations[V * P + V];
-    to->pattern_variance = 0;
-    for (int i = 0; i < n; i++) {
-        double texture = contrast * contrast * of->texture_variance[i], by_u = 0, by_v = 0;
-        double weight = 1 / (of->noise_variance[i] + texture);
-        for (int k = 0; k < P; k++) {
-            by_u += equations[U * P + k] * of->derivatives[k * n + i];
-            by_v += equations[V * P + k] * of->derivatives[k * n + i];
-        }
-        to->pattern_variance += (by_u * by_u + by_v * by_v) * weight * weight * texture / 2;
-    }
+    to->pattern_variance = centre_variance(n, equations, rows, contrast * contrast, TEXTURE);
     return 1;
 }

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import POINTER, byref, c_double, c_int, c_void_p
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from altd.vision.blocks import Blocks
-    from altd.vision.misfit import Residuals
+    from altd.vision.fit import Solution
 
 FILE = Path(__file__).with_name("libkernel.so")
-_PARAMETERS = 10
+_FIT_ROWS = 14
 _RINGS = 5
 
 
@@ -66,37 +66,24 @@ class FoundMisfit(ctypes.Structure):
     _fields_ = [
         ("chi2", c_double),
         ("degrees_of_freedom", c_double),
-        ("centre_uu_px2", c_double),
-        ("centre_uv_px2", c_double),
-        ("centre_vv_px2", c_double),
-        ("pattern_px2", c_double),
+        ("centre_uu", c_double),
+        ("centre_uv", c_double),
+        ("centre_vv", c_double),
+        ("pattern_variance", c_double),
     ]
-
-
-class _Blocks(ctypes.Structure):
-    _fields_ = [("n", c_int), *((f"array_{number}", c_void_p) for number in range(8))]
-
-
-class _Fitted(ctypes.Structure):
-    _fields_ = [
-        *((name, c_void_p) for name in ("rows", "noise_variance", "texture_variance", "spot", "weighted")),
-        ("centre_variance", c_double),
-        ("contrast2", c_double),
-    ]
-
-
-class _Residuals(ctypes.Structure):
-    _fields_ = [("n", c_int), *((f"array_{number}", c_void_p) for number in range(10))]
 
 
 def _loaded() -> tuple[ctypes.CDLL | None, str]:
     try:
         library = ctypes.CDLL(str(FILE))
         library.altd_fit.argtypes = [
-            *(POINTER(FitLimits), POINTER(_Blocks), c_double, c_int, c_void_p),
-            POINTER(_Fitted),
+            *(POINTER(FitLimits), c_int, c_int, c_void_p, c_double, c_int),
+            *(c_void_p, c_void_p, POINTER(c_double), POINTER(c_double)),
         ]
-        library.altd_misfit.argtypes = [POINTER(Rings), POINTER(_Residuals), c_double, POINTER(FoundMisfit)]
+        library.altd_misfit.argtypes = [
+            *(POINTER(Rings), c_int, c_void_p, c_void_p, c_void_p, c_double, c_double, c_double),
+            POINTER(FoundMisfit),
+        ]
     except OSError as error:
         return None, "numpy: " + (f"{error}" if FILE.exists() else "altd was built without a C compiler")
     return library, "compiled"
@@ -112,63 +99,33 @@ def is_compiled() -> bool:
 
 def fit(
     limits: FitLimits, blocks: Blocks, state: Sequence[float], rise: float, order_free_iteration: int
-) -> tuple[list[float], float, FloatArray, FloatArray, FloatArray, float, FloatArray] | None:
+) -> tuple[list[float], FloatArray, float, float] | None:
     """``fit.solve_by_numpy``: the values of a ``Solution`` in their order; None when it does not converge."""
-    arrays = [
-        _packed(values)
-        for values in (
-            *(blocks.light, blocks.monomials, blocks.half_moments, blocks.f1, blocks.f2),
-            *(blocks.read_variance, blocks.shot_variance, blocks.texture_variance),
-        )
-    ]
-    n = blocks.light.size
-    room, found = np.empty((_PARAMETERS + 5, n)), np.array(state)
-    rows = [
-        _address(room) + number * room.strides[0] for number in (0, *range(_PARAMETERS + 1, _PARAMETERS + 5))
-    ]
-    fitted = _Fitted(*rows)
+    count = blocks.rows.shape[1]
+    given, found, rows = np.ascontiguousarray(blocks.rows), np.array(state), np.empty((_FIT_ROWS + 1, count))
+    centre_variance, contrast2 = c_double(), c_double()
     assert _library is not None  # noqa: S101  asked before
     is_found = _library.altd_fit(
-        *(byref(limits), byref(_Blocks(n, *map(_address, arrays))), rise, order_free_iteration),
-        *(_address(found), byref(fitted)),
+        *(byref(limits), count, blocks.has_moments, _address(given), rise, order_free_iteration),
+        *(_address(found), _address(rows), byref(centre_variance), byref(contrast2)),
     )
-    if not is_found:
-        return None
-    noise, texture, spot = room[_PARAMETERS + 1 : _PARAMETERS + 4]
-    return (
-        found.tolist(),
-        fitted.centre_variance,
-        room[: _PARAMETERS + 1],
-        noise,
-        texture,
-        fitted.contrast2,
-        spot,
-    )
+    return (found.tolist(), rows[:_FIT_ROWS], centre_variance.value, contrast2.value) if is_found else None
 
 
-def misfit(rings: Rings, of: Residuals, texture_contrast: float) -> FoundMisfit | None:
+def misfit(
+    rings: Rings, blocks: Blocks, solution: Solution, rise: float, order_sigma: float, texture_contrast: float
+) -> FoundMisfit | None:
     """``misfit.misfit_by_numpy``; None where there are too few blocks to tell."""
-    arrays = [
-        _packed(values)
-        for values in (
-            *(of.light, of.derivatives, of.prior, of.prior_gradient, of.noise_variance, of.texture_variance),
-            *(
-                of.irradiance,
-                of.spot_light,
-                of.flat_light,
-                np.ascontiguousarray(of.direction).view(np.float64),
-            ),
-        )
-    ]
+    given, state, rows = map(np.ascontiguousarray, (blocks.rows, solution.state, solution.rows))
     found = FoundMisfit()
     assert _library is not None  # noqa: S101  asked before
-    of_n = _Residuals(of.light.size, *map(_address, arrays))
-    return found if _library.altd_misfit(byref(rings), byref(of_n), texture_contrast, byref(found)) else None
+    is_found = _library.altd_misfit(
+        *(byref(rings), rows.shape[1], _address(given), _address(state), _address(rows)),
+        *(rise, order_sigma, texture_contrast, byref(found)),
+    )
+    return found if is_found else None
 
 
-def _packed(values: np.ndarray[Any, Any] | None) -> FloatArray | None:
-    return None if values is None else np.ascontiguousarray(values, dtype=np.float64)
-
-
-def _address(values: FloatArray | None) -> int | None:
-    return None if values is None else values.__array_interface__["data"][0]
+def _address(values: FloatArray) -> int:
+    address: int = values.__array_interface__["data"][0]
+    return address

@@ -9,12 +9,14 @@ chi-square.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from altd.records import FloatArray
 from altd.vision import kernel
+from altd.vision.blocks import F1, F2, MONOMIALS, Blocks
+from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, RESIDUAL, RISE_X, SPOT, TEXTURE, Solution, U, V
 
 _RING_LEVELS = 1.0, 0.7, 0.35, 0.12, 0.02, 0.0
 """The rings lie between these shares of the spot's peak; the last one holds the surroundings."""
@@ -41,35 +43,26 @@ _MAX_CONTRAST_RATIO = 1.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """The residuals of a fitted spot in n blocks.
+    """A spot as fitted to its blocks.
 
-    ``light`` (n,) counts; ``derivatives`` (p, n) of the light by the parameters, u and v of the centre in px
-    in rows 1 and 2; ``prior`` (p,) the prior information on the parameters, 1/variance, and
-    ``prior_gradient`` (p,) that times their distance from the prior values; ``noise_variance`` (n,) of read
-    and shot noise, ``texture_variance`` (n,) that of a surface texture with the relative standard deviation
-    1; ``texture_contrast`` the standard deviation that the fit estimated; ``irradiance`` (n,) as a share of
-    the peak; ``spot_light`` (n,) counts; ``flat_light`` (n,) counts that even light of the spot's peak would
-    bring; ``direction`` (n,) the unit vectors from the centre, u + i v, in the frame in which the spot is
-    round.
+    The blocks' places are in units of ``sigma_px``; ``rise`` is the prior standard deviation of the
+    background's slopes, counts per ``sigma_px``.
     """
 
-    light: FloatArray
-    derivatives: FloatArray
-    prior: FloatArray
-    prior_gradient: FloatArray
-    noise_variance: FloatArray
-    texture_variance: FloatArray
-    texture_contrast: float
-    irradiance: FloatArray
-    spot_light: FloatArray
-    flat_light: FloatArray
-    direction: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    blocks: Blocks
+    solution: Solution
+    rise: float
+    sigma_px: float
+
+    @property
+    def texture_contrast(self) -> float:
+        """The relative standard deviation of the surface texture, as the fit estimated it."""
+        return math.sqrt(self.solution.contrast2)
 
     @property
     def nbytes(self) -> int:
         """The memory that the arrays take."""
-        values = (getattr(self, field.name) for field in fields(self))
-        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
+        return self.blocks.rows.nbytes + self.solution.rows.nbytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,37 +101,44 @@ def misfit_of(residuals: Residuals, usual_contrast: float | None = None) -> Misf
         texture_contrast = min(max(texture_contrast, floor_contrast), _MAX_CONTRAST_RATIO * floor_contrast)
     if not kernel.is_compiled():
         return misfit_by_numpy(residuals, texture_contrast)
-    found = kernel.misfit(_RINGS, residuals, texture_contrast)
+    found = kernel.misfit(
+        _RINGS, residuals.blocks, residuals.solution, residuals.rise, ORDER_PRIOR_SIGMA, texture_contrast
+    )
     if found is None:
         return None
-    uv = found.centre_uv_px2
-    covariance = np.array(((found.centre_uu_px2, uv), (uv, found.centre_vv_px2)))
-    return Misfit(found.chi2, found.degrees_of_freedom, covariance, math.sqrt(found.pattern_px2))
+    uv = found.centre_uv
+    covariance = np.array(((found.centre_uu, uv), (uv, found.centre_vv))) * residuals.sigma_px**2
+    pattern_px = residuals.sigma_px * math.sqrt(found.pattern_variance)
+    return Misfit(found.chi2, found.degrees_of_freedom, covariance, pattern_px)
 
 
 def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | None:
     """``misfit_of`` without compiled code, for a texture contrast."""
-    texture_variance = texture_contrast**2 * residuals.texture_variance
-    weights = 1 / (residuals.noise_variance + texture_variance)
+    solution = residuals.solution
+    derivatives, light = solution.derivatives, solution.rows[RESIDUAL]
+    weights = 1 / solution.variance(texture_contrast**2)
     patterns = _patterns(residuals)
     if not len(patterns):
         return None
-    weighted = residuals.derivatives * weights
-    equations = weighted @ residuals.derivatives.T
-    equations.flat[:: len(equations) + 1] += residuals.prior
+    prior, known = np.zeros(RESIDUAL), np.array(solution.state)
+    prior[RISE_X : ORDER + 1] = residuals.rise**-2, residuals.rise**-2, ORDER_PRIOR_SIGMA**-2
+    known[RISE_X : ORDER + 1] = 0.0, 0.0, 1.0
+    weighted = derivatives * weights
+    equations = weighted @ derivatives.T
+    equations.flat[:: len(equations) + 1] += prior
     try:
         covariance = np.asarray(np.linalg.inv(equations), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     weighted_patterns = patterns * weights
-    shared = weighted_patterns @ residuals.derivatives.T
+    shared = weighted_patterns @ derivatives.T
     information = weighted_patterns @ patterns.T
     diagonal = information.diagonal()
     used = diagonal > 0
     if not used.any():
         return None
-    step = covariance @ (weighted @ residuals.light + residuals.prior_gradient)
-    score = weighted_patterns @ residuals.light - shared @ step
+    step = covariance @ (weighted @ light + prior * (known - solution.state))
+    score = weighted_patterns @ light - shared @ step
     remaining = information - shared @ covariance @ shared.T
     if not used.all():
         diagonal, score, remaining = diagonal[used], score[used], remaining[np.ix_(used, used)]
@@ -147,13 +147,13 @@ def misfit_by_numpy(residuals: Residuals, texture_contrast: float) -> Misfit | N
     remaining = remaining * scale[:, None] * scale
     ridged = remaining + _RIDGE_SHARE * np.eye(len(remaining))
     solved = np.linalg.solve(ridged, np.column_stack([score, remaining]))
-    centre = covariance[1:3] @ weighted
-    pattern = float((np.square(centre) @ texture_variance).sum()) / 2
+    centre = covariance[U : V + 1] @ weighted
+    pattern_variance = float((np.square(texture_contrast * centre) @ solution.rows[TEXTURE]).sum()) / 2
     return Misfit(
         chi2=float(score @ solved[:, 0]),
         degrees_of_freedom=float(np.trace(solved[:, 1:])),
-        centre_covariance_px2=covariance[1:3, 1:3],
-        pattern_px=math.sqrt(pattern),
+        centre_covariance_px2=covariance[U : V + 1, U : V + 1] * residuals.sigma_px**2,
+        pattern_px=residuals.sigma_px * math.sqrt(pattern_variance),
     )
 
 
@@ -164,21 +164,33 @@ def excess_sigmas(chi2: float, degrees_of_freedom: float) -> float:
 
 
 def _patterns(residuals: Residuals) -> FloatArray:
-    """Rows (patterns, n): the spot's light in each ring times each harmonic of the direction."""
-    direction, count = residuals.direction, residuals.light.size
-    harmonic_rows = np.empty((7, count))
+    """Rows (patterns, n): the spot's light in each ring times each harmonic of the direction.
+
+    The direction from the centre is that in the frame in which the spot is round.
+    """
+    blocks, solution = residuals.blocks.rows, residuals.solution
+    spot, irradiance = solution.rows[SPOT], solution.peak_shares
+    peak, u, v, a, b, c, *_ = solution.state
+    # a root of the form turns the ellipse into a circle and, being symmetric, keeps the directions nearly
+    root = math.sqrt(a * c - b * b)
+    _, x, y, *_ = blocks[MONOMIALS]
+    x, y = x - u, y - v
+    places = (a + root) * x + b * y + 1j * (b * x + (c + root) * y)
+    direction = places / np.maximum(np.abs(places), 1e-12)
+    harmonic_rows = np.empty((7, spot.size))
     harmonic_rows[0] = 1.0
     for harmonic, power in enumerate((direction, direction**2, direction**3)):
         harmonic_rows[1 + 2 * harmonic], harmonic_rows[2 + 2 * harmonic] = power.real, power.imag
-    patterns = np.empty((_MAX_PATTERNS, count))
+    patterns = np.empty((_MAX_PATTERNS, spot.size))
     filled = 0
     for upper, lower, harmonics in zip(_RING_LEVELS, _RING_LEVELS[1:], _HARMONICS, strict=False):
-        inside = (residuals.irradiance <= upper) & (residuals.irradiance > lower)
+        inside = (irradiance <= upper) & (irradiance > lower)
         if lower == 0.0:
-            inside |= residuals.irradiance <= 0
+            inside |= irradiance <= 0
         if np.count_nonzero(inside) < _MIN_BLOCKS:
             continue
-        light = np.where(inside, residuals.spot_light if lower > 0 else residuals.flat_light, 0.0)
+        # the last ring: counts that even light of the spot's peak would bring
+        light = np.where(inside, spot * blocks[F2] if lower > 0 else peak * blocks[F1], 0.0)
         rows = slice(filled, filled + harmonics.stop - harmonics.start)
         np.multiply(harmonic_rows[harmonics], light, out=patterns[rows])
         filled = rows.stop

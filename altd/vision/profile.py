@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from altd.records import FloatArray
 from altd.statistics import mad_sigma
-from altd.vision.blocks import Blocks, blocks_of
+from altd.vision.blocks import blocks_of
 from altd.vision.centre import Centre, Noise
-from altd.vision.fit import ORDER, ORDER_PRIOR_SIGMA, PEAK, RESIDUAL, RISE_X, Solution, U, V, solve
+from altd.vision.fit import RESIDUAL, Solution, solve
 from altd.vision.flat import BLOCK_PX, Flat
 from altd.vision.misfit import Residuals
 from altd.vision.patch import Patch
@@ -108,44 +108,14 @@ def fit_profile(
         (a / sigma_px**2, b / sigma_px**2, c / sigma_px**2),
         order,
         offset,
-        _residuals(data, solution, sigma_px, rise),
-    )
-
-
-def _residuals(data: Blocks, solution: Solution, sigma_px: float, rise: float) -> Residuals:
-    """The residuals of the fit, with the derivatives by the centre in px."""
-    peak, u, v, a, b, c, *_ = solution.state
-    derivatives, light = solution.rows[:RESIDUAL], solution.rows[RESIDUAL]
-    derivatives[U : V + 1] /= sigma_px
-    prior, known = np.zeros(RESIDUAL), np.array(solution.state)
-    prior[RISE_X : ORDER + 1] = rise**-2, rise**-2, ORDER_PRIOR_SIGMA**-2
-    known[RISE_X : ORDER + 1] = 0.0, 0.0, 1.0
-    # a root of the form turns the ellipse into a circle and, being symmetric, keeps the directions nearly
-    root = math.sqrt(a * c - b * b)
-    x, y = data.monomials[1] - u, data.monomials[2] - v
-    places = (a + root) * x + b * y + 1j * (b * x + (c + root) * y)
-    return Residuals(
-        light=light,
-        derivatives=derivatives,
-        prior=prior,
-        prior_gradient=prior * (known - solution.state),
-        noise_variance=solution.noise_variance,
-        texture_variance=solution.texture_variance,
-        texture_contrast=math.sqrt(solution.contrast2),
-        irradiance=solution.spot / peak,
-        spot_light=solution.spot * data.f2,
-        flat_light=peak * data.f1,
-        direction=places / np.maximum(np.abs(places), 1e-12),
+        Residuals(data, solution, rise, sigma_px),
     )
 
 
 def _clean_blocks(solution: Solution) -> npt.NDArray[np.bool_] | None:
     """The mask (n,) of blocks without dust, where dust hides a few; None where it hides none or too many."""
-    residual = solution.rows[RESIDUAL]
-    sigmas = np.abs(residual) / np.sqrt(
-        solution.noise_variance + solution.contrast2 * solution.texture_variance
-    )
-    lit: npt.NDArray[np.bool_] = solution.spot > _MIN_SPECK_PEAK_SHARE * solution.state[PEAK]
+    sigmas = np.abs(solution.rows[RESIDUAL]) / np.sqrt(solution.variance(solution.contrast2))
+    lit: npt.NDArray[np.bool_] = solution.peak_shares > _MIN_SPECK_PEAK_SHARE
     lit_sigma = mad_sigma(sigmas[lit]) if lit.any() else 0.0
     specks = lit & (sigmas > _MIN_SPECK_SIGMAS * lit_sigma)
     if not 0 < np.count_nonzero(specks) <= _MAX_SPECK_SHARE * np.count_nonzero(lit):
