@@ -82,7 +82,6 @@ def write(
         store = NotingStore(path, 400 * 10**6, About(columns_of(QUANTITIES, ("front", "rear"))))
         state = UnitState(board, health, clock)
         recorder = HistoryRecorder(store, EventLog(clock), state.read, health.component("history"), clock)
-        board.on_publish = recorder.take
         recording = asyncio.create_task(recorder.run())
         keys = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
         point = {"x_mm": Value(1.0), "y_mm": Value(2.0)}
@@ -91,7 +90,8 @@ def write(
             values = {key: Value(random.uniform(-50, 50), 0.004) for key in keys}
             now_ns = time.monotonic_ns()
             targets = {"front": point, "rear": point}
-            board.publish(Measurement(sequence, now_ns, datetime.now(UTC), 20, QUANTITIES, values, targets))
+            measured = Measurement(sequence, now_ns, datetime.now(UTC), 20, QUANTITIES, values, targets)
+            recorder.take(board.publish(measured))
             note(sequence, now_ns)
             sequence += 1
             await asyncio.sleep(1 / RATE_HZ)

@@ -30,7 +30,8 @@ class Pipeline:
     When no camera delivers, the board says so every ``chain.silent_after_s``. ``progress`` is called each
     time an exposure moved on or something was put on the board, and only then: it feeds the watchdog. Frames
     that are taken and come to nothing do not. ``checks`` and ``trends`` are shown what was located;
-    ``checks`` have a say in what is put on the board.
+    ``checks`` have a say in what is put on the board. ``record`` takes each measurement as it is published;
+    it must neither wait nor fail.
     """
 
     located: LocatedPairs
@@ -40,6 +41,7 @@ class Pipeline:
     progress: Callable[[], None] = lambda: None
     checks: SelfChecks | None = None
     trends: SpotTrends | None = None
+    record: Callable[[Measurement], None] = lambda measurement: None
 
     def __post_init__(self) -> None:
         self._clock = self.component.clock
@@ -107,7 +109,7 @@ class Pipeline:
                 steps.debug("exposure %d: held back by a self-check", measurement.sequence)
                 return
             measurement = checked
-        self.board.publish(measurement)
+        self.record(self.board.publish(measurement))
         if steps.isEnabledFor(logging.DEBUG):
             after_ms = (self._clock.monotonic_ns() - measurement.light_ns) * 1e-6
             line = status_line(measurement)

@@ -215,6 +215,7 @@ class Daemon:
             manager.progress,
             self.checks,
             self._maintenance.trends,
+            self.past.record,
         )
         tasks.create_task(pipeline.run(), name="pipeline")
 

@@ -28,11 +28,11 @@ from altd.measuring.calibration import Calibration
 from altd.ports import Camera, Clock
 from altd.publish.serial.parts_text import Past
 from altd.recording.header import target_headers, unit_header
-from altd.records import Quantities
+from altd.records import Measurement, Quantities
 from altd.runtime.service_manager import state_folder
 from altd.status.availability import MONTH_S, Availability, Before
 from altd.status.board import Board
-from altd.status.event_log import EventKind, EventLog
+from altd.status.event_log import EventKind
 from altd.status.health import Health, State
 from altd.status.services import KeptRecording
 from altd.status.state import StateEvents, UnitState
@@ -176,7 +176,7 @@ class DaemonHistory:
     """One daemon's events and, where ``keep_in`` was called, its file."""
 
     def __init__(self, board: Board, health: Health, state: UnitState, clock: Clock) -> None:
-        self.events = EventLog(clock)
+        self.events = health.events
         self.history = History(None, "this daemon keeps no history")
         """For interfaces."""
         self._board = board
@@ -200,8 +200,12 @@ class DaemonHistory:
         component = self._health.component(COMPONENT)
         store = Store(path, max_bytes, about)
         self._recorder = HistoryRecorder(store, self.events, self._state.read, component, self._clock)
-        self._board.on_publish = self._recorder.take
         self.history = History(path, serial=about.facts.get("serial"))
+
+    def record(self, measurement: Measurement) -> None:
+        """Take what is published; without a history nothing is kept of it."""
+        if self._recorder is not None:
+            self._recorder.take(measurement)
 
     def note_recording(self, text: str, kept: KeptRecording | None) -> None:
         """Frames were kept as a recording, or could not be."""

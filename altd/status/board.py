@@ -30,8 +30,6 @@ class Board:
         self._complete = complete
         self.identity = identity
         """Whose measurements these are."""
-        self.on_publish: Callable[[Measurement], None] = lambda measurement: None
-        """Is given each measurement that is published; it must neither wait nor fail."""
         self._clock = clock
         self._started_ns = clock.monotonic_ns()
         self._stale_after_ns = round(stale_after_s * 1e9)
@@ -47,14 +45,15 @@ class Board:
         """How many measurements were published so far."""
         return self._count
 
-    def publish(self, measurement: Measurement) -> None:
-        """Publish a measurement and wake every reader that waits."""
-        self._latest, self._stale = self._complete(measurement), None
+    def publish(self, measurement: Measurement) -> Measurement:
+        """Publish a measurement and wake every reader that waits; returns it as it is published."""
+        published = self._complete(measurement)
+        self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
-        self.on_publish(self._latest)
         self._changed.set()
         self._changed = asyncio.Event()
+        return published
 
     async def published_after(self, count: int) -> int:
         """How many measurements were published, once it is not ``count`` any more."""

@@ -10,6 +10,7 @@ from enum import StrEnum
 from altd.ports import Clock
 from altd.status.cause import StateReport
 from altd.status.diagnostic_part import DiagnosticPart
+from altd.status.event_log import EventLog
 from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
 from altd.status.target_area import TargetArea
 
@@ -118,7 +119,8 @@ class Health:
         """What does not change while the daemon runs: serial, version, calibration."""
         self.targets: tuple[TargetArea, ...] = ()
         """In beam order."""
-        self.self_check = SelfCheckService()
+        self.events = EventLog(clock)
+        self.self_check = SelfCheckService(self.events)
         self.recordings = RecordingService("this unit keeps no frames")
         self.pictures = PictureService("this unit shows no pictures")
         self.calibration = CalibrationService()

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+from altd.status.event_log import EventKind, EventLog
+
 Provider = TypeVar("Provider")
 
 
@@ -241,16 +243,18 @@ class SelfCheckReport:
 
 
 class SelfCheckService:
-    """``unavailable`` says why there is no self-check; empty once there is one, which is told of requests."""
+    """``unavailable`` says why there is no self-check; empty once there is one.
 
-    def __init__(self) -> None:
+    Requests go to it and are noted in ``events``.
+    """
+
+    def __init__(self, events: EventLog) -> None:
         self.unavailable = "this unit has no frame LEDs that the daemon switches"
         self.latest: SelfCheckReport | None = None
         self.waiting = 0
         """Who waits for a report."""
         self._begun = 0
-        self.on_ask: Callable[[str], None] = lambda by: None
-        """Is told who asks."""
+        self._events = events
         self._on_request: Callable[[], None] = lambda: None
         self._changed = asyncio.Event()
 
@@ -276,7 +280,7 @@ class SelfCheckService:
         """
         if self.unavailable:
             raise NoSelfCheckError(self.unavailable)
-        self.on_ask(by)
+        self._events.note(EventKind.REQUEST, "a self-check was asked for", by)
         self._on_request()
         return self._begun + 1
 

@@ -101,7 +101,6 @@ class StateEvents:
         self._signal: Signal | None = None
         self._causes: dict[tuple[Kind, str | None], ShownCause] = {}
         self._checks = 0
-        service.on_ask = self._note_request
 
     async def run(self) -> None:
         """Look until cancelled."""
@@ -157,9 +156,6 @@ class StateEvents:
             detail["shift_px"] = shifts
         severity = _SEVERITY_OF_VERDICT.get(verdict, _SEVERITY_WITHOUT_VERDICT)
         self._log.note(EventKind.SELF_CHECK, latest.sentence, None, severity, detail)
-
-    def _note_request(self, by: str) -> None:
-        self._log.note(EventKind.REQUEST, "a self-check was asked for", by)
 
 
 def _shifts_px(targets: object) -> dict[str, object]:

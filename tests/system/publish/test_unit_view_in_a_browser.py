@@ -89,7 +89,7 @@ async def test_self_checks_so_far_are_listed_and_drawn_and_diagnostics_are_given
         watched_unit(calibration_of_unit_3, tmp_path, calibration_file) as running,
         seen(started, running, goes_on=False, accept_downloads=True) as shown,
     ):
-        events = running.daemon.past.events
+        events = running.daemon.health.events
         section = shown.page.get_by_role("region", name="Self-checks so far", exact=True)
         reports = [await running.check() for _ in range(2)]
         noted = await checks_noted(events, reports[-1].number)

@@ -23,6 +23,7 @@ from altd.history.recorder import WRITE_INTERVAL_S, HistoryRecorder
 from altd.history.schema import SECONDS
 from altd.history.store import Store
 from altd.instruments.beam.instrument import QUANTITIES
+from altd.records import Measurement
 from altd.status import event_log
 from altd.status.board import Board
 from altd.status.event_log import EventKind, EventLog
@@ -44,7 +45,6 @@ class Recording:
         self.recorder = HistoryRecorder(
             store or Store(self.path, MAX_BYTES, ABOUT), self.log, state.read, self.component, self.clock
         )
-        self.board.on_publish = self.recorder.take
         self.published = 0
         self._task: asyncio.Task[None] | None = None
         self._end_within_s = end_within_s
@@ -68,7 +68,10 @@ class Recording:
     def publish(self) -> None:
         self.published += 1
         now_s = self.clock.utc(self.clock.now_ns).timestamp()
-        self.board.publish(at(now_s - 0.1, 10.0, self.published))
+        self.record(at(now_s - 0.1, 10.0, self.published))
+
+    def record(self, measured: Measurement) -> None:
+        self.recorder.take(self.board.publish(measured))
 
     async def pass_time(self, seconds: float, rate: float = 0.0) -> None:
         """``rate`` measurements a second are published meanwhile."""
@@ -97,7 +100,7 @@ async def test_every_measurement_is_recorded_once(tmp_path: Path) -> None:
 
 async def test_seconds_in_which_nothing_is_measured_have_a_row_that_says_why(tmp_path: Path) -> None:
     async with Recording(tmp_path) as recording:
-        recording.board.publish(measurement(1, recording.clock.now_ns))
+        recording.record(measurement(1, recording.clock.now_ns))
         await recording.pass_time(10.0)
     with Reader(recording.path) as reader:
         rows = list(reader.summaries(SECONDS, 0, 2**62))

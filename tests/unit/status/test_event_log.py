@@ -114,6 +114,10 @@ class TestStateEvents:
         return health.self_check
 
     @pytest.fixture
+    def log(self, health: Health) -> EventLog:
+        return health.events
+
+    @pytest.fixture
     def observer(self, log: EventLog, board: Board, health: Health, clock: FakeClock) -> StateEvents:
         state = UnitState(board, health, clock)
         return StateEvents(log, state.read, health.self_check, clock)

@@ -23,6 +23,7 @@ from altd.instruments.beam.instrument import BeamInstrument
 from altd.measuring.chain import MeasuringChain, View
 from altd.records import Frame
 from altd.selfcheck.records import Limits
+from altd.status.event_log import EventLog
 from altd.status.health import Health
 from altd.status.services import SelfCheckService
 
@@ -54,7 +55,9 @@ class Bench:
             CheckMemory(calibration, self._clock),
         )
         component = Health(self._clock).component("self-check")
-        self._checks = SelfChecks(parts, CAMERAS, SelfCheckService(), component, self._clock)
+        self._checks = SelfChecks(
+            parts, CAMERAS, SelfCheckService(EventLog(self._clock)), component, self._clock
+        )
         self.told: dict[int, str] = {}
         self._rng = np.random.default_rng(2)
 

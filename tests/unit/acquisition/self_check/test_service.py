@@ -24,6 +24,7 @@ from altd.acquisition.self_check.schedule import FIRST_REPEAT_S, REST_S, Cause, 
 from altd.acquisition.self_check.service import CheckParts, SelfChecks
 from altd.config import SelfCheckSettings
 from altd.selfcheck.records import Limits, SelfCheck, Verdict
+from altd.status.event_log import EventLog
 from altd.status.health import Component
 from altd.status.services import SelfCheckService
 
@@ -49,7 +50,8 @@ class Running:
     """The service with what it needs of others made by hand; ``found``: what each check finds."""
 
     def __init__(self, has_begun: bool, found: SelfCheck | None = None, **settings: object) -> None:
-        self.clock, self.service = FakeClock(), SelfCheckService()
+        self.clock = FakeClock()
+        self.service = SelfCheckService(EventLog(self.clock))
         checked = SelfCheckSettings.model_validate(settings)
         geometry = GeometryState(checked, Limits(), evidence.calibration(), self.clock)
         parts = CheckParts(

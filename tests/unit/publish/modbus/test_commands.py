@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 
 import pytest
+from support.clock import FakeClock
 from support.modbus_wire import UNIT, Client, connected, frame
 from support.serving import serving
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
+from altd.status.event_log import EventLog
 from altd.status.health import Component
 from altd.status.services import SelfCheckService
 
@@ -23,8 +25,8 @@ def asked() -> list[bool]:
 
 
 @pytest.fixture
-def service(asked: list[bool]) -> SelfCheckService:
-    service = SelfCheckService()
+def service(asked: list[bool], clock: FakeClock) -> SelfCheckService:
+    service = SelfCheckService(EventLog(clock))
     service.open(lambda: asked.append(True))
     return service
 
