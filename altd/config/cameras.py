@@ -75,7 +75,7 @@ class ExposureSettings(Table):
 
 
 class LiveCameraSettings(Table):
-    """What every camera that is no recording has."""
+    """What every camera that is no recording has: a device, an exposure and a serial number."""
 
     device: Path | str
     """Which camera it is, in the words of its driver."""

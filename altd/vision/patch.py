@@ -90,7 +90,7 @@ def without_hot_pixels(window: PixelArray) -> Image:
     neighbours does: the smallest printed dot spreads over more than one pixel, a hot pixel does not.
     """
     image: Image = window.astype(np.float32)
-    floor = float(np.partition(image.ravel(), image.size // 4)[image.size // 4])
+    floor = float(np.partition(window.ravel(), image.size // 4)[image.size // 4])
     limit = cv2.dilate(window, _RING).astype(np.float32)
     np.maximum(limit, floor + 3, out=limit)
     limit *= _MIN_HOT_RATIO

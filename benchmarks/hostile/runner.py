@@ -104,8 +104,8 @@ async def _left(publisher: HttpPublisher, files: int) -> list[str]:
     while True:
         counts = {
             "descriptors": max(open_files() - files, 0),
-            "viewers": publisher.open_viewers,
-            "streams": publisher.open_streams,
+            "viewers": publisher.answers.viewers.open,
+            "streams": publisher.answers.streams.open,
         }
         left = [f"{count} {name} are left" for name, count in counts.items() if count]
         if not left or time.monotonic() > give_up_s:

@@ -222,7 +222,7 @@ class Device:
                 self._camera.set_gain_auto(Aravis.Auto.OFF)
 
     def without_chunks(self) -> None:
-        """Have frames sent bare, also by a camera that another program left otherwise."""
+        """Have frames sent without chunk data, also by a camera that another program left otherwise."""
         with _typed_errors("ChunkModeActive"):
             if self._camera.are_chunks_available():
                 self._camera.set_chunk_mode(False)

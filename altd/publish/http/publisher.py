@@ -74,20 +74,10 @@ class HttpPublisher:
         is_open = certificate is None and not self.is_local
         self._names = OwnNames(settings.names) if is_open else None
         past = Past(history or History(None, "there is no history"), board.quantities, component.clock)
-        self._answers = Answers(board, health, component, guard, past)
+        self.answers = Answers(board, health, component, guard, past)
         document = document_of(PATHS, board.quantities, health.facts.get("version", ""))
-        self._answers.document = json.dumps(document).encode()
-        self._answers.api_page = api_page_of(document)
-
-    @property
-    def open_viewers(self) -> int:
-        """Browsers that look at the targets now."""
-        return self._answers.viewers.open
-
-    @property
-    def open_streams(self) -> int:
-        """Clients that are sent every measurement now."""
-        return self._answers.streams.open
+        self.answers.document = json.dumps(document).encode()
+        self.answers.api_page = api_page_of(document)
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the address cannot be had."""
@@ -104,7 +94,7 @@ class HttpPublisher:
             self._tell()
 
         requests = Buckets(REQUESTS, self._component.clock)
-        application = application_of(PATHS, self._answers, self._component, requests, self._names)
+        application = application_of(PATHS, self.answers, self._component, requests, self._names)
         await serve(application, listener, self._component, self._policy, serving)
 
     def _complain(self, about: str, sentence: str) -> None:

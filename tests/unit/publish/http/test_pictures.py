@@ -132,7 +132,7 @@ async def test_more_browsers_than_may_look_are_told_so(
             assert closed.value.rcvd.code == 1013
         assert component.counters["viewers_refused"] == 1
         await browsers.aclose()
-        await unit.until(lambda: unit.publisher.open_viewers == 0)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
         async with looking(unit) as browser:
             await first(browser)
             assert len(await shown(browser)) == 1

@@ -33,7 +33,7 @@ async def test_what_is_no_request_for_a_picture_ends_the_connection(
             await asyncio.wait_for(browser.recv(), 60)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code in (1003, 1009)
-        await unit.until(lambda: unit.publisher.open_viewers == 0)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
 
 
 async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
@@ -49,7 +49,7 @@ async def test_pings_of_who_has_left_are_answered_to_nobody_and_logged_nowhere(
             leaving = writer.get_extra_info("socket")
             leaving.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # by a reset
             writer.transport.abort()
-            await unit.until(lambda: unit.publisher.open_viewers == 0)
+            await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
     assert caplog.records == []
 
 
@@ -67,7 +67,7 @@ async def test_what_is_to_be_said_after_too_large_a_message_is_no_defect(
             maker.put(picture("front", 1))
             assert (await reader.read()).endswith(b"maximum size (256 bytes)")
         writer.close()
-        await unit.until(lambda: unit.publisher.open_viewers == 0)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
     assert caplog.records == []
 
 
@@ -79,9 +79,9 @@ async def test_who_speaks_before_the_unit_has_agreed_and_leaves_is_noticed(
         writer.write(HANDSHAKE + b"\x89\x80\x00\x00\x00\x00" * 1000)
         async with asyncio.timeout(60):
             await reader.readuntil(b"\r\n\r\n")
-        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 1)
         writer.close()
-        await unit.until(lambda: unit.publisher.open_viewers == 0)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ async def test_who_sends_more_than_a_browser_is_cut_off_before_it_is_parsed(
                 heard = await reader.read()
             assert heard.count(b"\x8a\x00") < 350, "2048 bytes have room for 341 empty pings"
         writer.close()
-        await unit.until(lambda: unit.publisher.open_viewers == 1)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 1)
         assert len(await shown(browser)) == 1
 
 
@@ -165,7 +165,7 @@ async def test_garbage_does_not_trouble_it_nor_who_looks_beside_it(
         async with one_that_looks(unit, maker):
             for _ in range(40):
                 await asyncio.gather(*(_throw(unit, hostile(rng)) for _ in range(10)))
-        await unit.until(lambda: unit.publisher.open_viewers == 0)
+        await unit.until(lambda: unit.publisher.answers.viewers.open == 0)
         assert not unit.task.done()
     assert caplog.records == []
 

@@ -59,11 +59,11 @@ async def test_cancellation_is_prompt_and_leaves_nothing_even_with_streams_open(
         readers = [await unit.connect() for _ in range(5)]
         for _, writer in readers[:3]:
             writer.write(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
-        await unit.until(lambda: unit.publisher.open_streams == 3)
+        await unit.until(lambda: unit.publisher.answers.streams.open == 3)
         unit.task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await asyncio.wait_for(unit.task, 60)
-        assert unit.publisher.open_streams == 0
+        assert unit.publisher.answers.streams.open == 0
         for reader, writer in readers:
             with contextlib.suppress(ConnectionError):
                 await asyncio.wait_for(reader.read(), 60)
@@ -124,7 +124,7 @@ async def test_a_malformed_body_after_a_good_header_logs_nothing(
             await asyncio.wait_for(reader.read(), 0.2)
         writer.close()
         assert (await unit.ask("/api/status")).status == 200
-        await unit.until(lambda: unit.publisher.open_streams == 0)
+        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
     assert caplog.records == []
 
 
@@ -192,7 +192,7 @@ async def test_a_header_that_never_ends_is_cut_off(served: Served, monkeypatch: 
         async with unit.stream() as events:
             await events.head()
             await asyncio.sleep(0.15)
-            assert unit.publisher.open_streams == 1, "a stream outlives the deadline of its request"
+            assert unit.publisher.answers.streams.open == 1, "a stream outlives the deadline of its request"
 
 
 async def test_a_flood_of_connections_is_bounded_and_passes(

@@ -92,7 +92,7 @@ async def test_a_slow_client_skips_and_then_gets_the_newest(
         assert ids == sorted(set(ids))
         assert len(ids) < 300, "old measurements were queued"
         assert component.counters["events_skipped"] == 2000 - len(ids)
-        await unit.until(lambda: unit.publisher.open_streams == 0)
+        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
 
 
 async def test_a_client_that_goes_away_leaves_nothing(
@@ -103,8 +103,8 @@ async def test_a_client_that_goes_away_leaves_nothing(
         for _ in range(3):
             async with unit.stream() as events:
                 await events.head()
-                assert unit.publisher.open_streams == 1
-            await unit.until(lambda: unit.publisher.open_streams == 0)
+                assert unit.publisher.answers.streams.open == 1
+            await unit.until(lambda: unit.publisher.answers.streams.open == 0)
         await unit.until(lambda: len(asyncio.all_tasks()) == before)
 
 
@@ -121,12 +121,12 @@ async def test_a_stalled_client_is_cut_off(
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             client.connect(("127.0.0.1", unit.port))
             client.sendall(b"GET /api/stream HTTP/1.1\r\nHost: unit\r\n\r\n")
-            await unit.until(lambda: unit.publisher.open_streams == 1)
+            await unit.until(lambda: unit.publisher.answers.streams.open == 1)
             for sequence in range(500):
                 board.publish(replace(measured, sequence=sequence))
                 await asyncio.sleep(0)
-            assert unit.publisher.open_streams == 1
-            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=60)
+            assert unit.publisher.answers.streams.open == 1
+            await unit.until(lambda: unit.publisher.answers.streams.open == 0, timeout_s=60)
 
 
 async def test_only_so_many_streams_are_served(
@@ -141,7 +141,7 @@ async def test_only_so_many_streams_are_served(
             assert refused.status == 503
             assert refused.json == {"error": "2 streams are open already"}
             assert (await unit.ask("/api/status")).status == 200
-        await unit.until(lambda: unit.publisher.open_streams == 0)
+        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
         async with unit.stream() as again:
             assert b" 200 " in await again.head()
     assert component.counters["streams_refused"] == 1

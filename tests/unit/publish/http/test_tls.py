@@ -226,7 +226,7 @@ async def test_a_slow_client_skips_with_tls_too(
         ids = [int(line[4:]) for line in received.split(b"\n") if line.startswith(b"id: ")]
         assert ids == sorted(set(ids))
         assert len(ids) < 300, "old measurements were queued"
-        await unit.until(lambda: unit.publisher.open_streams == 0)
+        await unit.until(lambda: unit.publisher.answers.streams.open == 0)
 
 
 def slow_stream(port: int, context: ssl.SSLContext) -> ssl.SSLSocket:
@@ -246,11 +246,11 @@ async def test_a_stalled_client_is_cut_off_with_tls_too(
     monkeypatch.setattr(server, "SEND_TIMEOUT_S", 1)
     async with served(certificate=files[0], key=files[1]) as unit:
         with await asyncio.to_thread(slow_stream, unit.port, client(files[0])):
-            await unit.until(lambda: unit.publisher.open_streams == 1)
+            await unit.until(lambda: unit.publisher.answers.streams.open == 1)
             for sequence in range(500):
                 board.publish(replace(measured, sequence=sequence))
                 await asyncio.sleep(0)
-            await unit.until(lambda: unit.publisher.open_streams == 0, timeout_s=60)
+            await unit.until(lambda: unit.publisher.answers.streams.open == 0, timeout_s=60)
 
 
 async def test_a_renewed_certificate_is_shown_without_a_restart(
