@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterable
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import aclosing
 from pathlib import Path
 from typing import Any
 
@@ -143,21 +144,31 @@ async def test_without_a_history_it_says_why(board: Board, health: Health, tmp_p
 Event = dict[str, Any]
 
 
-async def read(unit: Unit, last_id: str | None, count: int) -> list[Event]:
-    """The next events of a stream that is resumed: ``id``, ``event`` and ``data``, those that they have."""
+async def stream_of(unit: Unit, last_id: str | None) -> AsyncGenerator[Event, None]:
+    """The events of a stream that is resumed: ``id``, ``event`` and ``data``, those that they have."""
     reader, writer = await unit.connect()
     header = "" if last_id is None else f"Last-Event-ID: {last_id}\r\n"
     writer.write(f"GET /api/v1/stream HTTP/1.1\r\nHost: unit\r\n{header}\r\n".encode())
-    found: list[Event] = []
-    async with asyncio.timeout(60):
+    try:
         await reader.readuntil(b"\r\n\r\n")
-        while len(found) < count:
+        while True:
             size = int(await reader.readline(), 16)
             block = (await reader.readexactly(size + 2)).decode().strip()
             fields = dict(line.split(": ", 1) for line in block.split("\n"))
             if "data" in fields:
-                found.append({**fields, "data": json.loads(fields["data"])})
-    writer.close()
+                yield {**fields, "data": json.loads(fields["data"])}
+    finally:
+        writer.close()
+
+
+async def read(unit: Unit, last_id: str | None, count: int) -> list[Event]:
+    """The next events of a stream that is resumed."""
+    found: list[Event] = []
+    async with aclosing(stream_of(unit, last_id)) as events:
+        async for each in events:
+            found.append(each)
+            if len(found) == count:
+                break
     return found
 
 
@@ -200,19 +211,19 @@ async def test_once_all_has_come_events_have_ids_again(
     clock.now_ns = at(START_S + 59, 5.9, 60).t_ns
     board.publish(at(START_S + 59, 5.9, 60))
 
-    async def publish() -> None:
-        for sequence in range(61, 200):
-            await asyncio.sleep(0.02)
-            board.publish(at(START_S + 59.1, 5.9, sequence))
-
-    async with served_with(board, health, recorded) as unit:
-        publishing = asyncio.create_task(publish())
-        events = await read(unit, key(57), 12)
-        publishing.cancel()
-        await asyncio.wait({publishing})
-    assert [each["data"]["sequence"] for each in events if "event" in each] == [58, 59]
-    assert events[-1]["id"].startswith(f"{events[-1]['data']['sequence']}-")
-    assert events[0]["data"]["sequence"] == 60
+    found: list[Event] = []
+    async with (
+        served_with(board, health, recorded) as unit,
+        aclosing(stream_of(unit, key(57))) as events,
+    ):
+        async for each in events:
+            found.append(each)
+            if "id" in each and "event" not in each:
+                break
+            board.publish(at(START_S + 59.1, 5.9, 60 + len(found)))
+    assert [each["data"]["sequence"] for each in found if "event" in each] == [58, 59]
+    assert found[-1]["id"].startswith(f"{found[-1]['data']['sequence']}-")
+    assert found[0]["data"]["sequence"] == 60
 
 
 async def test_who_missed_nothing_gets_nothing_twice(
