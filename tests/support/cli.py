@@ -30,7 +30,7 @@ def altd(*arguments: object, stdin: str = "", module: str = "altd.cli") -> Outco
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=200,
         check=False,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)

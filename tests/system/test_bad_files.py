@@ -267,7 +267,7 @@ def test_lines_of_altd_map_that_are_no_text(unit: Path) -> None:
         "rear",
     ]
     for content, why in ((b"\xff\xfe 1\n", "got '\\xff\\xfe 1'"), (b"x" * 10**6, "expected 'u v', got 'xxx")):
-        done = subprocess.run(arguments, input=content, capture_output=True, timeout=60, check=False)
+        done = subprocess.run(arguments, input=content, capture_output=True, timeout=200, check=False)
         assert done.returncode == 2
         assert why in done.stderr.decode().replace("\\\\", "\\")
         assert len(done.stderr.splitlines()) == 1
@@ -332,7 +332,7 @@ class TestWriting:
             f"--seconds 60; echo status $?; cp -r {disk / 'rec'} {tmp_path / 'rec'}"
         )
         command = on_small_disk(disk, "2m", code)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
         assert done.stdout == "status 2\n", done
         assert done.stderr == f"altd record: {disk / 'rec'}: No space left on device\n"
         recording = open_recording(tmp_path / "rec")

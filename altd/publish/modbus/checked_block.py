@@ -111,7 +111,7 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("sigma_pitch", "°", "standard deviation of pitch", values.sigma("pitch_deg")),
     ("sigma_roll", "°", "standard deviation of roll; not known without one", values.sigma("roll_deg")),
 )
-"""Each takes the next two registers; there is room for 24 with those of now, before the CRC."""
+"""Each takes two registers from ``FLOATS`` on. A new one goes behind the rates, or those below would move."""
 
 _AXES = (("x", "mm", "x_mm"), ("y", "mm", "y_mm"), ("yaw", "°", "yaw_deg"), ("pitch", "°", "pitch_deg"))
 

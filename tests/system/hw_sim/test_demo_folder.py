@@ -25,7 +25,7 @@ pytestmark = pytest.mark.alone
 def pasted(command: str) -> str:
     """What a command writes in another shell, somewhere else."""
     return subprocess.run(
-        ["sh", "-c", command], cwd="/", check=True, capture_output=True, text=True, timeout=60
+        ["sh", "-c", command], cwd="/", check=True, capture_output=True, text=True, timeout=200
     ).stdout
 
 

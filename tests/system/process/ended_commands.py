@@ -173,7 +173,7 @@ def run(folder: Path, command: list[str]) -> Ended:
         input="375 240\n380 240\n385 240\n",
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=200,
         check=False,
         env={
             **os.environ,

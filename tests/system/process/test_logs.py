@@ -47,7 +47,7 @@ def test_a_full_pipe_does_not_hold_a_refusal(full_pipe: int, tmp_path: Path) -> 
     done = subprocess.run(
         [sys.executable, "-m", "altd.cli", "run", "--config", str(tmp_path / "none.toml")],
         stderr=full_pipe,
-        timeout=20,
+        timeout=200,
         check=False,
     )
     assert done.returncode == 2

@@ -38,7 +38,7 @@ def run(
         input="" if "<" not in redirected else None,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=200,
         check=False,
         env={**os.environ, "PYTHONWARNINGS": "error"},
     )

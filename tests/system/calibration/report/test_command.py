@@ -29,7 +29,7 @@ def calibrate_without_matplotlib(*arguments: object) -> Outcome:
         [sys.executable, "-c", program, *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=200,
         check=False,
     )
     return Outcome(done.returncode, done.stdout, done.stderr)

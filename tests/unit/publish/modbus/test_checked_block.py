@@ -47,6 +47,18 @@ def test_rows_are_in_order_do_not_overlap_and_end_with_the_crc() -> None:
     assert len({row.name for row in ROWS}) == len(ROWS)
 
 
+def test_no_published_address_moves() -> None:
+    """A controller that has not been changed would take a rate for a sigma."""
+    axes = ("x", "y", "yaw", "pitch")
+    names = (
+        *(*axes, "roll", *(f"sigma_{axis}" for axis in (*axes, "roll"))),
+        *(f"sigma_now_{axis}" for axis in axes),
+        *(f"rate_{axis}" for axis in axes),
+    )
+    addresses = {row.name: row.address for row in ROWS}
+    assert {name: addresses[name] for name in names} == dict(zip(names, range(230, 266, 2), strict=True))
+
+
 async def test_one_read_gives_all_that_a_controller_needs(
     client: Client, clock: FakeClock, board: Board, measured: Measured
 ) -> None:
