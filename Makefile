@@ -107,7 +107,7 @@ bench-guest: venv kernel ## a minute with two cameras of the kernel's test drive
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
 bench-hostile: venv ## hostile inputs at HTTP, WebSocket, local socket and consoles beside who reads; HOSTILE=1000000 for a million each
-	@exec $(python) -m benchmarks.hostile --inputs $(HOSTILE)
+	@PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 exec $(python) -m fuzz.hostile --inputs $(HOSTILE)
 
 bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
 	@$(python) -m benchmarks.history

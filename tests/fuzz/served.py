@@ -36,7 +36,7 @@ class Faces:
         self.board.publish(MEASURED)
         self.health = Health(self.clock)
         self.health.facts |= {"version": "0.1.0", "serial": "ALT-0007", "calibration": "2026-11-02"}
-        self.said = _Said()
+        self.said = Said()
         self._loop = asyncio.new_event_loop()
         self._serving: list[asyncio.Task[None]] = []
         logging.getLogger().addHandler(self.said)
@@ -76,7 +76,7 @@ class Faces:
         self._loop.close()
 
 
-class _Said(logging.Handler):
+class Said(logging.Handler):
     """Keeps what is logged: nobody outside may make a unit log anything."""
 
     def __init__(self) -> None:

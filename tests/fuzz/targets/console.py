@@ -47,7 +47,7 @@ _TYPED = st.sampled_from(_bytes_of(_LINES + _SEQUENCES))
 _SESSIONS = st.lists(_TYPED, min_size=1, max_size=12).map(b"".join)
 EXAMPLES = (_SESSIONS | spoilt_bytes(_SESSIONS)).map(lambda keys: keys[:1500])
 
-_CONTROL = re.compile(rb"[^\x20-\x7e\r\n\x08]")
+CONTROL = re.compile(rb"[^\x20-\x7e\r\n\x08]")
 
 
 class _Line:
@@ -77,7 +77,7 @@ def check(example: bytes) -> None:
     """No control characters, no line wider than a screen; afterwards ``measure`` shows the measurement."""
     faces, line = _face()
     shown = faces.do(_session(faces, line, example))
-    assert not _CONTROL.search(shown), shown
+    assert not CONTROL.search(shown), shown
     for row in shown.split(b"\r\n"):
         assert b"\n" not in row
         assert _columns(row) < WIDTH

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-
-from benchmarks.hostile.runner import run
+from fuzz.hostile.runner import run
 
 pytestmark = pytest.mark.real_time
 

@@ -8,9 +8,8 @@ import struct
 from collections.abc import Callable
 from itertools import pairwise
 
-from benchmarks.hostile.addresses import Address, connected
-from benchmarks.hostile.pictures import PATH, complaint_of_pictures, complaint_of_views
-from benchmarks.hostile.requests import STATUSES, complaint
+from fuzz.hostile.pictures import PATH, complaint_of_pictures, complaint_of_views
+from fuzz.hostile.requests import STATUSES, Address, complaint, connected
 
 _CONTINUATION, _TEXT, _BINARY, _CLOSE, _PING, _PONG = 0, 1, 2, 8, 9, 10
 _RESERVED_OPCODES = 3, 4, 5, 6, 7, 11, 12, 13, 14, 15

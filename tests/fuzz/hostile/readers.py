@@ -7,12 +7,12 @@ import json
 import time
 import zlib
 
+from fuzz.hostile.pictures import PATH, complaint_of_pictures
+from fuzz.hostile.requests import Address, connected
+from fuzz.hostile.tally import Tally
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from benchmarks.hostile.addresses import Address, connected
-from benchmarks.hostile.pictures import PATH, complaint_of_pictures
-from benchmarks.hostile.tally import Tally
 from tools.pages.example import MEASURED
 
 _POLL_TIMEOUT_S = 5.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import os
 import tty
@@ -10,20 +9,22 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from fuzz.hostile.pictures import Maker
+from fuzz.hostile.requests import Address
+from support.serving import serving
+
 from altd.config import ConsolePortSettings, HttpSettings
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
 from altd.publish.http.publisher import HttpPublisher, LocalPublisher
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.runtime.clock import SystemClock
+from altd.runtime.supervision import Publisher
 from altd.status.health import MEASURING, Health, State
-from benchmarks.hostile.addresses import Address
-from benchmarks.hostile.pictures import Maker
 from tools.pages.example import board
 from tools.pages.serial_examples import health as example_health
 
 HOST = "127.0.0.1"
-Face = HttpPublisher | ConsolePublisher
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +95,9 @@ async def _over_tcp(settings: HttpSettings) -> AsyncIterator[Served]:
 
 
 @contextlib.asynccontextmanager
-async def _running(publisher: Face) -> AsyncIterator[None]:
-    """Raises what the publisher died of."""
-    ready = asyncio.Event()
-    serving = asyncio.create_task(publisher.run(ready.set))
-    await ready.wait()
-    try:
+async def _running(publisher: Publisher) -> AsyncIterator[None]:
+    """Raises what the publisher died of, at the end too."""
+    async with serving(publisher) as task:
         yield
-        if serving.done():
-            serving.result()
-    finally:
-        serving.cancel()
-        await asyncio.wait({serving})
+        if task.done():
+            task.result()

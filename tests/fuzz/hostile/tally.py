@@ -1,12 +1,10 @@
-"""What came of a run, and what was logged meanwhile."""
+"""What came of a run."""
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 MAX_WRONG = 20
 """Complaints that are kept of an attacker."""
@@ -42,20 +40,3 @@ class Tally:
         yield "memory: {:.1f} MB before, {:.1f} MB after".format(*self.memory_mb)
         yield f"wrong: {len(self.wrong)}"
         yield from self.wrong[:MAX_WRONG]
-
-
-class Said(logging.Handler):
-    """What is logged: nobody outside may make a unit log anything."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.lines: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep it."""
-        self.lines.append(self.format(record))
-
-
-def open_files() -> int:
-    """Descriptors of this process."""
-    return len(list(Path("/proc/self/fd").iterdir()))

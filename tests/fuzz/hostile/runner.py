@@ -16,11 +16,13 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
+from fuzz.hostile import frames, requests, served, typing_at
+from fuzz.hostile.readers import look, poll
+from fuzz.hostile.requests import Address
+from fuzz.hostile.tally import MAX_WRONG, Tally
+from fuzz.served import Said
+
 from altd.publish.http.publisher import HttpPublisher
-from benchmarks.hostile import frames, requests, served, typing_at
-from benchmarks.hostile.addresses import Address
-from benchmarks.hostile.readers import look, poll
-from benchmarks.hostile.tally import MAX_WRONG, Said, Tally, open_files
 from benchmarks.process_memory import resident_mb
 
 PROCESSES = 2
@@ -73,7 +75,7 @@ async def _attack(face: str, inputs: int, seed: int, tally: Tally, folder: Path)
     front, ended = FRONTS[face], asyncio.Event()
     async with front.serve(folder) as unit:
         await poll(unit.address, tally)
-        files, began_s = open_files(), time.monotonic()
+        files, began_s = _open_files(), time.monotonic()
         with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
             loop = asyncio.get_running_loop()
             attacks = [
@@ -103,7 +105,7 @@ async def _left(publisher: HttpPublisher, files: int) -> list[str]:
     give_up_s = time.monotonic() + _GONE_S
     while True:
         counts = {
-            "descriptors": max(open_files() - files, 0),
+            "descriptors": max(_open_files() - files, 0),
             "viewers": publisher.answers.viewers.open,
             "streams": publisher.answers.streams.open,
         }
@@ -111,6 +113,11 @@ async def _left(publisher: HttpPublisher, files: int) -> list[str]:
         if not left or time.monotonic() > give_up_s:
             return left
         await asyncio.sleep(0.1)
+
+
+def _open_files() -> int:
+    """Descriptors of this process."""
+    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def attack(face: str, address: Address, inputs: int, seed: int) -> tuple[Counter[str], list[str]]:

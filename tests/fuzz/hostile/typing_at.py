@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import os
 import random
-import re
 import time
+
+from fuzz.hostile.served import console
+from fuzz.hostile.tally import Tally
+from fuzz.targets.console import CONTROL
 
 from altd.publish.serial.commands import COMMANDS
 from altd.publish.serial.keys import PASTE_TIMEOUT_S
-from benchmarks.hostile.served import console
-from benchmarks.hostile.tally import Tally
 
 CONSOLES = 16
 
@@ -31,7 +32,6 @@ _STRANGE = (
     *(b"../..", b"\xf0\x9f\x92\xa5", b"\x1b", b"\x1b[", b"\n", b"\r", b" ", b"y", b"1e400", b"nan", b"-1"),
     *(b"all", b"now", b"x" * 200),
 )
-_CONTROLS = re.compile(rb"[^\x20-\x7e\r\n\x08]")
 _VERSION = b"version\r\naltd 0.1.0, unit ALT-0007\r\n> "
 _MEASURED = b"  x          10.012 mm  +/- 0.004"
 
@@ -126,7 +126,7 @@ async def _type(terminal: Terminal, inputs: int, chance: random.Random, tally: T
         await asyncio.sleep(_TURN_S)
         shown = terminal.take()
         tally.answers["shown" if shown else "silent"] += 1
-        if found := _CONTROLS.search(shown):
+        if found := CONTROL.search(shown):
             tally.wrong.append(f"a terminal was sent {found[0]!r}; typed {typed!r}")
         if number % _CHECK_EVERY == 0 or number == inputs:
             await terminal.leave(number)

@@ -8,9 +8,15 @@ import re
 import socket
 from collections.abc import Collection
 
-from benchmarks.hostile.addresses import Address, connected
+from fuzz.targets import http
 
-STATUSES = {200, 400, 401, 403, 404, 405, 408, 409, 413, 414, 415, 421, 429, 431, 503}
+Address = tuple[str, int] | str
+"""Host and port, or the path of a socket in the file system."""
+
+_TIMEOUT_S = 5.0
+
+STATUSES = {*http.STATUSES, 408}
+"""408 is for who waits."""
 
 _ANSWER = re.compile(rb"HTTP/1\.1 (\d{3}) [A-Za-z -]*\r\n((?:[a-zA-Z-]+: [^\r\n]*\r\n)+)\r\n", re.DOTALL)
 _BLANK_LINE = re.compile(rb"\n\r?\n")
@@ -38,6 +44,22 @@ _BODIES = (
     *(b"ffffffff\r\nx", b"[" * 900),
 )
 _CONTINUE = (b"HTTP/1.1 100 \r\n\r\n", b"HTTP/1.1 100 Continue\r\n\r\n")
+
+
+def connected(address: Address) -> socket.socket:
+    """A connection; raises OSError."""
+    if isinstance(address, tuple):
+        return socket.create_connection(address, timeout=_TIMEOUT_S)
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        connection.connect(
+            address
+        )  # without a timeout: with one it fails where others are waiting (connect(2))
+    except OSError:
+        connection.close()
+        raise
+    connection.settimeout(_TIMEOUT_S)
+    return connection
 
 
 def request(chance: random.Random) -> bytes:

@@ -1,1 +1,0 @@
-"""Hostile inputs on HTTP, the WebSocket of the pictures, the local socket and the console, beside pollers."""
