@@ -124,6 +124,22 @@ class Scene:
         below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self.spot.v_px)
         return right, below
 
+    def along(self, angle: float) -> Image:
+        """How far the pixels lie from the spot's middle in a direction, px."""
+        u, v = self.from_spot()
+        return u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
+
+    def edge(self, angle: float, at_px: float, soft_px: float) -> Image:
+        """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's middle, ``soft_px`` wide."""
+        along = self.along(angle) - np.float32(at_px)
+        shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+        return shadow
+
+    def stripe(self, angle: float, at: float, width_mm: float, soft_px: float) -> Image:
+        """1 in a stripe across the picture, ``at`` radii from the spot's middle, 0 outside."""
+        middle, half = at * self.spot.radius_px, width_mm * self.px_per_mm / 2
+        return self.edge(angle, middle + half, soft_px) - self.edge(angle, middle - half, soft_px)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeanImage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -184,6 +184,15 @@ def spoil_pixels(spoil: Spoil, shots: Sequence[Shot], onset: int) -> None:
         if shot.k >= onset and shot.camera in spoil.cameras:
             shot.pixels = spoil.pixels(clean, before.get(shot.camera), shot.bits)
         before[shot.camera] = clean
+
+
+def showing(shots: Sequence[Shot], onset: int, source: Callable[[Shot], tuple[str, int]]) -> list[Shot]:
+    """The shots; from ``onset`` on they show what ``source`` names by camera and exposure, if it is there."""
+    pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
+    return [
+        replace(shot, pixels=pictures.get(source(shot), shot.pixels)) if shot.k >= onset else shot
+        for shot in shots
+    ]
 
 
 def grey(picture: npt.ArrayLike, like: PixelArray) -> PixelArray:

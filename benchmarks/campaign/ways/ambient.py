@@ -9,7 +9,6 @@ import numpy as np
 from benchmarks.campaign.detectability import always_detectable
 from benchmarks.campaign.scene import Scene
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
-from benchmarks.campaign.ways.spots import edge
 from hw_sim.image import Image
 from hw_sim.sensor import FULL_WELL_E
 
@@ -30,6 +29,14 @@ def _lamp(scene: Scene, u_px: float, v_px: float, width_mm: float, shape: str) -
     return hump
 
 
+def _lamp_only(scene: Scene, place: tuple[float, float], width_mm: float, shape: str, level: float) -> Scene:
+    """A lamp so many mm right of and below the picture's middle, and no laser."""
+    rows, columns = scene.beam.shape
+    u, v = columns / 2 + place[0] * scene.px_per_mm, rows / 2 + place[1] * scene.px_per_mm
+    lamp = _lamp(scene, u, v, width_mm, shape)
+    return scene.without_laser().lit(np.float32(level * scene.spot.peak) * lamp)
+
+
 _LIKE_A_LASER = (
     "two lamps without an edge, 4 to 18 mm wide, in two places that one beam could meet, are its spots"
 )
@@ -42,11 +49,7 @@ def _lamp_alone(draw: Draw, shape: str) -> Spoil:
     level = draw.log(0.05, 1.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        right, down = places[scene.camera]
-        rows, columns = scene.beam.shape
-        u, v = columns / 2 + right * scene.px_per_mm, rows / 2 + down * scene.px_per_mm
-        lamp = _lamp(scene, u, v, widths[scene.camera], shape)
-        return scene.without_laser().lit(np.float32(level * scene.spot.peak) * lamp)
+        return _lamp_only(scene, places[scene.camera], widths[scene.camera], shape, level)
 
     words = " and ".join(f"{width:.0f}" for width in widths.values())
     like_a_laser = shape == "hump" and all(4 < width_mm < 18 for width_mm in widths.values())
@@ -74,15 +77,13 @@ def lamp_hump_alone(draw: Draw) -> Spoil:
 def lamp_on_one(draw: Draw) -> Spoil:
     """The laser is gone from one target; there a lamp shines."""
     width_mm, shape, level = draw.log(3.0, 30.0), draw.of("disc", "hump"), draw.log(0.05, 1.0)
-    right, down = draw.uniform(-40, 40), draw.uniform(-30, 30)
-
-    def light(scene: Scene, since: int) -> Scene:
-        rows, columns = scene.beam.shape
-        u, v = columns / 2 + right * scene.px_per_mm, rows / 2 + down * scene.px_per_mm
-        lamp = _lamp(scene, u, v, width_mm, shape)
-        return scene.without_laser().lit(np.float32(level * scene.spot.peak) * lamp)
-
-    return Spoil(f"{shape} of {width_mm:.0f} mm", light=light, cameras=draw.one(), no_beam=True)
+    place = draw.uniform(-40, 40), draw.uniform(-30, 30)
+    return Spoil(
+        f"{shape} of {width_mm:.0f} mm",
+        light=lambda scene, since: _lamp_only(scene, place, width_mm, shape, level),
+        cameras=draw.one(),
+        no_beam=True,
+    )
 
 
 @WAYS.add()
@@ -122,18 +123,11 @@ def ambient_gradient(draw: Draw) -> Spoil:
 @WAYS.add()
 def sun_stripe(draw: Draw) -> Spoil:
     """A stripe of sun across the picture, over or beside the spot."""
-    level, angle, width_mm, soft_mm = (
-        draw.log(0.02, 0.6),
-        draw.angle(),
-        draw.log(2.0, 40.0),
-        draw.log(0.2, 8.0),
-    )
-    at = draw.uniform(-2.0, 2.0)
+    level, angle = draw.log(0.02, 0.6), draw.angle()
+    width_mm, soft_mm, at = draw.log(2.0, 40.0), draw.log(0.2, 8.0), draw.uniform(-2.0, 2.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        middle, half = at * scene.spot.radius_px, width_mm * scene.px_per_mm / 2
-        soft = soft_mm * scene.px_per_mm
-        stripe = edge(scene, angle, middle + half, soft) - edge(scene, angle, middle - half, soft)
+        stripe = scene.stripe(angle, at, width_mm, soft_mm * scene.px_per_mm)
         return scene.veiled(np.float32(level * FULL_WELL_E) * np.maximum(stripe, 0.0))
 
     return Spoil(
@@ -144,15 +138,11 @@ def sun_stripe(draw: Draw) -> Spoil:
 @WAYS.add()
 def sun_edge(draw: Draw) -> Spoil:
     """The border between sun and shade runs through the spot."""
-    level, angle, soft_mm, at = (
-        draw.log(0.02, 0.5),
-        draw.angle(),
-        draw.log(0.2, 10.0),
-        draw.uniform(-1.0, 1.0),
-    )
+    level, angle = draw.log(0.02, 0.5), draw.angle()
+    soft_mm, at = draw.log(0.2, 10.0), draw.uniform(-1.0, 1.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        shade = edge(scene, angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        shade = scene.edge(angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
         return scene.veiled(np.float32(level * FULL_WELL_E) * (1.0 - shade))
 
     return Spoil(f"{level:.0%}, edge of {soft_mm:.1f} mm", light=light, cameras=draw.targets())

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from altd.records import PixelArray
 from benchmarks.campaign.detectability import on_a_plate
-from benchmarks.campaign.way import Draw, OnPixels, Registry, Shot, Spoil, grey
+from benchmarks.campaign.way import Draw, Registry, Shot, Spoil, grey, showing
 
 WAYS = Registry("cameras")
 
@@ -18,14 +17,10 @@ WAYS = Registry("cameras")
 @WAYS.add()
 def exchanged(draw: Draw) -> Spoil:
     """Front and rear are plugged into each other's place."""
+    other = {"front": "rear", "rear": "front"}
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
-        other = {"front": "rear", "rear": "front"}
-        return [
-            replace(shot, pixels=pictures[other[shot.camera], shot.k]) if shot.k >= onset else shot
-            for shot in shots
-        ]
+        return showing(shots, onset, lambda shot: (other[shot.camera], shot.k))
 
     return Spoil("front and rear", stream=stream)
 
@@ -36,8 +31,7 @@ def one_for_both(draw: Draw) -> Spoil:
     (only,) = draw.one()
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {shot.k: shot.pixels for shot in shots if shot.camera == only}
-        return [replace(shot, pixels=pictures[shot.k]) if shot.k >= onset else shot for shot in shots]
+        return showing(shots, onset, lambda shot: (only, shot.k))
 
     return Spoil(f"{only} only", stream=stream)
 
@@ -70,15 +64,18 @@ def upside_down(draw: Draw) -> Spoil:
     return _turned_over(draw, -1, "half a turn")
 
 
-def _warped(matrix_of: np.ndarray) -> OnPixels:
+def _moved(draw: Draw, note: str, matrix: np.ndarray) -> Spoil:
+    """The picture of some cameras, moved by an affine map."""
+
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
         rows, columns = pixels.shape
         warped = cv2.warpAffine(
-            pixels, matrix_of, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            pixels, matrix, (columns, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
         )
         return grey(np.minimum(warped, (1 << bits) - 1), pixels)
 
-    return change
+    cameras = draw.targets()
+    return Spoil(note, pixels=change, cameras=cameras, undetectable=on_a_plate(cameras))
 
 
 def _shifted(draw: Draw, by_px: int) -> Spoil:
@@ -122,10 +119,7 @@ def turned(draw: Draw) -> Spoil:
     """The camera is turned about its axis."""
     degrees = draw.sign() * draw.log(0.1, 1.0)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
-    cameras = draw.targets()
-    return Spoil(
-        f"{degrees:+.2f}°", pixels=_warped(matrix), cameras=cameras, undetectable=on_a_plate(cameras)
-    )
+    return _moved(draw, f"{degrees:+.2f}°", matrix)
 
 
 @WAYS.add()
@@ -133,10 +127,7 @@ def scaled(draw: Draw) -> Spoil:
     """The picture is a little larger or smaller: another lens, another distance."""
     scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
-    cameras = draw.targets()
-    return Spoil(
-        f"{scale - 1:+.2%}", pixels=_warped(matrix), cameras=cameras, undetectable=on_a_plate(cameras)
-    )
+    return _moved(draw, f"{scale - 1:+.2%}", matrix)
 
 
 @WAYS.add()

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
-from benchmarks.campaign.way import CAMERAS, Draw, Registry, Shot, Spoil
+from benchmarks.campaign.way import CAMERAS, Draw, Registry, Shot, Spoil, showing
 
 WAYS = Registry("frames")
 
 
 def _pixels_from(
-    draw: Draw, cameras: frozenset[str], source: Callable[[int, int], int]
+    cameras: frozenset[str], source: Callable[[int, int], int]
 ) -> Callable[[list[Shot], int], list[Shot]]:
     """A stream in which exposure k of some cameras shows what exposure ``source(k, onset)`` showed."""
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
         first = min(shot.k for shot in shots)
-        return [
-            replace(shot, pixels=pictures[shot.camera, max(source(shot.k, onset), first)])
-            if shot.k >= onset and shot.camera in cameras
-            else shot
-            for shot in shots
-        ]
+
+        def shown(shot: Shot) -> tuple[str, int]:
+            return shot.camera, max(source(shot.k, onset), first) if shot.camera in cameras else shot.k
+
+        return showing(shots, onset, shown)
 
     return stream
 
@@ -32,9 +29,7 @@ def _pixels_from(
 def frozen(draw: Draw) -> Spoil:
     """The same picture again and again, with new numbers and times."""
     cameras = draw.targets()
-    return Spoil(
-        " and ".join(sorted(cameras)), stream=_pixels_from(draw, cameras, lambda k, onset: onset - 1)
-    )
+    return Spoil(" and ".join(sorted(cameras)), stream=_pixels_from(cameras, lambda k, onset: onset - 1))
 
 
 @WAYS.add(moving=True)
@@ -42,7 +37,7 @@ def loop(draw: Draw) -> Spoil:
     """The last pictures before the onset, over and over."""
     length, cameras = draw.whole(2, 4), draw.targets()
     source = lambda k, onset: onset - length + (k - onset) % length  # noqa: E731
-    return Spoil(f"of {length} frames", stream=_pixels_from(draw, cameras, source))
+    return Spoil(f"of {length} frames", stream=_pixels_from(cameras, source))
 
 
 @WAYS.add(moving=True)
@@ -51,7 +46,7 @@ def every_second_repeated(draw: Draw) -> Spoil:
     cameras = draw.targets()
     return Spoil(
         " and ".join(sorted(cameras)),
-        stream=_pixels_from(draw, cameras, lambda k, onset: k - (k - onset) % 2),
+        stream=_pixels_from(cameras, lambda k, onset: k - (k - onset) % 2),
     )
 
 
@@ -63,9 +58,7 @@ def every_second_repeated(draw: Draw) -> Spoil:
 def one_camera_late(draw: Draw) -> Spoil:
     """One camera shows what was some frames ago, with the number and the time of now."""
     late, cameras = draw.whole(1, 3), draw.one()
-    return Spoil(
-        f"{', '.join(cameras)} {late} late", stream=_pixels_from(draw, cameras, lambda k, onset: k - late)
-    )
+    return Spoil(f"{', '.join(cameras)} {late} late", stream=_pixels_from(cameras, lambda k, onset: k - late))
 
 
 @WAYS.add(
@@ -76,23 +69,12 @@ def one_camera_late(draw: Draw) -> Spoil:
 def both_cameras_late(draw: Draw) -> Spoil:
     """Both cameras show what was some frames ago, with the number and the time of now."""
     late = draw.whole(1, 3)
-    return Spoil(f"{late} late", stream=_pixels_from(draw, frozenset(CAMERAS), lambda k, onset: k - late))
+    return Spoil(f"{late} late", stream=_pixels_from(frozenset(CAMERAS), lambda k, onset: k - late))
 
 
 @WAYS.add(moving=True)
 def played_backwards(draw: Draw) -> Spoil:
     """Buffers come in the wrong order: pairs of pictures exchanged."""
     cameras = draw.targets()
-
-    def stream(shots: list[Shot], onset: int) -> list[Shot]:
-        pictures = {(shot.camera, shot.k): shot.pixels for shot in shots}
-
-        def swapped(shot: Shot) -> Shot:
-            other = (shot.camera, shot.k + 1 - 2 * ((shot.k - onset) % 2))
-            if shot.k < onset or shot.camera not in cameras or other not in pictures:
-                return shot
-            return replace(shot, pixels=pictures[other])
-
-        return [swapped(shot) for shot in shots]
-
-    return Spoil(" and ".join(sorted(cameras)), stream=stream)
+    source = lambda k, onset: k + 1 - 2 * ((k - onset) % 2)  # noqa: E731
+    return Spoil(" and ".join(sorted(cameras)), stream=_pixels_from(cameras, source))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import cv2
 import numpy as np
 
@@ -21,13 +19,6 @@ def _sometimes(share: float, seed: int, change: OnPixels) -> OnPixels:
         return change(pixels, before, bits) if rng.random() < share else pixels
 
     return maybe
-
-
-def _written(pixels: PixelArray, write: Callable[[PixelArray], None]) -> PixelArray:
-    """A copy that was written to."""
-    copy = pixels.copy()
-    write(copy)
-    return copy
 
 
 def _often(draw: Draw) -> tuple[float, str]:
@@ -49,7 +40,9 @@ def torn(draw: Draw) -> Spoil:
             return pixels
         brightest = int(cv2.GaussianBlur(pixels, (0, 0), 4.0).max(axis=1).argmax())
         cut = max(0, brightest + round(beside_px))
-        return _written(pixels, lambda copy: np.copyto(copy[:cut], before[:cut]))
+        copy = pixels.copy()
+        copy[:cut] = before[:cut]
+        return copy
 
     return Spoil(
         f"{beside_px:+.0f} px beside{words}",
@@ -64,8 +57,9 @@ def zeroed_rows(draw: Draw) -> Spoil:
     first, rows, (share, words) = draw.uniform(0.0, 1.0), draw.log(1, 200), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        start = int(first * (len(pixels) - rows))
-        return _written(pixels, lambda copy: copy[max(start, 0) : start + int(rows)].fill(0))
+        start, copy = int(first * (len(pixels) - rows)), pixels.copy()
+        copy[max(start, 0) : start + int(rows)] = 0
+        return copy
 
     return Spoil(
         f"{rows:.0f} rows{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets()
@@ -78,12 +72,9 @@ def repeated_rows(draw: Draw) -> Spoil:
     first, rows, (share, words) = draw.uniform(0.1, 0.9), draw.whole(2, 120), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        start = int(first * len(pixels))
-
-        def write(copy: PixelArray) -> None:
-            copy[start : start + rows] = copy[start]
-
-        return _written(pixels, write)
+        start, copy = int(first * len(pixels)), pixels.copy()
+        copy[start : start + rows] = copy[start]
+        return copy
 
     return Spoil(f"{rows} rows{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets())
 
@@ -94,54 +85,41 @@ def row_shift(draw: Draw) -> Spoil:
     first, by, (share, words) = draw.uniform(0.0, 0.9), draw.sign() * round(draw.log(1, 300)), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        def write(copy: PixelArray) -> None:
-            start = int(first * copy.size)
-            copy.reshape(-1)[start:] = np.roll(pixels.reshape(-1)[start:], by)
-
-        return _written(pixels, write)
+        start, copy = int(first * pixels.size), pixels.copy()
+        copy.reshape(-1)[start:] = np.roll(pixels.reshape(-1)[start:], by)
+        return copy
 
     return Spoil(f"{by} px{words}", pixels=_sometimes(share, draw.seed(), change), cameras=draw.targets())
+
+
+def _packets_lost(draw: Draw, most: int, shows_the_frame_before: bool) -> Spoil:
+    """Up to so many packets of 1 to 9 kB are lost."""
+    size, count, seed = draw.whole(1400, 9000), draw.whole(1, most), draw.seed()
+    rng = np.random.default_rng(seed)
+
+    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
+        instead = before if shows_the_frame_before else np.zeros_like(pixels)
+        if instead is None:
+            return pixels
+        copy, step = pixels.copy(), max(1, size // pixels.itemsize)
+        for packet in rng.integers(0, copy.size // step + 1, count):
+            lost = slice(packet * step, (packet + 1) * step)
+            copy.reshape(-1)[lost] = instead.reshape(-1)[lost]
+        return copy
+
+    return Spoil(f"{count} of {size} bytes", pixels=change, cameras=draw.targets())
 
 
 @WAYS.add()
 def packets_zero(draw: Draw) -> Spoil:
     """Packets of 1 to 9 kB are lost: their pixels read 0."""
-    size, count, seed = draw.whole(1400, 9000), draw.whole(1, 20), draw.seed()
-    rng = np.random.default_rng(seed)
-
-    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        def write(copy: PixelArray) -> None:
-            flat = copy.reshape(-1)
-            step = max(1, size // copy.itemsize)
-            for packet in rng.integers(0, flat.size // step + 1, count):
-                flat[packet * step : (packet + 1) * step] = 0
-
-        return _written(pixels, write)
-
-    return Spoil(f"{count} of {size} bytes", pixels=change, cameras=draw.targets())
+    return _packets_lost(draw, 20, False)
 
 
 @WAYS.add(moving=True)
 def packets_old(draw: Draw) -> Spoil:
     """Packets are lost: their pixels are those of the frame before."""
-    size, count, seed = draw.whole(1400, 9000), draw.whole(1, 60), draw.seed()
-    rng = np.random.default_rng(seed)
-
-    def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        if before is None:
-            return pixels
-
-        def write(copy: PixelArray) -> None:
-            flat = copy.reshape(-1)
-            step = max(1, size // copy.itemsize)
-            for packet in rng.integers(0, flat.size // step + 1, count):
-                flat[packet * step : (packet + 1) * step] = before.reshape(-1)[
-                    packet * step : (packet + 1) * step
-                ]
-
-        return _written(pixels, write)
-
-    return Spoil(f"{count} of {size} bytes", pixels=change, cameras=draw.targets())
+    return _packets_lost(draw, 60, True)
 
 
 @WAYS.add()
@@ -177,11 +155,10 @@ def bit_errors(draw: Draw) -> Spoil:
     rng = np.random.default_rng(seed)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        def write(copy: PixelArray) -> None:
-            where = rng.integers(0, copy.size, int(share * copy.size))
-            copy.reshape(-1)[where] ^= (1 << rng.integers(0, bits, len(where))).astype(copy.dtype)
-
-        return _written(pixels, write)
+        copy = pixels.copy()
+        where = rng.integers(0, copy.size, int(share * copy.size))
+        copy.reshape(-1)[where] ^= (1 << rng.integers(0, bits, len(where))).astype(copy.dtype)
+        return copy
 
     return Spoil(f"{share:.2%} of the pixels", pixels=change, cameras=draw.targets())
 
@@ -281,11 +258,9 @@ def binned(draw: Draw) -> Spoil:
         if corner == "blocks":
             return grey(cv2.resize(small, (columns, rows), interpolation=cv2.INTER_NEAREST), pixels)
 
-        def write(copy: PixelArray) -> None:
-            copy[:] = np.median(pixels[::8, ::8]).astype(copy.dtype)
-            copy[: rows // by, : columns // by] = small
-
-        return _written(pixels, write)
+        copy = np.full_like(pixels, np.median(pixels[::8, ::8]))
+        copy[: rows // by, : columns // by] = small
+        return copy
 
     return Spoil(f"{by} × {by}, {corner}", pixels=change, cameras=draw.targets())
 
@@ -308,11 +283,10 @@ def salt_noise(draw: Draw) -> Spoil:
     rng = np.random.default_rng(seed)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
-        def write(copy: PixelArray) -> None:
-            where = rng.integers(0, copy.size, int(share * copy.size))
-            copy.reshape(-1)[where] = rng.choice([0, (1 << bits) - 1], len(where)).astype(copy.dtype)
-
-        return _written(pixels, write)
+        copy = pixels.copy()
+        where = rng.integers(0, copy.size, int(share * copy.size))
+        copy.reshape(-1)[where] = rng.choice([0, (1 << bits) - 1], len(where)).astype(copy.dtype)
+        return copy
 
     return Spoil(f"{share:.2%} of the pixels", pixels=change, cameras=draw.targets())
 

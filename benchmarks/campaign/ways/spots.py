@@ -52,26 +52,26 @@ def reflection_on_both(draw: Draw) -> Spoil:
     )
 
 
-@WAYS.add()
-def reflection_blurred(draw: Draw) -> Spoil:
-    """A wider second spot."""
-    share, scale, (right, down, words) = draw.log(0.03, 1.0), draw.uniform(1.3, 3.0), _aside(draw)
+def _reflection_of(draw: Draw, most: float, scales: tuple[float, float], decimals: int) -> Spoil:
+    """A second spot of up to ``most`` of the light, ``scales`` times as wide as the first."""
+    share, scale, (right, down, words) = draw.log(0.03, most), draw.uniform(*scales), _aside(draw)
     return Spoil(
-        f"{share:.0%} {words}, {scale:.1f} times as wide",
+        f"{share:.0%} {words}, {scale:.{decimals}f} times as wide",
         light=lambda scene, since: _second_spot(scene, right, down, scale, share),
         cameras=draw.targets(),
     )
+
+
+@WAYS.add()
+def reflection_blurred(draw: Draw) -> Spoil:
+    """A wider second spot."""
+    return _reflection_of(draw, 1.0, (1.3, 3.0), 1)
 
 
 @WAYS.add()
 def reflection_sharper(draw: Draw) -> Spoil:
     """A narrower second spot."""
-    share, scale, (right, down, words) = draw.log(0.03, 0.6), draw.uniform(0.25, 0.8), _aside(draw)
-    return Spoil(
-        f"{share:.0%} {words}, {scale:.2f} times as wide",
-        light=lambda scene, since: _second_spot(scene, right, down, scale, share),
-        cameras=draw.targets(),
-    )
+    return _reflection_of(draw, 0.6, (0.25, 0.8), 2)
 
 
 @WAYS.add()
@@ -138,21 +138,13 @@ def comet_tail(draw: Draw) -> Spoil:
 @WAYS.add()
 def fringes(draw: Draw) -> Spoil:
     """Interference of the window's faces: stripes over the beam."""
-    contrast, period_mm, angle, phase = (
-        draw.uniform(0.05, 0.3),
-        draw.log(0.5, 5.0),
-        draw.angle(),
-        draw.angle(),
-    )
+    contrast, period_mm = draw.uniform(0.05, 0.3), draw.log(0.5, 5.0)
+    angle, phase = draw.angle(), draw.angle()
 
     def light(scene: Scene, since: int) -> Scene:
-        u, v = scene.from_spot()
-        turns = (u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))) / np.float32(
-            period_mm * scene.px_per_mm
-        )
-        return scene.beam_times(
-            1.0 + np.float32(contrast) * np.cos(np.float32(2 * math.pi) * turns + np.float32(phase))
-        )
+        turns = scene.along(angle) / np.float32(period_mm * scene.px_per_mm)
+        stripes = np.cos(np.float32(2 * math.pi) * turns + np.float32(phase))
+        return scene.beam_times(1.0 + np.float32(contrast) * stripes)
 
     return Spoil(f"contrast {contrast:.0%}, period {period_mm:.1f} mm", light=light, cameras=draw.targets())
 
@@ -165,9 +157,8 @@ def clipped_beam(draw: Draw) -> Spoil:
     def light(scene: Scene, since: int) -> Scene:
         # the front picture is mirrored: right there is left here
         direction = angle if scene.camera == "rear" else math.pi - angle
-        return scene.beam_times(
-            edge(scene, direction, depth * scene.spot.radius_px, soft_mm * scene.px_per_mm)
-        )
+        passed = scene.edge(direction, depth * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        return scene.beam_times(passed)
 
     return Spoil(f"from {depth:.2f} radii on", light=light)
 
@@ -186,26 +177,26 @@ def speckle_changed(draw: Draw) -> Spoil:
     return Spoil(f"contrast {contrast:.0%}, grain {grain_px:.1f} px", light=light, cameras=draw.targets())
 
 
-@WAYS.add()
-def spot_larger(draw: Draw) -> Spoil:
-    """A spot wider than at the calibration, at its right place."""
-    scale = draw.uniform(1.3, 3.0)
+def _spot_of(draw: Draw, scales: tuple[float, float], decimals: int) -> Spoil:
+    """The spot ``scales`` times as wide, with all of its light."""
+    scale = draw.uniform(*scales)
     return Spoil(
-        f"{scale:.1f} times as wide",
+        f"{scale:.{decimals}f} times as wide",
         light=lambda scene, since: scene.without_laser().beam_plus(scene.spot.scaled(scale, 1.0)),
         cameras=draw.targets(),
     )
+
+
+@WAYS.add()
+def spot_larger(draw: Draw) -> Spoil:
+    """A spot wider than at the calibration, at its right place."""
+    return _spot_of(draw, (1.3, 3.0), 1)
 
 
 @WAYS.add()
 def spot_smaller(draw: Draw) -> Spoil:
     """A spot narrower than at the calibration, at its right place."""
-    scale = draw.uniform(0.25, 0.75)
-    return Spoil(
-        f"{scale:.2f} times as wide",
-        light=lambda scene, since: scene.without_laser().beam_plus(scene.spot.scaled(scale, 1.0)),
-        cameras=draw.targets(),
-    )
+    return _spot_of(draw, (0.25, 0.75), 2)
 
 
 @WAYS.add()
@@ -215,10 +206,7 @@ def two_lobes(draw: Draw) -> Spoil:
     slope = 0.0 if uneven == "even" else draw.uniform(0.1, 0.33)
 
     def light(scene: Scene, since: int) -> Scene:
-        u, v = scene.from_spot()
-        along = (u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))) / np.float32(
-            scene.spot.radius_px
-        )
+        along = scene.along(angle) / np.float32(scene.spot.radius_px)
         return scene.beam_times(4.0 * along * along * (1.0 + np.float32(slope) * np.sign(along)))
 
     return Spoil(f"{uneven} lobes", light=light, cameras=draw.targets())
@@ -306,11 +294,3 @@ def deflected_laser(draw: Draw) -> Spoil:
         return scene.without_laser().beam_plus(moved)
 
     return Spoil(words, light=light)
-
-
-def edge(scene: Scene, angle: float, at_px: float, soft_px: float) -> Image:
-    """0 beyond a straight edge and 1 before it: ``at_px`` from the spot's middle, ``soft_px`` wide."""
-    u, v = scene.from_spot()
-    along = u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle)) - np.float32(at_px)
-    shadow: Image = np.clip(0.5 - along / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
-    return shadow

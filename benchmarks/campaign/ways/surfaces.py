@@ -10,17 +10,18 @@ import numpy as np
 from benchmarks.campaign.detectability import by_a_step_of_the_print, merged_on_a_plate, on_a_plate
 from benchmarks.campaign.scene import Scene, blurred
 from benchmarks.campaign.way import CAMERAS, Draw, Registry, Spoil
-from benchmarks.campaign.ways.spots import edge
 from hw_sim.image import Image
 
 WAYS = Registry("surfaces")
 
 
-def _disc(scene: Scene, right_px: float, down_px: float, radius_px: float, soft_px: float) -> Image:
-    """1 inside a disc beside the spot's middle, 0 outside."""
+def _disc(scene: Scene, at: float, angle: float, width_mm: float, soft_px: float) -> Image:
+    """1 inside a disc, ``at`` radii from the spot's middle in a direction, 0 outside."""
     u, v = scene.from_spot()
+    right_px, down_px = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
     far = np.sqrt((u - np.float32(right_px)) ** 2 + (v - np.float32(down_px)) ** 2)
-    disc: Image = np.clip(0.5 - (far - np.float32(radius_px)) / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
+    radius_px = np.float32(width_mm * scene.px_per_mm / 2)
+    disc: Image = np.clip(0.5 - (far - radius_px) / np.float32(max(soft_px, 0.5)), 0.0, 1.0)
     return disc
 
 
@@ -28,42 +29,35 @@ def _disc(scene: Scene, right_px: float, down_px: float, radius_px: float, soft_
 def half_black(draw: Draw) -> Spoil:
     """A hand, a sheet or a tape with a sharp edge over about half the spot."""
     at, angle, left = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.0, 0.3)
-    return Spoil(
-        f"from {at:.2f} radii on",
-        light=lambda scene, since: scene.all_times(
-            left + (1 - left) * edge(scene, angle, at * scene.spot.radius_px, 0.1 * scene.px_per_mm)
-        ),
-        cameras=draw.targets(),
-    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        clear = scene.edge(angle, at * scene.spot.radius_px, 0.1 * scene.px_per_mm)
+        return scene.all_times(left + (1 - left) * clear)
+
+    return Spoil(f"from {at:.2f} radii on", light=light, cameras=draw.targets())
 
 
 @WAYS.add()
 def half_black_soft(draw: Draw) -> Spoil:
     """The shadow of something that stands before the target: a soft edge."""
     at, angle, soft_mm = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.5, 6.0)
-    return Spoil(
-        f"from {at:.2f} radii on, edge of {soft_mm:.1f} mm",
-        light=lambda scene, since: scene.all_times(
-            edge(scene, angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
-        ),
-        cameras=draw.targets(),
-    )
+
+    def light(scene: Scene, since: int) -> Scene:
+        return scene.all_times(scene.edge(angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm))
+
+    return Spoil(f"from {at:.2f} radii on, edge of {soft_mm:.1f} mm", light=light, cameras=draw.targets())
 
 
 @WAYS.add()
 def quarter_black(draw: Draw) -> Spoil:
     """A corner of something over a quarter of the spot."""
-    angle, at_1, at_2, soft_mm = (
-        draw.angle(),
-        draw.uniform(-0.4, 0.6),
-        draw.uniform(-0.4, 0.6),
-        draw.log(0.1, 3.0),
-    )
+    angle, at_1, at_2 = draw.angle(), draw.uniform(-0.4, 0.6), draw.uniform(-0.4, 0.6)
+    soft_mm = draw.log(0.1, 3.0)
 
     def light(scene: Scene, since: int) -> Scene:
         radius_px, soft_px = scene.spot.radius_px, soft_mm * scene.px_per_mm
-        one = edge(scene, angle, at_1 * radius_px, soft_px)
-        other = edge(scene, angle + math.pi / 2, at_2 * radius_px, soft_px)
+        one = scene.edge(angle, at_1 * radius_px, soft_px)
+        other = scene.edge(angle + math.pi / 2, at_2 * radius_px, soft_px)
         return scene.all_times(np.maximum(one, other))
 
     return Spoil(f"corner at {at_1:.2f}, {at_2:.2f} radii", light=light, cameras=draw.targets())
@@ -72,17 +66,11 @@ def quarter_black(draw: Draw) -> Spoil:
 @WAYS.add()
 def cable(draw: Draw) -> Spoil:
     """A dark line across the spot."""
-    at, angle, width_mm, left = (
-        draw.uniform(-1.0, 1.0),
-        draw.angle(),
-        draw.log(0.3, 6.0),
-        draw.uniform(0.0, 0.5),
-    )
+    at, angle = draw.uniform(-1.0, 1.0), draw.angle()
+    width_mm, left = draw.log(0.3, 6.0), draw.uniform(0.0, 0.5)
 
     def light(scene: Scene, since: int) -> Scene:
-        middle, half = at * scene.spot.radius_px, width_mm * scene.px_per_mm / 2
-        dark = edge(scene, angle, middle + half, 1.0) - edge(scene, angle, middle - half, 1.0)
-        return scene.all_times(1.0 - (1 - left) * dark)
+        return scene.all_times(1.0 - (1 - left) * scene.stripe(angle, at, width_mm, 1.0))
 
     return Spoil(f"{width_mm:.1f} mm wide, {at:.2f} radii aside", light=light, cameras=draw.targets())
 
@@ -90,15 +78,11 @@ def cable(draw: Draw) -> Spoil:
 @WAYS.add()
 def grease(draw: Draw) -> Spoil:
     """A smear that takes some of the light of about half the spot."""
-    loss, at, angle, soft_mm = (
-        draw.uniform(0.03, 0.3),
-        draw.uniform(-0.6, 0.6),
-        draw.angle(),
-        draw.log(0.2, 6.0),
-    )
+    loss, at = draw.uniform(0.03, 0.3), draw.uniform(-0.6, 0.6)
+    angle, soft_mm = draw.angle(), draw.log(0.2, 6.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        clear = edge(scene, angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
+        clear = scene.edge(angle, at * scene.spot.radius_px, soft_mm * scene.px_per_mm)
         return scene.all_times(1.0 - loss * (1.0 - clear))
 
     return Spoil(f"{loss:.0%} darker, edge of {soft_mm:.1f} mm", light=light, cameras=draw.targets())
@@ -113,9 +97,8 @@ def smear_gradient(draw: Draw) -> Spoil:
     slope, angle = draw.uniform(0.02, 0.3), draw.angle()
 
     def light(scene: Scene, since: int) -> Scene:
-        u, v = scene.from_spot()
-        along = u * np.float32(math.cos(angle)) + v * np.float32(math.sin(angle))
-        return scene.all_times(np.clip(0.7 + slope * along / np.float32(2 * scene.spot.radius_px), 0.05, 1.0))
+        ramp = slope * scene.along(angle) / np.float32(2 * scene.spot.radius_px)
+        return scene.all_times(np.clip(0.7 + ramp, 0.05, 1.0))
 
     return Spoil(f"{slope:.0%} over a diameter", light=light, cameras=draw.targets())
 
@@ -123,18 +106,11 @@ def smear_gradient(draw: Draw) -> Spoil:
 @WAYS.add()
 def particle(draw: Draw) -> Spoil:
     """A grain of dirt, dark, on the spot."""
-    at, angle, width_mm, left = (
-        draw.uniform(0.0, 1.1),
-        draw.angle(),
-        draw.log(0.4, 6.0),
-        draw.uniform(0.0, 0.6),
-    )
+    at, angle = draw.uniform(0.0, 1.1), draw.angle()
+    width_mm, left = draw.log(0.4, 6.0), draw.uniform(0.0, 0.6)
 
     def light(scene: Scene, since: int) -> Scene:
-        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
-        return scene.all_times(
-            1.0 - (1 - left) * _disc(scene, right, down, width_mm * scene.px_per_mm / 2, 1.0)
-        )
+        return scene.all_times(1.0 - (1 - left) * _disc(scene, at, angle, width_mm, 1.0))
 
     return Spoil(f"{width_mm:.1f} mm, {at:.2f} radii aside", light=light, cameras=draw.targets())
 
@@ -146,14 +122,12 @@ def water_drop(draw: Draw) -> Spoil:
     dark, shape = draw.uniform(0.2, 0.9), draw.of("ring", "focus")
 
     def light(scene: Scene, since: int) -> Scene:
-        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
-        radius_px = width_mm * scene.px_per_mm / 2
-        inner = _disc(scene, right, down, radius_px, 1.5)
+        inner = _disc(scene, at, angle, width_mm, 1.5)
         if shape == "ring":
-            bright = _disc(scene, right, down, 1.25 * radius_px, 1.5) - inner
+            bright = _disc(scene, at, angle, 1.25 * width_mm, 1.5) - inner
             gain = 1.0 - dark * inner + dark * bright / np.float32(1.25**2 - 1.0)
         else:
-            focus = _disc(scene, right, down, 0.35 * radius_px, 1.0)
+            focus = _disc(scene, at, angle, 0.35 * width_mm, 1.0)
             gain = 1.0 - dark * inner + dark * focus / np.float32(0.35**2)
         return scene.all_times(gain)
 
@@ -200,9 +174,7 @@ def scratch(draw: Draw) -> Spoil:
     gain = draw.uniform(0.0, 0.5) if draw.sign() < 0 else draw.uniform(1.5, 6.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        middle, half = at * scene.spot.radius_px, width_mm * scene.px_per_mm / 2
-        line = edge(scene, angle, middle + half, 1.0) - edge(scene, angle, middle - half, 1.0)
-        return scene.all_times(1.0 + (gain - 1.0) * line)
+        return scene.all_times(1.0 + (gain - 1.0) * scene.stripe(angle, at, width_mm, 1.0))
 
     return Spoil(f"{width_mm:.1f} mm wide, {gain:.1f} times the light", light=light, cameras=draw.targets())
 
@@ -210,17 +182,11 @@ def scratch(draw: Draw) -> Spoil:
 @WAYS.add()
 def print_lost(draw: Draw) -> Spoil:
     """Ink scratched off the window in a patch; on the plate, paint that has gone."""
-    at, angle, width_mm, left = (
-        draw.uniform(0.2, 1.2),
-        draw.angle(),
-        draw.log(1.0, 10.0),
-        draw.uniform(0.05, 0.5),
-    )
+    at, angle = draw.uniform(0.2, 1.2), draw.angle()
+    width_mm, left = draw.log(1.0, 10.0), draw.uniform(0.05, 0.5)
 
     def light(scene: Scene, since: int) -> Scene:
-        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
-        patch = _disc(scene, right, down, width_mm * scene.px_per_mm / 2, 2.0)
-        return scene.all_times(1.0 - (1.0 - left) * patch)
+        return scene.all_times(1.0 - (1.0 - left) * _disc(scene, at, angle, width_mm, 2.0))
 
     return Spoil(f"{width_mm:.1f} mm, {left:.0%} left", light=light, cameras=draw.one())
 
@@ -228,17 +194,11 @@ def print_lost(draw: Draw) -> Spoil:
 @WAYS.add()
 def bleached_patch(draw: Draw) -> Spoil:
     """A patch of the plate that has become brighter."""
-    at, angle, width_mm, gain = (
-        draw.uniform(0.3, 1.2),
-        draw.angle(),
-        draw.log(2.0, 15.0),
-        draw.uniform(1.05, 1.6),
-    )
-    soft_mm = draw.log(0.2, 5.0)
+    at, angle = draw.uniform(0.3, 1.2), draw.angle()
+    width_mm, gain, soft_mm = draw.log(2.0, 15.0), draw.uniform(1.05, 1.6), draw.log(0.2, 5.0)
 
     def light(scene: Scene, since: int) -> Scene:
-        right, down = (at * scene.spot.radius_px * f(angle) for f in (math.cos, math.sin))
-        patch = _disc(scene, right, down, width_mm * scene.px_per_mm / 2, soft_mm * scene.px_per_mm)
+        patch = _disc(scene, at, angle, width_mm, soft_mm * scene.px_per_mm)
         return scene.all_times(1.0 + (gain - 1.0) * patch)
 
     return Spoil(f"{width_mm:.1f} mm, {gain:.2f} times", light=light, cameras=frozenset(("rear",)))
@@ -288,14 +248,10 @@ def _bent(draw: Draw, camera: str) -> Spoil:
         seen = cv2.remap(scene.electrons, grid_u, grid_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return scene.all_times(0.0).veiled(np.asarray(seen, np.float32))
 
-    return Spoil(
-        f"by {shift_px:.1f} px within {size_px:.0f} px",
-        light=light,
-        cameras=frozenset((camera,)),
-        undetectable=by_a_step_of_the_print(shift_px)
-        if camera == "front"
-        else on_a_plate(frozenset((camera,))),
-    )
+    cameras = frozenset((camera,))
+    undetectable = by_a_step_of_the_print(shift_px) if camera == "front" else on_a_plate(cameras)
+    note = f"by {shift_px:.1f} px within {size_px:.0f} px"
+    return Spoil(note, light=light, cameras=cameras, undetectable=undetectable)
 
 
 @WAYS.add()

@@ -99,6 +99,10 @@ def _pairing(draw: Draw) -> Literal["sequence", "time"]:
     return "time" if draw.rng.random() < 0.75 else "sequence"
 
 
+def _names(cameras: frozenset[str]) -> str:
+    return " and ".join(sorted(cameras))
+
+
 def _far_ns(draw: Draw) -> int:
     return round(draw.log(0.02, 7200.0) * S)
 
@@ -109,24 +113,22 @@ def clean_times(draw: Draw) -> Mistimed:
     return Mistimed("nothing spoilt", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
 
 
+def _one_stamp(draw: Draw, sign: int) -> Mistimed:
+    far_ns, cameras = _far_ns(draw), draw.targets()
+    change = _each(lambda one: replace(one, t_ns=one.t_ns + sign * far_ns), cameras, PERIOD_NS)
+    return Mistimed(f"by {far_ns / S:.2f} s, {_names(cameras)}", change, _pairing(draw), PERIOD_NS)
+
+
 @_enter
 def stamp_ahead(draw: Draw) -> Mistimed:
     """One frame, of one camera or of both, is stamped too late."""
-    far_ns, cameras = _far_ns(draw), draw.targets()
-    change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, PERIOD_NS)
-    return Mistimed(
-        f"by {far_ns / S:.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw), PERIOD_NS
-    )
+    return _one_stamp(draw, 1)
 
 
 @_enter
 def stamp_back(draw: Draw) -> Mistimed:
     """One frame is stamped too early."""
-    far_ns, cameras = _far_ns(draw), draw.targets()
-    change = _each(lambda one: replace(one, t_ns=one.t_ns - far_ns), cameras, PERIOD_NS)
-    return Mistimed(
-        f"by {far_ns / S:.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw), PERIOD_NS
-    )
+    return _one_stamp(draw, -1)
 
 
 @_of_a_clock
@@ -134,7 +136,7 @@ def clock_steps(draw: Draw) -> Mistimed:
     """A camera's clock, or both, jumps and stays there."""
     far_ns, cameras = draw.sign() * _far_ns(draw), draw.targets()
     change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, None)
-    return Mistimed(f"by {far_ns / S:+.2f} s, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+    return Mistimed(f"by {far_ns / S:+.2f} s, {_names(cameras)}", change, _pairing(draw))
 
 
 @_enter
@@ -177,7 +179,7 @@ def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
 
         return _each(faster, cameras, None)(deliveries, onset_ns)
 
-    return Mistimed(f"{words}, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+    return Mistimed(f"{words}, {_names(cameras)}", change, _pairing(draw))
 
 
 @_of_a_clock
@@ -197,7 +199,7 @@ def clock_drifts(draw: Draw) -> Mistimed:
 def _renumbered(draw: Draw, by: int, length_ns: int | None) -> Mistimed:
     cameras = draw.targets()
     change = _each(lambda one: replace(one, sequence=max(one.sequence + by, 0)), cameras, length_ns)
-    return Mistimed(f"by {by:+d}, {' and '.join(sorted(cameras))}", change, _pairing(draw), length_ns)
+    return Mistimed(f"by {by:+d}, {_names(cameras)}", change, _pairing(draw), length_ns)
 
 
 @_enter
@@ -230,14 +232,12 @@ def process_held(draw: Draw) -> Mistimed:
     held_ns, kept = round(draw.log(0.2, 12.0) * S), draw.whole(0, 8)
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        arrived = []
+        arrived = [one for one in deliveries if not 0 <= one.true_ns - onset_ns < held_ns]
+        held = [one for one in deliveries if 0 <= one.true_ns - onset_ns < held_ns]
         for camera in CAMERAS:
-            waiting = [
-                one for one in deliveries if one.camera == camera and 0 <= one.true_ns - onset_ns < held_ns
-            ]
+            waiting = [one for one in held if one.camera == camera]
             arrived += [replace(one, arrives_ns=onset_ns + held_ns) for one in waiting[:kept]]
-        outside = [one for one in deliveries if not 0 <= one.true_ns - onset_ns < held_ns]
-        return outside + arrived
+        return arrived
 
     return Mistimed(f"{held_ns / S:.1f} s, {kept} frames kept", change, _pairing(draw), held_ns, held_ns)
 
@@ -245,11 +245,8 @@ def process_held(draw: Draw) -> Mistimed:
 @_enter
 def frames_delayed(draw: Draw) -> Mistimed:
     """The frames of a camera, or of both, arrive late with true stamps."""
-    late_ns, cameras, length_ns = (
-        round(draw.log(0.05, 4.0) * S),
-        draw.targets(),
-        draw.whole(1, 40) * PERIOD_NS,
-    )
+    late_ns, cameras = round(draw.log(0.05, 4.0) * S), draw.targets()
+    length_ns = draw.whole(1, 40) * PERIOD_NS
     change = _each(lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns), cameras, length_ns)
     return Mistimed(
         f"by {late_ns / S:.2f} s for {length_ns / S:.2f} s", change, _pairing(draw), length_ns + late_ns
@@ -286,7 +283,7 @@ def out_of_order(draw: Draw) -> Mistimed:
     def later(one: Delivery) -> Delivery:
         return replace(one, arrives_ns=one.arrives_ns + (3 * PERIOD_NS // 2 if one.sequence % 2 else 0))
 
-    return Mistimed(" and ".join(sorted(cameras)), _each(later, cameras, None), _pairing(draw))
+    return Mistimed(_names(cameras), _each(later, cameras, None), _pairing(draw))
 
 
 @_enter
@@ -301,7 +298,7 @@ def frames_lost(draw: Draw) -> Mistimed:
             if one.true_ns < onset_ns or one.camera not in cameras or rng.random() >= share
         ]
 
-    return Mistimed(f"{share:.0%}, {' and '.join(sorted(cameras))}", change, _pairing(draw))
+    return Mistimed(f"{share:.0%}, {_names(cameras)}", change, _pairing(draw))
 
 
 @_enter
