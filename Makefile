@@ -134,7 +134,7 @@ bench-sizes: venv ## the daemon on frames of 752 × 480, 2448 × 2048 and 4096 �
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 exec $(python) -m benchmarks.frame_sizes
 
 bench-spray: programs venv ## datagrams with forged sources at the unit on GigE Vision, ten minutes; SPRAY_S=60 for one
-	@exec unshare -rn $(python) -m benchmarks.live.spray --seconds $(SPRAY_S)
+	@PYTHONPATH=tests exec unshare -rn $(python) -m fuzz.hostile.spray --seconds $(SPRAY_S)
 
 bench-wires: venv ## errors on every wire and what a reader finds of them: docs/studies/wire-errors.md
 	@exec $(python) -m benchmarks.wire_errors --page docs/studies/wire-errors.md

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fuzz.hostile.spray import spray
 from support.cli import altd_here
 from support.gige import register
 from support.held import hold
@@ -21,7 +22,6 @@ from support.own_network import inside
 from altd.config import load_config
 from benchmarks.live.faults import Recovery, measure_fault
 from benchmarks.live.parts import Ports, calibrate, daemon_command, running, write_config
-from benchmarks.live.spray import spray
 from benchmarks.live.unit import (
     FRONT,
     LINKED,

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.hostile.datagrams import udp_ports
 from support import gvsp
 from support.gige import HOME, Cameras, Grabbed, driver, register
 
 from altd.records import Frame
-from benchmarks.live.attacker import udp_ports
 
 pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 

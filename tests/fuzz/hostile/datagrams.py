@@ -1,4 +1,4 @@
-"""A foreign voice on the cameras' network: ``python -m benchmarks.live.attacker``.
+"""A foreign voice on the cameras' network: ``python -m fuzz.hostile.datagrams``.
 
 Arguments: process id of the daemon and of the cameras, for how long, s, how long in one way, s, datagrams a
 second, seed. Sends datagrams with forged sources (raw socket) to the UDP ports that the daemon has at the
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from support import gvsp
 
 FOREIGN = "127.0.0.66"
 _GVCP_PORT = 3956
@@ -28,9 +29,6 @@ _IP_UDP = struct.Struct(">BBHHHBBH4s4sHHHH")
 _CAPTURE_S = 0.3
 _PORT_SCAN_INTERVAL_S = 0.25
 _IDLE_S = 0.05
-_TRAILER = struct.pack(">HHI", 0, 1, 0)
-_KILLER = bytes.fromhex("00000000820000000000000000000001f00000000000000100000000")
-"""A trailer with extended ids and packet id 0xF0000000: 28 bytes for which Aravis 0.8.26 allocates 64 GB."""
 
 
 Datagrams = Iterator[tuple[tuple[str, int], tuple[str, int], bytes]]
@@ -152,13 +150,13 @@ def _anything(dice: random.Random) -> bytes:
     if kind == 0:
         return noise
     if kind == 1:
-        return _KILLER
+        return gvsp.KILLER
     if kind == 2:  # GVSP, standard ids
         return _HEADER.pack(0, dice.randrange(65536), dice.randrange(8) << 24 | dice.getrandbits(24)) + noise
     if kind == 3:  # GVSP, extended ids
-        word = 0x80000000 | dice.randrange(8) << 24
-        ids = struct.pack(">QI", dice.getrandbits(64), dice.choice((0, 1, 0xF0000000, 0xFFFFFFFF)))
-        return _HEADER.pack(0, 0, word) + ids + noise
+        packet_kind, block_id = dice.randrange(8), dice.getrandbits(64)
+        number = dice.choice((0, 1, 0xF0000000, 0xFFFFFFFF))
+        return gvsp.packet(block_id, packet_kind, number, noise, extended=True)
     if kind == 4:  # acknowledgements of registers and memory; "wait for me" for a minute
         command = dice.choice((0x81, 0x83, 0x85, 0x87, 0x89))
         return struct.pack(">HHHH", 0, command, len(noise), dice.randrange(65536)) + noise
@@ -174,10 +172,12 @@ def _frame(target: Target, source: tuple[str, int], ahead: int) -> Datagrams:
     image = np.roll(picture, 200, axis=1).tobytes()
     bodies = [captured.leader]
     bodies += [image[at : at + captured.data_bytes] for at in range(0, len(image), captured.data_bytes)]
-    bodies += [_TRAILER]
+    bodies += [gvsp.trailer(0)]
     for number, body in enumerate(bodies):
-        kind = 1 if number == 0 else 2 if number == len(bodies) - 1 else 3
-        yield source, target.goal, _HEADER.pack(0, block_id, kind << 24 | number) + body
+        kind = gvsp.PAYLOAD if number else gvsp.LEADER
+        if number == len(bodies) - 1:
+            kind = gvsp.TRAILER
+        yield source, target.goal, gvsp.packet(block_id, kind, number, body)
 
 
 def _targets(sources: Ends, goals: Ends) -> Iterator[Target]:
@@ -199,11 +199,11 @@ def _targets(sources: Ends, goals: Ends) -> Iterator[Target]:
                 continue
             status, block_id, word = _HEADER.unpack_from(packet, 28)
             kind, number, body = word >> 24, word & 0xFFFFFF, packet[36:]
-            if status == 0 and kind == 1:
+            if status == 0 and kind == gvsp.LEADER:
                 parts[source] = {0: body}
-            elif status == 0 and source in parts and kind == 3:
+            elif status == 0 and source in parts and kind == gvsp.PAYLOAD:
                 parts[source][number] = body
-            elif status == 0 and source in parts and kind == 2 and len(parts[source]) == number:
+            elif status == 0 and source in parts and kind == gvsp.TRAILER and len(parts[source]) == number:
                 of = parts.pop(source)
                 image = b"".join(of[n] for n in range(1, number))
                 wanted.discard(source)

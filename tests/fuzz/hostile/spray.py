@@ -1,4 +1,4 @@
-"""``python -m benchmarks.live.spray`` (``make bench-spray``): the daemon under datagrams from forged sources.
+"""``python -m fuzz.hostile.spray`` (``make bench-spray``): the daemon under datagrams from forged sources.
 
 To be run in a network namespace of its own: ``unshare -rn``. Ends with status 1 when the daemon died, or a
 valid measurement was wrong: further than 5 of its sigmas, and 0.05 mm or 0.01 degrees, from the truth.
@@ -16,7 +16,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.live.attacker import FOREIGN, PHASES
+from fuzz.hostile.datagrams import FOREIGN, PHASES
+
 from benchmarks.live.parts import calibrate, running
 from benchmarks.live.truth import QUANTITIES
 from benchmarks.live.unit import FRONT, REAR, SEED, both_cameras, ip, measuring_daemon
@@ -25,6 +26,7 @@ from benchmarks.process_memory import resident_mb
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import Unit
 
+TESTS = Path(__file__).parents[2]
 WRONG_SIGMAS = 5.0
 MIN_WRONG_ERRORS = {"x_mm": 0.05, "y_mm": 0.05, "yaw_deg": 0.01, "pitch_deg": 0.01}
 _VALID_TIMEOUT_S = 30.0
@@ -59,7 +61,7 @@ class SprayResult:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Attack, print what became of it."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.live.spray", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m fuzz.hostile.spray", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="how long (600)")
     parser.add_argument("--rate", type=float, default=4000.0, help="datagrams a second (4000)")
     parser.add_argument("--seed", type=int, default=1, help="of the datagrams (1)")
@@ -84,9 +86,9 @@ def spray(folder: Path, calibration: Path, seconds: float, rate: float, seed: in
         pids = str(daemon.process.pid), str(cameras.process.pid)
         phase_s = min(_PHASE_S, seconds / len(PHASES))
         how = [str(value) for value in (seconds, phase_s, rate, seed)]
-        attacker = [sys.executable, "-m", "benchmarks.live.attacker", *pids, *how]
+        program = ["env", f"PYTHONPATH={TESTS}", sys.executable, "-m", "fuzz.hostile.datagrams"]
         first, rss_mb = len(watch.seen), []
-        with running(attacker, folder / "attacker.log") as attack:
+        with running([*program, *pids, *how], folder / "attacker.log") as attack:
             until_s = time.monotonic() + seconds + _VALID_TIMEOUT_S
             while {attack.process.poll(), daemon.process.poll()} == {None} and time.monotonic() < until_s:
                 with suppress(StopIteration):  # it is ending
