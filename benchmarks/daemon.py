@@ -25,6 +25,7 @@ from benchmarks.material import CAMERAS, FPS, WINDOW, Material, make_config
 from benchmarks.stages import pure_rate
 from hw_sim.ports import free_port
 
+POLLS_PER_S = 10
 SETTLE_S = 1.2
 """Until the window is full and every client is attached."""
 
@@ -78,17 +79,18 @@ def measure_load(
     modbus_port, http_port = free_port(), free_port()
     with _terminal() as (far, device):
         config = make_config(modbus_port, http_port, device)
-        arguments = [str(number) for number in (modbus_port, http_port, far)]
+        command = [sys.executable, "-m", "benchmarks.poller", str(modbus_port), "--rate", str(POLLS_PER_S)]
+        command += ["--http", str(http_port), "--line", str(far)]
         with subprocess.Popen(  # noqa: S603  our own interpreter and module
-            [sys.executable, "-m", "benchmarks.clients", *arguments],
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=[far],
         ) as clients:
 
             def dismiss() -> dict[str, int]:
-                answers: dict[str, int] = json.loads(clients.communicate()[0])
-                return answers
+                told = json.loads(clients.communicate()[0])
+                return {"modbus answers": len(told.pop("polls")), **told}
 
             return asyncio.run(_load(material, name, pairs_per_s, seconds, config, dismiss))
 

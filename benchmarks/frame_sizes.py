@@ -80,10 +80,14 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
         await asyncio.sleep(SETTLE_S)
         seen, lost_before, begun_s, cpu_s = len(waits_ns), lost(daemon), time.monotonic(), time.process_time()
         poller = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "benchmarks.poller", str(port), str(seconds), stdout=asyncio.subprocess.PIPE
+            *(sys.executable, "-m", "benchmarks.poller", str(port)),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
         )
         with Ticker() as ticker:
-            printed, _ = await poller.communicate()
+            await asyncio.sleep(seconds)
+            printed, _ = await poller.communicate(b"")
+        waits_ms = [1e3 * took_s for _, took_s, *_ in json.loads(printed)["polls"]]
         wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
         watching.cancel()
         rows, columns = material.pairs[0][0].pixels.shape
@@ -95,7 +99,7 @@ async def _measured(material: Material, seconds: float) -> SizeFigures:
             lost(daemon) - lost_before,
             cpu_s / wall_s,
             latency_of(np.array(waits_ns[seen:]) * 1e-6),
-            latency_of(np.array(json.loads(printed))),
+            latency_of(np.array(waits_ms)),
             latency_of(np.array(ticker.late_ns) * 1e-6),
         )
 

@@ -11,16 +11,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import struct
 import sys
 import time
 from dataclasses import asdict, dataclass, field
 
 from websockets.asyncio.client import connect
 
+from benchmarks.poller import ANSWER_BYTES, READ
+
 _HOST = "127.0.0.1"
 _POLLS_PER_S = 20.0
-_REGISTERS = 100
 _LOOK_S = 0.5
 
 
@@ -42,8 +42,8 @@ async def control(port: int, number: int, controllers: int, seen: Seen) -> None:
         await asyncio.sleep(max(due_s - time.monotonic(), 0.0))
         due_s += 1 / _POLLS_PER_S
         begun_ns = time.monotonic_ns()
-        writer.write(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, _REGISTERS))
-        answer = await reader.readexactly(9 + 2 * _REGISTERS)
+        writer.write(READ)
+        answer = await reader.readexactly(ANSWER_BYTES)
         if answer[7] != 4:
             raise ConnectionError(answer.hex())
         seen.polls_ms.append((time.monotonic_ns() - begun_ns) * 1e-6)

@@ -1,37 +1,72 @@
-"""``python -m benchmarks.poller PORT SECONDS``: a Modbus TCP controller in a process of its own.
+"""``python -m benchmarks.poller PORT``: a Modbus TCP controller in a process of its own, others beside it.
 
-It reads the input registers again and again, after pauses of which no two are alike, and prints as JSON how
-long each answer took, ms.
+It reads the input registers until its standard input ends. Then it prints as JSON of each poll when it was
+sent (``time.monotonic``, s), how long its answer took, s, and the header of the register table, from
+``status`` to ``age``; and how many events and telegrams came.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
 import random
+import select
 import socket
 import struct
 import sys
 import time
 
+REGISTERS = 100
+HEADER_REGISTERS = 7
+READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, REGISTERS)
+"""The request for the first input registers (function 4)."""
+ANSWER_BYTES = 9 + 2 * REGISTERS
+
 _HOST = "127.0.0.1"
-_REGISTERS = 100
 _MIN_PAUSE_S, _MAX_PAUSE_S = 0.002, 0.012
 
 
 def main() -> int:
     """Poll, and print what came of it."""
-    port, seconds = int(sys.argv[1]), float(sys.argv[2])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.poller", description=__doc__)
+    parser.add_argument("port", type=int)
+    parser.add_argument(
+        "--rate", type=float, help="polls a second; default: pauses of which no two are alike"
+    )
+    parser.add_argument("--http", type=int, metavar="PORT", help="read the stream of measurements there")
+    parser.add_argument("--line", type=int, metavar="DESCRIPTOR", help="read the telegrams of a terminal")
+    options = parser.parse_args()
     generator = random.Random(1)
-    waits_ms = []
-    with connected(port) as link:
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            time.sleep(generator.uniform(_MIN_PAUSE_S, _MAX_PAUSE_S))
-            begun_ns = time.monotonic_ns()
-            read_registers(link, _REGISTERS)
-            waits_ms.append((time.monotonic_ns() - begun_ns) * 1e-6)
-    print(json.dumps(waits_ms))
-    return 0
+    polls: list[tuple[float, ...]] = []
+    link = connected(options.port)
+    heard: dict[int, tuple[str, bytes]] = {}
+    if options.http is not None:
+        stream = connected(options.http)
+        stream.sendall(b"GET /api/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        heard[stream.fileno()] = "stream events", b"\ndata: "
+    if options.line is not None:
+        heard[options.line] = "telegrams", b"\r\n"
+    counts = dict.fromkeys((what for what, _ in heard.values()), 0)
+    due_s = time.monotonic()
+    while True:
+        wait_s = max(due_s - time.monotonic(), 0.0)
+        ready, _, _ = select.select([sys.stdin.fileno(), *heard], [], [], wait_s)
+        if sys.stdin.fileno() in ready:
+            print(json.dumps({"polls": polls, **counts}))
+            return 0
+        for descriptor in ready:
+            what, mark = heard[descriptor]
+            counts[what] += os.read(descriptor, 65536).count(mark)
+        sent_s = time.monotonic()
+        if sent_s >= due_s:
+            registers = read_registers(link)
+            answered_s = time.monotonic()
+            polls.append((sent_s, answered_s - sent_s, *registers[:HEADER_REGISTERS]))
+            if options.rate is None:
+                due_s = answered_s + generator.uniform(_MIN_PAUSE_S, _MAX_PAUSE_S)
+            else:
+                due_s = max(due_s + 1 / options.rate, sent_s)
 
 
 def connected(port: int, timeout_s: float = 5.0) -> socket.socket:
@@ -49,15 +84,24 @@ def connected(port: int, timeout_s: float = 5.0) -> socket.socket:
             return link
 
 
-def read_registers(link: socket.socket, count: int) -> tuple[int, ...]:
-    """The first input registers (function 4); raises ConnectionError for any other answer."""
-    link.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, count))
-    wanted, answer = 9 + 2 * count, b""
-    while len(answer) < wanted and (data := link.recv(wanted - len(answer))):
-        answer += data
-    if len(answer) != wanted or answer[7] != 4:
+def read_registers(link: socket.socket) -> tuple[int, ...]:
+    """The first input registers; raises ConnectionError for any other answer."""
+    link.sendall(READ)
+    answer = received(link, ANSWER_BYTES)
+    if answer[7] != 4:
         raise ConnectionError(answer.hex())
-    return struct.unpack(f">{count}H", answer[9:])
+    return struct.unpack(f">{REGISTERS}H", answer[9:])
+
+
+def received(link: socket.socket, length: int) -> bytes:
+    """So many bytes; raises ConnectionError when the other side closes before."""
+    heard = b""
+    while len(heard) < length:
+        piece = link.recv(length - len(heard))
+        if not piece:
+            raise ConnectionError(f"it was closed after {heard.hex()}")
+        heard += piece
+    return heard
 
 
 if __name__ == "__main__":

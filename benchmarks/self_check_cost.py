@@ -149,17 +149,13 @@ async def _polling(port: int) -> AsyncIterator[list[_Poll]]:
     """What a client polls meanwhile, there once the block has ended."""
     polls: list[_Poll] = []
     client = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "benchmarks.steady_poller",
-        str(port),
-        str(POLLS_PER_S),
+        *(sys.executable, "-m", "benchmarks.poller", str(port), "--rate", str(POLLS_PER_S)),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
     )
     yield polls
-    printed, _ = await client.communicate(b"\n")
-    polls += [_Poll(sent_s, header) for sent_s, _, *header in json.loads(printed)]
+    printed, _ = await client.communicate(b"")
+    polls += [_Poll(sent_s, header) for sent_s, _, *header in json.loads(printed)["polls"]]
 
 
 @contextlib.asynccontextmanager

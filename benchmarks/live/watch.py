@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import http.client
 import json
-import socket
-import struct
 import threading
 import time
 from collections.abc import Callable
@@ -13,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from benchmarks.live.parts import Ports
+from benchmarks.poller import connected, read_registers
 
 _HOST = "127.0.0.1"
-_REGISTERS = 100
 _POLL_INTERVAL_S = 0.05
 _ANSWER_TIMEOUT_S = 5.0
 
@@ -122,16 +120,10 @@ class Watch:
             connection.close()
 
     def _poll(self) -> None:
-        with socket.create_connection((_HOST, self._ports.modbus), timeout=_ANSWER_TIMEOUT_S) as link:
+        with connected(self._ports.modbus, _ANSWER_TIMEOUT_S) as link:
             while not self._ended.wait(_POLL_INTERVAL_S):
                 asked_s = time.monotonic()
-                link.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, _REGISTERS))
-                answer = b""
-                while len(answer) < 9 + 2 * _REGISTERS:
-                    data = link.recv(4096)
-                    if not data:
-                        raise ConnectionError("Modbus hung up")
-                    answer += data
+                registers = read_registers(link)
                 self.polled.took_s.append(time.monotonic() - asked_s)
                 self.polled.asked_s.append(asked_s)
-                self.polled.status.append(int.from_bytes(answer[9:11], "big"))
+                self.polled.status.append(registers[0])

@@ -14,6 +14,7 @@ import tty
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
+from benchmarks.poller import received
 from benchmarks.wire_errors.errors import Delivery
 
 UNIT_ID = 1
@@ -50,8 +51,8 @@ class TcpClient:
         self._connection.settimeout(timeout_s)
         self._connection.sendall(struct.pack(">HHHB", self._transaction, 0, 6, UNIT_ID) + READ)
         try:
-            head = _received(self._connection, 7)
-            body = _received(self._connection, _ANSWER_BYTES)
+            head = received(self._connection, 7)
+            body = received(self._connection, _ANSWER_BYTES)
         except (TimeoutError, ConnectionError):
             self.close()
             return None
@@ -95,7 +96,7 @@ def tcp_proxy(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> int:
         while True:
             connection, _ = listener.accept()
             with connection, contextlib.suppress(ConnectionError, OSError):
-                while request := _received(connection, 12):
+                while request := received(connection, 12):
                     content = _due(deliveries, truth)
                     if content is not None:
                         answer = bytes([4, len(content)]) + content
@@ -149,16 +150,6 @@ def _due(deliveries: Iterator[Delivery], truth: queue.Queue[bool]) -> bytes | No
     time.sleep(delivery.hold_s)
     truth.put(delivery.is_spoilt)
     return delivery.content
-
-
-def _received(connection: socket.socket, length: int) -> bytes:
-    heard = b""
-    while len(heard) < length:
-        piece = connection.recv(length - len(heard))
-        if not piece:
-            raise ConnectionError("it was closed")
-        heard += piece
-    return heard
 
 
 def _framed(pdu: bytes) -> bytes:
