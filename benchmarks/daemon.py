@@ -20,8 +20,7 @@ from altd.app.daemon import Daemon
 from altd.config import Config
 from altd.ports import Lamps
 from altd.records import FloatArray
-from benchmarks.cameras import Source
-from benchmarks.material import CAMERAS, FPS, WINDOW, Material, make_config
+from benchmarks.material import CAMERAS, FPS, WINDOW, Material, Source, make_config
 from benchmarks.stages import pure_rate
 from hw_sim.ports import free_port
 

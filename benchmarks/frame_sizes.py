@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import ctypes
 import json
+import os
+import struct
 import sys
 import tempfile
 import time
@@ -24,15 +27,50 @@ import numpy as np
 from altd.calibration.calibrating import calibrate
 from altd.recording.reader import open_recording
 from altd.records import PixelArray
-from benchmarks.cameras import Source
 from benchmarks.daemon import SETTLE_S, Latency, latency_of, lost, running, watch
-from benchmarks.material import CAMERAS, FPS, SEED, Material, make_config, make_pairs
-from benchmarks.ticking import Ticker
+from benchmarks.material import CAMERAS, FPS, SEED, Material, Source, make_config, make_pairs
 from hw_sim import unit as simulated
 from hw_sim.flat import record_flat
 from hw_sim.ports import free_port
 from hw_sim.scan import Grid, record_scan
 from hw_sim.stage import Stage
+
+_CLOCK_MONOTONIC = 1
+_TFD_NONBLOCK, _TFD_TIMER_ABSTIME = 0o4000, 1
+_TIMES = struct.Struct("qqqq")
+"""``struct itimerspec`` of time.h: interval and first expiration, each in s and ns."""
+_PERIOD_NS = 1_000_000
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class Ticker:
+    """``with``: each tick's lateness, ns, in ``late_ns``. asyncio's own timers are a millisecond coarse."""
+
+    def __init__(self) -> None:
+        self.late_ns: list[int] = []
+
+    def __enter__(self) -> Ticker:
+        """Begin to tick; raises OSError where the kernel has no timer for us."""
+        self._timer = _libc.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK)
+        if self._timer < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_create")
+        self._due_ns = time.monotonic_ns() + _PERIOD_NS
+        times = ctypes.create_string_buffer(_TIMES.pack(0, _PERIOD_NS, *divmod(self._due_ns, 1_000_000_000)))
+        if _libc.timerfd_settime(self._timer, _TFD_TIMER_ABSTIME, times, None) < 0:
+            raise OSError(ctypes.get_errno(), "timerfd_settime")
+        asyncio.get_running_loop().add_reader(self._timer, self._tick)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        asyncio.get_running_loop().remove_reader(self._timer)
+        os.close(self._timer)
+
+    def _tick(self) -> None:
+        (ticks,) = struct.unpack("Q", os.read(self._timer, 8))
+        self.late_ns.append(time.monotonic_ns() - self._due_ns)  # of the first that was due
+        self._due_ns += ticks * _PERIOD_NS
+
 
 SIZES = (752, 480), (2448, 2048), (4096, 3000)
 

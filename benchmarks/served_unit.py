@@ -12,8 +12,7 @@ from altd.app.daemon import Daemon
 from altd.app.keeping import FILE_NAME, history_about
 from altd.config import KeptFrames
 from altd.status.health import State
-from benchmarks.cameras import Source
-from benchmarks.material import FPS, Material, make_config
+from benchmarks.material import FPS, Material, Source, make_config
 from hw_sim.ports import free_port
 
 _MAX_HISTORY_BYTES = 400 * 10**6

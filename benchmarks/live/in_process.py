@@ -18,7 +18,7 @@ from altd.app.daemon import Daemon
 from altd.app.parts import calibration_of
 from altd.config import load_config
 from altd.status.measurement_json import as_object
-from benchmarks.live.truth import truthfulness
+from benchmarks.live.steady import truthfulness
 from hw_sim.camera import make_cameras
 from hw_sim.gige.command import make_unit
 from hw_sim.unit import Unit

@@ -15,23 +15,23 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import calibrate, off_the_daemons_core, running
-from benchmarks.live.steady import Steady, measure_steady
-from benchmarks.live.truth import QUANTITIES, Truthfulness
-from benchmarks.live.unit import (
+from benchmarks.live.parts import (
     FRONT,
     LINKED,
     REAR,
     SEED,
     Camera,
     both_cameras,
+    calibrate,
     camera_behind_link,
     ip,
     measuring_daemon,
+    off_the_daemons_core,
+    running,
     set_link,
 )
-from benchmarks.live.watch import Watch
+from benchmarks.live.steady import QUANTITIES, Steady, Truthfulness, measure_steady
+from benchmarks.live.watch import Recovery, Watch, measure_fault
 from hw_sim.gige.command import make_unit
 
 _VALID_TIMEOUT_S = 30.0

@@ -1,4 +1,7 @@
-"""What a controller sees of the unit: every measurement of the stream, and how Modbus answers meanwhile."""
+"""What a controller sees of the unit: every measurement of the stream, and how Modbus answers meanwhile.
+
+Also when the cameras have faults as in the tunnel: the time to their detection and to the recovery.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,25 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from benchmarks.live.parts import Ports
 from benchmarks.poller import connected, read_registers
+from hw_sim.ports import free_port
 
 _HOST = "127.0.0.1"
 _POLL_INTERVAL_S = 0.05
 _ANSWER_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """The TCP ports of a unit's faces."""
+
+    http: int
+    modbus: int
+
+    @classmethod
+    def free(cls) -> Self:
+        """Ports that nobody has at the moment."""
+        return cls(free_port(), free_port())
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +143,58 @@ class Watch:
                 self.polled.took_s.append(time.monotonic() - asked_s)
                 self.polled.asked_s.append(asked_s)
                 self.polled.status.append(registers[0])
+
+
+_DETECTION_TIMEOUT_S = 5.0
+_RECOVERY_TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """One fault. Times are those of a reader of the stream.
+
+    ``invalid_after_s`` counts from the fault, ``valid_after_s`` from the camera's return; the slowest answer
+    of Modbus is that of the whole time between fault and recovery.
+    """
+
+    fault: str
+    reasons: tuple[str, ...]
+    invalid_after_s: float
+    health: str
+    valid_after_s: float
+    modbus_slowest_ms: float
+    modbus_said_invalid: bool
+
+
+def measure_fault(
+    watch: Watch,
+    fault: str,
+    camera: str,
+    inject: Callable[[], object],
+    restore: Callable[[], float],
+    lasts_s: float,
+) -> Recovery:
+    """Inject a fault, restore, wait for recovery; ``restore`` returns the time of its return, s."""
+    watch.first(lambda seen: seen.valid, time.monotonic(), _RECOVERY_TIMEOUT_S)
+    injected_s = time.monotonic()
+    inject()
+    invalid = watch.first(lambda seen: not seen.valid, injected_s, _DETECTION_TIMEOUT_S)
+    time.sleep(max(lasts_s - (time.monotonic() - injected_s), 0.0))
+    health = watch.status()["components"][f"camera {camera}"]
+    restored_s = restore()
+    valid = watch.first(lambda seen: seen.valid, max(restored_s, invalid.arrived_s), _RECOVERY_TIMEOUT_S)
+    polled = watch.polled
+    answers = [
+        (took_s, status)
+        for asked_s, took_s, status in zip(polled.asked_s, polled.took_s, polled.status, strict=False)
+        if injected_s <= asked_s <= valid.arrived_s
+    ]
+    return Recovery(
+        fault=fault,
+        reasons=tuple(sorted(invalid.reasons)),
+        invalid_after_s=invalid.arrived_s - injected_s,
+        health=f"{health['state']}: {health['message']}",
+        valid_after_s=valid.arrived_s - restored_s,
+        modbus_slowest_ms=1e3 * max(took_s for took_s, _ in answers),
+        modbus_said_invalid=any(not status & 1 for _, status in answers),
+    )

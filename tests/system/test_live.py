@@ -20,19 +20,21 @@ from support.held import hold
 from support.own_network import inside
 
 from altd.config import load_config
-from benchmarks.live.faults import Recovery, measure_fault
-from benchmarks.live.parts import Ports, calibrate, daemon_command, running, write_config
-from benchmarks.live.unit import (
+from benchmarks.live.parts import (
     FRONT,
     LINKED,
     REAR,
     SEED,
     Camera,
+    calibrate,
     camera_behind_link,
+    daemon_command,
     measuring_daemon,
+    running,
     set_link,
+    write_config,
 )
-from benchmarks.live.watch import Watch
+from benchmarks.live.watch import Ports, Recovery, Watch, measure_fault
 
 pytestmark = [pytest.mark.own_network, pytest.mark.real_time]
 

@@ -35,9 +35,9 @@ from support.unit_toml import write_config
 
 from altd.app.record import scanner_of
 from altd.config import Config, Scan
-from benchmarks.live.parts import Ports
+from benchmarks.live.parts import FRONT, REAR, both_cameras
 from benchmarks.live.parts import write_config as write_live_config
-from benchmarks.live.unit import FRONT, REAR, both_cameras
+from benchmarks.live.watch import Ports
 from hw_sim.beam import BeamPose
 from hw_sim.camera import make_cameras
 from hw_sim.flat import record_flat

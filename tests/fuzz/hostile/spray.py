@@ -18,9 +18,8 @@ from pathlib import Path
 
 from fuzz.hostile.datagrams import FOREIGN, PHASES
 
-from benchmarks.live.parts import calibrate, running
-from benchmarks.live.truth import QUANTITIES
-from benchmarks.live.unit import FRONT, REAR, SEED, both_cameras, ip, measuring_daemon
+from benchmarks.live.parts import FRONT, REAR, SEED, both_cameras, calibrate, ip, measuring_daemon, running
+from benchmarks.live.steady import QUANTITIES
 from benchmarks.live.watch import Received
 from benchmarks.process_memory import resident_mb
 from hw_sim.gige.command import make_unit

@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from benchmarks.frame_sizes import make_large_material, measure_size
-from benchmarks.ticking import Ticker
+from benchmarks.frame_sizes import Ticker, make_large_material, measure_size
 
 
 @pytest.mark.alone

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.page.slope import slope_of
+from benchmarks.page.memory import slope_of
 
 T_S = np.arange(600.0, 3600.0, 30.0)
 

@@ -13,7 +13,7 @@ import pytest
 from support.places import ROOT
 
 from benchmarks.wire_errors import errors, tally_page
-from benchmarks.wire_errors.payloads import BLOCK, JSON, TELEGRAM, Payload
+from benchmarks.wire_errors.errors import BLOCK, JSON, TELEGRAM, Payload
 from benchmarks.wire_errors.runner import WIRES, Tally
 
 MESSAGES = {
