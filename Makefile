@@ -111,7 +111,7 @@ bench-hostile: venv ## hostile inputs at HTTP, WebSocket, local socket and conso
 
 bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
 	@$(python) -m benchmarks.history
-	$(python) -m benchmarks.history_crash --times 200
+	PYTHONPATH=tests $(python) -m support.history_crash --times 200
 	ALTD_BENCH_POWER_CUTS=50 exec $(python) -m pytest -q -s tests/system/history/test_power_cut.py
 
 bench-load: venv ## ten minutes of 10 controllers and 5 browsers with pictures: what they cost, what is lost; LOAD_S=60, BROWSERS=chromium

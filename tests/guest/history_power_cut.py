@@ -8,9 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from support.history_crash import HistoryLostError, judged, write
+
 from altd.history import opening
 from altd.history import store as store_module
-from benchmarks.history_crash import HistoryLostError, judged, write
 
 DISK = Path("/run/disk")
 

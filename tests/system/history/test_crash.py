@@ -6,7 +6,7 @@ import random
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from benchmarks.history_crash import Loss, kill_once
+from support.history_crash import Loss, kill_once
 
 KILLS, FILES = 40, 2
 

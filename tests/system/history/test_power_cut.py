@@ -18,8 +18,7 @@ from pathlib import Path
 import pytest
 from support.foreign import need
 from support.guest import cut_power
-
-from benchmarks.history_crash import FIRST_SEQUENCE_STEP, MAX_LOST_S, Loss, loss_of
+from support.history_crash import FIRST_SEQUENCE_STEP, MAX_LOST_S, Loss, loss_of
 
 CUTS = int(os.environ.get("ALTD_BENCH_POWER_CUTS", "5"))
 SYNCHRONOUS = os.environ.get("ALTD_BENCH_SYNCHRONOUS", "FULL")

@@ -1,4 +1,4 @@
-"""What a history loses when its daemon is killed: ``python -m benchmarks.history_crash --times 200``.
+"""What a history loses when its daemon is killed: ``python -m support.history_crash --times 200``.
 
 A child process records as the daemon does, with its board, its recorder and the real clock, 100 measurements
 a second, and writes down when it published which. It is killed (SIGKILL) at a random moment, again and again
@@ -26,6 +26,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
 
+TESTS = Path(__file__).parents[1]
 RATE_HZ = 100
 MAX_LOST_S = 1.0
 _NOTE = struct.Struct("<qq")
@@ -105,18 +106,9 @@ def kill_once(path: Path, number: int, after_s: float) -> Loss:
     """Record, kill, and judge what is left; raises HistoryLostError."""
     first = number * FIRST_SEQUENCE_STEP
     reading, writing = os.pipe()
-    command = [
-        sys.executable,
-        "-m",
-        "benchmarks.history_crash",
-        "--write",
-        str(path),
-        str(first),
-        str(writing),
-    ]
-    process = subprocess.Popen(  # noqa: S603
-        command, pass_fds=(writing,), stderr=subprocess.PIPE
-    )
+    command = ["env", f"PYTHONPATH={TESTS}", sys.executable, "-m", "support.history_crash"]
+    command += ["--write", str(path), str(first), str(writing)]
+    process = subprocess.Popen(command, pass_fds=(writing,), stderr=subprocess.PIPE)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
         content = pipe.read(_NOTE.size)  # it publishes: from here on time counts
@@ -177,7 +169,7 @@ def loss_of(published: Mapping[int, int], first: int, stored: int) -> Loss:
 
 def main(arguments: list[str] | None = None) -> int:
     """Kill so often; say the worst loss. Status 1 when more was lost than may be."""
-    parser = argparse.ArgumentParser(prog="benchmarks.history_crash")
+    parser = argparse.ArgumentParser(prog="support.history_crash")
     parser.add_argument("--times", type=int, default=200)
     parser.add_argument("--write", nargs=3, metavar=("FILE", "FIRST", "DESCRIPTOR"), help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
