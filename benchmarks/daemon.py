@@ -17,9 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from altd.app.daemon import Daemon
-from altd.config import Config
+from altd.app.keeping import FILE_NAME, history_about
+from altd.config import Config, KeptFrames
 from altd.ports import Lamps
 from altd.records import FloatArray
+from altd.status.health import State
 from benchmarks.material import CAMERAS, FPS, WINDOW, Material, Source, make_config
 from benchmarks.stages import pure_rate
 from hw_sim.ports import free_port
@@ -189,9 +191,14 @@ def lost(daemon: Daemon) -> int:
 
 
 @contextlib.asynccontextmanager
-async def running(source: Source, config: Config, lamps: Lamps | None = None) -> AsyncIterator[Daemon]:
-    """A daemon on the cameras of a source, for as long as the block lasts."""
+async def running(
+    source: Source, config: Config, lamps: Lamps | None = None, history: Path | None = None
+) -> AsyncIterator[Daemon]:
+    """A daemon on the cameras of a source, for as long as the block lasts; it keeps its history in a file."""
     daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps)
+    if history is not None:
+        about = history_about(config, source.material.calibration, daemon.board.quantities)
+        daemon.past.keep_in(history, _MAX_HISTORY_BYTES, about)
     task = asyncio.create_task(daemon.run(), name="daemon")
     try:
         yield daemon
@@ -227,3 +234,40 @@ def _terminal() -> Iterator[tuple[int, Path]]:
     finally:
         os.close(far)
         os.close(near)
+
+
+_MAX_HISTORY_BYTES = 400 * 10**6
+_PATIENCE_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class ServedUnit:
+    """The daemon in this process, its cameras, and where it is read."""
+
+    daemon: Daemon
+    source: Source
+    modbus_port: int
+    http_port: int
+
+
+@contextlib.asynccontextmanager
+async def served_unit(material: Material, folder: Path) -> AsyncIterator[ServedUnit]:
+    """It runs for as long as the block lasts, and measures; a history that lies in ``folder`` goes on."""
+    modbus_port, http_port = free_port(), free_port()
+    config = make_config(modbus_port, http_port).model_copy(
+        update={"kept_frames": KeptFrames(folder=folder / "kept")}
+    )
+    source = Source(material, FPS)
+    async with running(source, config, history=folder / FILE_NAME) as daemon:
+        async with asyncio.timeout(_PATIENCE_S):
+            while not _is_serving(daemon):  # noqa: ASYNC110  there is no event
+                await asyncio.sleep(0.05)
+        yield ServedUnit(daemon, source, modbus_port, http_port)
+
+
+def _is_serving(daemon: Daemon) -> bool:
+    """Whether there is a valid measurement, and who can be asked for it."""
+    measurement = daemon.board.read()
+    faces = [part for part in daemon.health if part.name.startswith(("http ", "modbus_tcp "))]
+    is_listening = len(faces) == 2 and all(part.state is State.OK for part in faces)
+    return is_listening and measurement is not None and measurement.valid

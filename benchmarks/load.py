@@ -17,10 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.daemon import SETTLE_S, lost
+from benchmarks.daemon import SETTLE_S, lost, served_unit
 from benchmarks.material import FPS, Material, make_material
 from benchmarks.process_memory import resident_mb
-from benchmarks.served_unit import served_unit
 
 CONTROLLERS, BROWSERS = 10, 5
 _PAIRS = 200

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 
 from altd.calibration.calibrating import calibrate
-from altd.calibration.file import save_calibration
 from altd.config import Config, HttpSettings, ModbusTcpSettings, Target, TelegramPortSettings, Unit
 from altd.measuring.calibration import Calibration
 from altd.ports import CameraTimeoutError
@@ -24,7 +23,6 @@ from hw_sim import unit as simulated
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
 from hw_sim.motion import Drive, Vibration
-from hw_sim.recording import recording
 from hw_sim.scan import record_scan
 from hw_sim.stage import Stage
 
@@ -107,26 +105,6 @@ def make_config(
         if telegram
         else (),
     )
-
-
-def write_run_folder(folder: Path, calibration: Calibration, http_port: int, exposures: int) -> Path:
-    """A config for ``altd run`` that plays a recording in real time, with all that it needs beside it."""
-    still = simulated.Unit(simulated.UnitConfig(seed=SEED))
-    with recording(folder / "recording", still, "measurement", exposures, lambda done, planned: None) as made:
-        for _ in range(exposures):
-            made.expose(BeamPose(4.0, -3.0, 0.02, -0.03))
-    save_calibration(calibration, folder / "calibration.json")
-    config = folder / "altd.toml"
-    config.write_text(
-        f'[unit]\nserial = "SIM-{SEED}"\ncalibration = "calibration.json"\n'
-        f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n'
-        + "".join(
-            f'[[targets]]\nname = "{name}"\nz_mm = {z_mm}\ncamera = "{name}"\n'
-            f'[cameras.{name}]\ndriver = "recording"\npath = "recording"\nrepeat = true\n'
-            for name, z_mm in (("front", 0.0), ("rear", 280.0))
-        )
-    )
-    return config
 
 
 _LEAD_NS = 50_000_000

@@ -19,29 +19,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmarks.unit_toml import unit_toml
+
 NODES = 30, 120, 480, 2000
 FRAMES = 10, 1000, 10_000
 EXPOSURES_A_NODE = 2
 EXPOSURES_A_POSE = 5
 FPS = 20.0
 SEED = 1
-
-_CONFIG = """\
-[unit]
-serial = "SIM-1"
-calibration = "none.json"
-"""
-_CAMERA = """
-[[targets]]
-name = "{name}"
-z_mm = {z_mm}
-camera = "{name}"
-
-[cameras.{name}]
-driver = "recording"
-path = "{path}"
-pace = "fast"
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,19 +68,18 @@ def main(arguments: list[str] | None = None) -> int:
 def measure(folder: Path, nodes: Sequence[int], frames: Sequence[int], exposures: int) -> Iterator[Figure]:
     """All commands in ``folder``, the smallest input first."""
     flat, scan, calibration = folder / "flat", folder / "scan", folder / "calibration.json"
-    _run(*_hw_sim("flat", flat))
+    _run("hw_sim flat", 0, *_hw_sim("flat", flat))
+    output = "-o", str(calibration)
     for count in sorted(nodes):
-        made = _run(*_hw_sim("scan", scan), "--grid", _grid(count), "--exposures", str(exposures))
-        yield made.named("hw_sim scan", count)
-        output = "-o", str(calibration)
-        yield _run(*_altd("calibrate", scan), "--flat", str(flat), *output).named(
-            "altd calibrate --flat", count
-        )
-        yield _run(*_altd("calibrate", scan), *output).named("altd calibrate", count)
+        grid = "--grid", _grid(count), "--exposures", str(exposures)
+        yield _run("hw_sim scan", count, *_hw_sim("scan", scan), *grid)
+        with_flat = *_altd("calibrate", scan), "--flat", str(flat), *output
+        yield _run("altd calibrate --flat", count, *with_flat)
+        yield _run("altd calibrate", count, *_altd("calibrate", scan), *output)
         shutil.rmtree(scan)
     if not nodes:
-        _run(*_hw_sim("scan", scan))
-        _run(*_altd("calibrate", scan), "-o", str(calibration))
+        _run("hw_sim scan", 0, *_hw_sim("scan", scan))
+        _run("altd calibrate", 0, *_altd("calibrate", scan), *output)
     for count in sorted(frames):
         yield from _of_frames(folder, count, calibration)
 
@@ -105,33 +89,21 @@ def _of_frames(folder: Path, frames: int, calibration: Path) -> Iterator[Figure]
     played, copied = folder / "played", folder / "copied"
     poses = max(frames // 2 // EXPOSURES_A_POSE, 1)
     few = "--poses", str(poses), "--exposures", str(EXPOSURES_A_POSE), "--truth", str(folder / "truth.json")
-    yield _run(*_hw_sim("measure", played), *few).named("hw_sim measure", frames)
+    yield _run("hw_sim measure", frames, *_hw_sim("measure", played), *few)
     window = str(EXPOSURES_A_POSE)
     ways = "--calibration", str(calibration), "--window", window, "--every", window
-    yield _run(*_altd("replay", played), *ways).named("altd replay", frames)
+    yield _run("altd replay", frames, *_altd("replay", played), *ways)
     config = folder / "altd.toml"
-    cameras = (("front", 0.0), ("rear", 280.0))
-    config.write_text(
-        _CONFIG + "".join(_CAMERA.format(name=name, z_mm=z_mm, path=played) for name, z_mm in cameras)
-    )
+    camera = f'driver = "recording"\npath = "{played}"\npace = "fast"'
+    config.write_text(unit_toml("SIM-1", "none.json", camera, camera))
     seconds = str(math.ceil(frames / FPS) + 1)  # more than it plays
-    record = _run(*_altd("record"), "--config", str(config), "-o", str(copied), "--seconds", seconds)
-    yield record.named("altd record, played at full speed", frames)
+    record = *_altd("record"), "--config", str(config), "-o", str(copied), "--seconds", seconds
+    yield _run("altd record, played at full speed", frames, *record)
     shutil.rmtree(played)
     shutil.rmtree(copied)
 
 
-@dataclass(frozen=True, slots=True)
-class _Taken:
-    peak_mb: float
-    seconds: float
-    cpu_s: float
-
-    def named(self, command: str, size: int) -> Figure:
-        return Figure(command, size, self.peak_mb, self.seconds, self.cpu_s)
-
-
-def _run(*command: str) -> _Taken:
+def _run(name: str, size: int, *command: str) -> Figure:
     """Run a command to its end; raises RuntimeError with what it said when it fails."""
     begun_s = time.monotonic()
     with tempfile.TemporaryFile("w+") as said:
@@ -142,7 +114,7 @@ def _run(*command: str) -> _Taken:
         if process.returncode:
             said.seek(0)
             raise RuntimeError(f"{' '.join(command)}: status {process.returncode}: {said.read()}")
-    return _Taken(usage.ru_maxrss / 1024, seconds, usage.ru_utime + usage.ru_stime)
+    return Figure(name, size, usage.ru_maxrss / 1024, seconds, usage.ru_utime + usage.ru_stime)
 
 
 def _altd(command: str, *paths: Path) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from collections import Counter
 import numpy as np
 
 from altd.measuring.calibration import Calibration
+from altd.records import FloatArray
 from altd.selfcheck.compensation import Compensation, compensation_of
 from altd.selfcheck.history import DAY_S, History
 from altd.selfcheck.records import LedState, Limits, SelfCheck, Similarity, TargetDrift, Verdict
@@ -164,9 +165,7 @@ def _day_found(rng: np.random.Generator, px_a_day: float, checks_a_day: int, day
     return None
 
 
-def _check_of(
-    vector: np.typing.NDArray[np.float64], covariance: np.typing.NDArray[np.float64], radius: float
-) -> SelfCheck:
+def _check_of(vector: FloatArray, covariance: FloatArray, radius: float) -> SelfCheck:
     u, v, turn, scale = vector.tolist()
     similarity = Similarity((375.0, 240.0), (u, v), turn, scale, covariance, radius)
     drift = TargetDrift("front", 6, 6, (LedState.USED,) * 6, similarity=similarity, rms_px=0.0)
@@ -197,12 +196,7 @@ def correction(seed: int) -> None:
         checked.unit.displace(camera, Displacement())
 
 
-def _say(
-    what: str,
-    errors: np.typing.NDArray[np.float64],
-    sigmas: np.typing.NDArray[np.float64],
-    normal: np.typing.NDArray[np.float64],
-) -> None:
+def _say(what: str, errors: FloatArray, sigmas: FloatArray, normal: FloatArray) -> None:
     rms, usual = (np.sqrt(np.nanmean(e**2, axis=0)) for e in (errors, normal))
     ratio = np.sqrt(np.nanmean((errors / sigmas) ** 2))
     print(

@@ -12,8 +12,14 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.material import FPS, WINDOW, Material, write_run_folder
+from altd.calibration.file import save_calibration
+from altd.measuring.calibration import Calibration
+from benchmarks.material import FPS, SEED, WINDOW, Material
+from benchmarks.unit_toml import unit_toml
+from hw_sim import unit as simulated
+from hw_sim.beam import BeamPose
 from hw_sim.ports import free_port
+from hw_sim.recording import recording
 
 _TIMEOUT_S = 15.0
 _IMPORTS = "import altd.cli.main, altd.config, altd.app.daemon, altd.publish.http.publisher"
@@ -37,7 +43,7 @@ def measure_start(material: Material, runs: int) -> StartFigures:
     """Start ``altd run`` on a recording that plays in real time, and ask until it has a value."""
     with tempfile.TemporaryDirectory(prefix="altd-bench-") as name:
         port = free_port()
-        config = write_run_folder(Path(name), material.calibration, port, exposures=WINDOW)
+        config = _write_run_folder(Path(name), material.calibration, port, exposures=WINDOW)
         starts = [_start(config, port) for _ in range(runs)]
         imports = [_import_s() for _ in range(runs)]
     return StartFigures(
@@ -47,6 +53,20 @@ def measure_start(material: Material, runs: int) -> StartFigures:
         statistics.median(valid for _, valid in starts),
         (WINDOW // 2 - 1) / FPS,
     )
+
+
+def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, exposures: int) -> Path:
+    """A config for ``altd run`` that plays a recording in real time, with all that it needs beside it."""
+    still = simulated.Unit(simulated.UnitConfig(seed=SEED))
+    with recording(folder / "recording", still, "measurement", exposures, lambda done, planned: None) as made:
+        for _ in range(exposures):
+            made.expose(BeamPose(4.0, -3.0, 0.02, -0.03))
+    save_calibration(calibration, folder / "calibration.json")
+    config = folder / "altd.toml"
+    camera = 'driver = "recording"\npath = "recording"\nrepeat = true'
+    settings = unit_toml(f"SIM-{SEED}", "calibration.json", camera, camera)
+    config.write_text(f'{settings}\n[http]\nhost = "127.0.0.1"\nport = {http_port}\n')
+    return config
 
 
 def _start(config: Path, port: int) -> tuple[float, float]:

@@ -8,14 +8,13 @@ from pathlib import Path
 
 from altd.errors import BadInputError
 from benchmarks.campaign import tally_table
-from benchmarks.campaign.cache import RECORDINGS, folder
-from benchmarks.campaign.campaign_page import RunDescription, write_page
 from benchmarks.campaign.catalogue import WAYS, chosen
 from benchmarks.campaign.episode import WINDOW
-from benchmarks.campaign.good_run import lines as good_lines
-from benchmarks.campaign.good_run import run_good
+from benchmarks.campaign.good import lines as good_lines
+from benchmarks.campaign.good import run_good
 from benchmarks.campaign.runner import Effort, Plan, run
-from benchmarks.campaign.units import NAMES, RECORDED
+from benchmarks.campaign.tally_table import RunDescription, write_page
+from benchmarks.campaign.units import NAMES, RECORDED, RECORDINGS, folder
 from benchmarks.campaign.ways.spots import BEAMS, photographed_beam
 
 

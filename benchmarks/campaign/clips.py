@@ -14,9 +14,8 @@ import numpy as np
 from altd.measuring.calibration import Calibration
 from altd.recording.reader import Recording, open_recording
 from altd.records import FloatArray, PixelArray
-from benchmarks.campaign.cache import RECORDINGS, calibrated
 from benchmarks.campaign.scene import MeanImage, Noise, Scene, SpotShape, mean_image, noisy_image
-from benchmarks.campaign.units import RECORDED, SIMULATED, UnitSpec
+from benchmarks.campaign.units import RECORDED, RECORDINGS, SIMULATED, UnitSpec, calibrated
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose
 from hw_sim.image import Image

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from altd.config import Measuring
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.calibration import Calibration
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain
 from altd.reasons import Reason
 from altd.records import FloatArray, Frame, Measurement
 from benchmarks.campaign.clips import Clip, Rig, t_ns_of
 from benchmarks.campaign.judge import Judgement, Outcome, Verdict, judge, truth_of
 from benchmarks.campaign.scene import Scene
+from benchmarks.campaign.units import chain_of
 from benchmarks.campaign.way import CAMERAS, Shot, Spoil, spoil_pixels
 from benchmarks.campaign.ways.numbers import Misnumbered, accepted
 
@@ -24,17 +23,6 @@ _WARMING_UP = (str(Reason.WARMING_UP),)
 SPOILT = 9
 _SAME_TIME_NS = 5_000_000
 """Exposures from the onset on: the window is full of them for the last of these."""
-
-
-def chain_of(calibration: Calibration, window: int = WINDOW) -> MeasuringChain:
-    """A chain as the daemon makes it."""
-    measuring = Measuring(window=window, every=1)
-    return MeasuringChain(
-        [View(name, name) for name in calibration.target_names],
-        calibration,
-        measuring,
-        BeamInstrument(calibration, measuring),
-    )
 
 
 def run_episode(
@@ -51,7 +39,7 @@ def run_episode(
         shots = [other if shot.k >= onset else shot for shot, other in zip(shots, others, strict=True)]
     if spoil.stream is not None:
         shots = spoil.stream(shots, onset)
-    measured = _measured(chain_of(rig.calibration), shots)
+    measured = _measured(chain_of(rig.calibration, Measuring(window=WINDOW, every=1)), shots)
     truth = [clip.truth(k) for k in range(clip.length)]
     judged = [
         (k, judge(one, _truth_of(one, truth, k, onset if spoil.no_beam else None))) for k, one in measured
@@ -71,13 +59,7 @@ def run_misnumbered(rig: Rig, way: Misnumbered, rng: np.random.Generator) -> Out
     calibration, measuring, installation = taken
     measuring = measuring.model_copy(update={"window": WINDOW})
     clip = rig.clip(rng, WINDOW, False)
-    names = calibration.target_names
-    chain = MeasuringChain(
-        [View(name, name) for name in names],
-        calibration,
-        measuring,
-        BeamInstrument(calibration, measuring, installation),
-    )
+    chain = chain_of(calibration, measuring, installation)
     measured = _measured(chain, _shots(clip, Spoil(way.note), rng, 0, rig.bits))
     judged = [judge(one, None if way.is_none else clip.truth(k)) for k, one in measured]
     return Outcome((), tuple(one for one in judged if one.reasons != _WARMING_UP))

@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import json
 import math
+import statistics
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 
 from altd.config import Measuring
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, View
+from altd.measuring.chain import MeasuringChain
 from altd.records import FloatArray, Frame, Measurement, NoSpot
-from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.judge import Verdict, arrays, judge, truth_of
+from benchmarks.campaign.runner import prepare
 from benchmarks.campaign.scene import Noise, mean_image, noisy_image
-from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.units import ROOT, SIMULATED, calibrated, chain_of, hash_of
 from benchmarks.campaign.way import CAMERAS
 from hw_sim.beam import BeamPose, Footprint
 from hw_sim.measure import HALF_AREA_MM, MAX_PITCH_SLOPE, MAX_YAW_SLOPE
@@ -187,14 +190,7 @@ def measure_hour(name: str, hour: int, step_s: float, seed: int) -> Count:
     good = _unit(name)
     rng = np.random.default_rng([seed, hour, *name.encode()])
     count = Count()
-
-    measuring = Measuring(window=WINDOW, every=1)
-    chain = MeasuringChain(
-        [View(camera, camera) for camera in good.calibration.target_names],
-        good.calibration,
-        measuring,
-        BeamInstrument(good.calibration, measuring),
-    )
+    chain = chain_of(good.calibration, Measuring(window=WINDOW, every=1))
     for step in range(max(1, round(HOUR_S / step_s))):
         start_ns = round((hour * HOUR_S + step * step_s) * 1e9) // PERIOD_NS * PERIOD_NS + PERIOD_NS
         _measure_burst(good, chain, start_ns, rng, count)
@@ -237,3 +233,73 @@ def _measure_burst(
                     count.valid += 1
                     count.squares = [a + float(b) ** 2 for a, b in zip(count.squares, ratio, strict=True)]
                     count.largest_sigmas = max(count.largest_sigmas, float(np.abs(ratio).max()))
+
+
+def run_good(
+    hours: int, step_s: float, seed: int, processes: int, kept: Path, progress: Callable[[int, int], None]
+) -> dict[str, Count]:
+    """The sums by unit; hours whose result lies in ``kept``, of this very code, are taken from there."""
+    for circumstances in GOOD.values():
+        calibrated(circumstances.unit)
+    folder = kept / f"good-{_code()}-{step_s:g}-{seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = [(hour, name) for hour in range(hours) for name in GOOD]
+    open_ = [(hour, name) for hour, name in wanted if not (folder / f"{name}-{hour}.json").exists()]
+    progress(len(wanted) - len(open_), len(wanted))
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare) as pool:
+        running = {pool.submit(measure_hour, name, hour, step_s, seed): (name, hour) for hour, name in open_}
+        for done, future in enumerate(as_completed(running), start=len(wanted) - len(open_) + 1):
+            name, hour = running[future]
+            (folder / f"{name}-{hour}.json").write_text(future.result().as_json())
+            progress(done, len(wanted))
+    sums = {name: Count() for name in GOOD}
+    for hour, name in wanted:
+        sums[name].merge(Count.of_json((folder / f"{name}-{hour}.json").read_text()))
+    return sums
+
+
+def _code() -> str:
+    """A hash of all that decides a result."""
+    return hash_of(ROOT / folder for folder in ("altd", "hw_sim", "benchmarks/campaign"))
+
+
+def lines(sums: Mapping[str, Count], hours: int, step_s: float) -> Iterator[str]:
+    """The table."""
+    yield (
+        f"{hours} h of {len(sums)} units; every {step_s:g} s of it {BURST} exposures at 20 a second, "
+        f"window {WINDOW}: {BURST - WINDOW + 1} measurements"
+    )
+    yield (
+        f"{'unit':<9}{'frames':>9}{'refused':>9}{'measured':>10}{'invalid':>9}{'warned':>8}{'wrong':>7}"
+        f"{'rms(error/sigma) x y yaw pitch':>33}{'largest':>9}"
+    )
+    for name, count in sums.items():
+        rms = " ".join(f"{value:.2f}" for value in count.rms)
+        yield (
+            f"{name:<9}{count.frames:>9}{count.frames_refused.total():>9}{count.measurements:>10}"
+            f"{count.invalid.total():>9}{count.warned.total():>8}{count.wrong:>7}{rms:>33}"
+            f"{count.largest_sigmas:>9.1f}"
+        )
+    total = Count()
+    for count in sums.values():
+        total.merge(count)
+    alarms = total.invalid.total() + total.warned.total()
+    yield (
+        f"{total.measurements} measurements: {total.invalid.total()} invalid, {total.warned.total()} warned: "
+        f"{1e5 * alarms / max(total.measurements, 1):.1f} false alarms in 100,000"
+    )
+    yield f"rms(error/sigma), median of units and quantities: {_median_rms(sums):.2f}"
+    for what, counter in (
+        ("invalid", total.invalid),
+        ("warned", total.warned),
+        ("frames refused", total.frames_refused),
+    ):
+        yield f"{what}: {_words(counter)}"
+
+
+def _median_rms(sums: Mapping[str, Count]) -> float:
+    return statistics.median(value for count in sums.values() for value in count.rms)
+
+
+def _words(counter: Counter[str]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in counter.most_common()) or "none"

@@ -13,7 +13,6 @@ from multiprocessing import get_context
 import cv2
 import numpy as np
 
-from benchmarks.campaign.cache import calibrated
 from benchmarks.campaign.catalogue import ANOTHER_UNIT, WAYS
 from benchmarks.campaign.clips import Rig, rig_of
 from benchmarks.campaign.detectability import Subject
@@ -21,7 +20,7 @@ from benchmarks.campaign.episode import run_episode, run_misnumbered
 from benchmarks.campaign.judge import Outcome, Tally
 from benchmarks.campaign.tally_table import HIDDEN_SUFFIX
 from benchmarks.campaign.timed import run_timed
-from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.units import SIMULATED, calibrated
 from benchmarks.campaign.way import Draw, Spoil, Way, both
 from benchmarks.campaign.ways.numbers import Misnumbered
 from benchmarks.campaign.ways.times import Mistimed

@@ -17,14 +17,14 @@ from altd.acquisition.locating import LocatedPairs
 from altd.acquisition.pipeline import Pipeline
 from altd.config import Measuring
 from altd.devices.aravis.device_clock import DeviceClock
-from altd.instruments.beam.instrument import BeamInstrument
-from altd.measuring.chain import MeasuringChain, View
+from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Stop
 from altd.records import FloatArray, Frame, Measurement, PixelArray
 from altd.status.board import Board
 from altd.status.health import Health
 from benchmarks.campaign.clips import Rig, SimulatedClip, SimulatedRig
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Judgement, Outcome, Verdict, arrays, judge
+from benchmarks.campaign.units import chain_of
 from benchmarks.campaign.way import CAMERAS
 from benchmarks.campaign.ways.times import MS, PERIOD_NS, Delivery, Mistimed
 from hw_sim.beam import BeamPose
@@ -139,14 +139,8 @@ async def _read(
     """The board as it is found every 50 ms."""
     clock = SteppedClock(START_NS)
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
-    instrument = BeamInstrument(rig.calibration, measuring)
-    board = Board(clock, Measuring().stale_after_s, instrument.quantities)
-    chain = MeasuringChain(
-        [View(name, name) for name in rig.calibration.target_names],
-        rig.calibration,
-        measuring,
-        instrument,
-    )
+    board = Board(clock, Measuring().stale_after_s, QUANTITIES)
+    chain = chain_of(rig.calibration, measuring)
     component = Health(clock).component("measuring")
     pairs = FramePairs(chain.pairer, lambda: None, clock)
     located = LocatedPairs(pairs)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.live.watch import Ports, Watch
+from benchmarks.unit_toml import unit_toml
 from hw_sim.unit import EXPOSURES_MS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -89,17 +90,8 @@ def daemon_command(config: Path) -> list[str]:
 
     A real camera takes no time of the unit's processor, nor does a controller.
     """
-    return [
-        "taskset",
-        "-c",
-        str(_DAEMON_CORE),
-        sys.executable,
-        "-m",
-        "altd.cli",
-        "run",
-        "--config",
-        str(config),
-    ]
+    python = ["taskset", "-c", str(_DAEMON_CORE), sys.executable]
+    return [*python, "-m", "altd.cli", "run", "--config", str(config)]
 
 
 @contextlib.contextmanager
@@ -131,16 +123,12 @@ def write_config(
     path: Path, serial: str, calibration: Path, addresses: Sequence[str], ports: Ports, more: str = ""
 ) -> Path:
     """The settings of a unit with two GigE Vision cameras, front and rear, and ``more`` tables."""
-    cameras = "".join(
-        f'[cameras.{name}]\ndriver = "aravis"\ndevice = "{address}"\n\n'
-        f"[cameras.{name}.exposure]\nexposure_ms = {EXPOSURES_MS[name]}\n\n"
+    front, rear = (
+        f'driver = "aravis"\ndevice = "{address}"\nexposure.exposure_ms = {EXPOSURES_MS[name]}'
         for name, address in zip(("front", "rear"), addresses, strict=True)
     )
     path.write_text(
-        f'[unit]\nserial = "{serial}"\ncalibration = "{calibration}"\n\n'
-        '[[targets]]\nname = "front"\nz_mm = 0.0\ncamera = "front"\n\n'
-        '[[targets]]\nname = "rear"\nz_mm = 280.0\ncamera = "rear"\n\n'
-        f"{cameras}"
+        f"{unit_toml(serial, calibration, front, rear)}\n"
         '[measuring]\npair_by = "time"\n\n'
         f'[http]\nhost = "127.0.0.1"\nport = {ports.http}\n\n'
         f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {ports.modbus}\n{more}'

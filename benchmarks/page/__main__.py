@@ -16,10 +16,10 @@ from playwright.async_api import Browser, Page
 
 from altd.app.keeping import FILE_NAME
 from benchmarks.chromium import chromium
+from benchmarks.daemon import served_unit
 from benchmarks.history import make_history
 from benchmarks.material import Material, make_config, make_material
 from benchmarks.page.memory import QUANTITIES, Sample, samples, slopes
-from benchmarks.served_unit import served_unit
 
 _SPAN, _LIVE = "1 year", "10 minutes"
 _PAUSE_S = 1.0

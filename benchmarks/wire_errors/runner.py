@@ -22,14 +22,19 @@ from typing import Any
 from benchmarks.wire_errors.errors import BLOCK, ERRORS, JSON, LIMIT_S, TELEGRAM, Line, Payload
 from benchmarks.wire_errors.polled import (
     Client,
+    Newest,
+    Relay,
     RtuClient,
     TcpClient,
     fetch,
     raw_terminal,
     rtu_proxy,
+    stream,
+    stream_wire,
     tcp_proxy,
+    telegram_wire,
+    telegrams,
 )
-from benchmarks.wire_errors.pushed import Newest, Relay, stream, stream_wire, telegram_wire, telegrams
 from benchmarks.wire_errors.served import SERIALS
 
 PROOF_PAGE = Path(__file__).parents[2] / "docs" / "proof.md"

@@ -16,50 +16,18 @@ from altd.config import Installation, Measuring, load_config
 from altd.errors import BadInputError
 from altd.measuring.calibration import Calibration
 from benchmarks.campaign.way import Draw, Way
+from benchmarks.unit_toml import unit_toml
 
 _ABSURD = ("nan", "inf", "-inf", "1e200", "-1e200", "1e15", "-1e9", "1e308")
 
 _CONFIG_KEYS = (
-    *(
-        ("measuring", key)
-        for key in (
-            "max_skew_ms",
-            "max_lag_ms",
-            "max_sigma_mm",
-            "max_sigma_mm_per_m",
-            "silent_after_s",
-            "stale_after_s",
-        )
-    ),
-    *(
-        ("installation", key)
-        for key in ("reference_plane_mm", "offset_x_mm", "offset_y_mm", "offset_yaw_deg", "offset_pitch_deg")
-    ),
+    *(("measuring", key) for key in ("max_skew_ms", "max_lag_ms", "max_sigma_mm", "max_sigma_mm_per_m")),
+    *(("measuring", key) for key in ("silent_after_s", "stale_after_s")),
+    *(("installation", key) for key in ("reference_plane_mm", "offset_x_mm", "offset_y_mm")),
+    *(("installation", key) for key in ("offset_yaw_deg", "offset_pitch_deg")),
 )
 
-_CONFIG = """
-[unit]
-serial = "X"
-calibration = "calibration.json"
-
-[[targets]]
-name = "front"
-z_mm = 0.0
-camera = "front"
-
-[[targets]]
-name = "rear"
-z_mm = 280.0
-camera = "rear"
-
-[cameras.front]
-driver = "recording"
-path = "recording"
-
-[cameras.rear]
-driver = "recording"
-path = "recording"
-"""
+_RECORDED = 'driver = "recording"\npath = "recording"'
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +73,8 @@ def accepted(
             if way.file == "config":
                 file = Path(folder) / "altd.toml"
                 table, key = way.key
-                file.write_text(f"{_CONFIG}\n[{table}]\n{key} = {way.value}\n")
+                config_text = unit_toml("X", "calibration.json", _RECORDED, _RECORDED)
+                file.write_text(f"{config_text}\n[{table}]\n{key} = {way.value}\n")
                 config = load_config(file)
                 return calibration, config.measuring, config.installation
             file = Path(folder) / "calibration.json"

@@ -52,31 +52,25 @@ _STEADY_DELAY = (
 )
 
 
-def _enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
-    """A way of times or numbers; in half of its episodes the cameras have clocks of their own."""
-
-    def of_either(draw: Draw) -> Mistimed:
-        return replace(make(draw), own_clock=draw.rng.random() < 0.5)
-
-    return _entered(make, of_either)
-
-
-def _of_a_clock(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
-    """A way that a clock in the camera goes wrong: a V4L2 camera is stamped by the kernel of the host."""
-    return _entered(make, lambda draw: replace(make(draw), own_clock=True))
-
-
-def _of_the_host(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
-    return _entered(make, make)
-
-
 def _entered(
-    make: Callable[[Draw], Mistimed], of_camera: Callable[[Draw], Mistimed]
-) -> Callable[[Draw], Mistimed]:
-    invisible = _STEADY_DELAY if make.__name__ == "delayed_and_stamped_on_arrival" else ""
-    of_camera.__doc__ = make.__doc__
-    WAYS.append(Way(make.__name__, "times", of_camera, invisible=invisible))
-    return make
+    own_clock: Callable[[Draw], bool], invisible: str = ""
+) -> Callable[[Callable[[Draw], Mistimed]], Callable[[Draw], Mistimed]]:
+    """A decorator that enters a way of times or numbers; ``own_clock``: whether a camera's clock stamps."""
+
+    def enter(make: Callable[[Draw], Mistimed]) -> Callable[[Draw], Mistimed]:
+        def of_camera(draw: Draw) -> Mistimed:
+            return replace(make(draw), own_clock=own_clock(draw))
+
+        of_camera.__doc__ = make.__doc__
+        WAYS.append(Way(make.__name__, "times", of_camera, invisible=invisible))
+        return make
+
+    return enter
+
+
+_enter = _entered(lambda draw: bool(draw.rng.random() < 0.5))
+_of_a_clock = _entered(lambda draw: True)
+"""What a clock in the camera alone does wrong: a V4L2 camera is stamped by the kernel of the host."""
 
 
 def _each(
@@ -253,7 +247,7 @@ def frames_delayed(draw: Draw) -> Mistimed:
     )
 
 
-@_of_the_host
+@_entered(lambda draw: False, _STEADY_DELAY)
 def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
     """Frames arrive late by up to a second, and the driver stamps them when they do."""
     late_ns, cameras = round(draw.log(0.05, 1.0) * S), draw.one()

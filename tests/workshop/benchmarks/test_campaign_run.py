@@ -14,10 +14,9 @@ from support.places import ROOT
 
 from benchmarks.campaign import __main__ as campaign
 from benchmarks.campaign import catalogue
-from benchmarks.campaign.cache import RECORDINGS
 from benchmarks.campaign.good import Count
 from benchmarks.campaign.runner import Plan
-from benchmarks.campaign.units import SIMULATED
+from benchmarks.campaign.units import RECORDINGS, SIMULATED
 
 
 def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
