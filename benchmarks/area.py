@@ -31,6 +31,7 @@ from hw_sim.assembly import FIELD_HALF_MM
 from hw_sim.beam import BeamPose
 from hw_sim.flat import record_flat
 from hw_sim.measure import HALF_AREA_MM, random_poses
+from hw_sim.recording import Progress
 from hw_sim.scan import STAGE_STREAM, USUAL, Grid, record_scan
 from hw_sim.stage import Stage
 from hw_sim.unit import CAMERAS, Unit, UnitConfig
@@ -88,12 +89,8 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison
     of_unit = UnitConfig(seed=seed, field_half_mm=case.field_half_mm, speckle_contrast=case.speckle_contrast)
     unit = Unit(of_unit)
     calibration, measuring = _calibrated(case, unit, folder), Measuring(window=WINDOW, every=WINDOW)
-    chain = MeasuringChain(
-        [View(name, name) for name in CAMERAS],
-        calibration,
-        measuring,
-        BeamInstrument(calibration, measuring),
-    )
+    views, instrument = [View(name, name) for name in CAMERAS], BeamInstrument(calibration, measuring)
+    chain = MeasuringChain(views, calibration, measuring, instrument)
     poses = random_poses(beams, unit.config.target_distance_mm, np.random.default_rng([seed, POSES_STREAM]))
     held = []
     for number, pose in enumerate(poses):
@@ -106,9 +103,7 @@ def measured(case: Case, seed: int, beams: int, folder: Path) -> list[Comparison
 
 
 def _calibrated(case: Case, unit: Unit, folder: Path) -> Calibration:
-    def quiet(_done: int, _planned: int) -> None:
-        return None
-
+    quiet: Progress = lambda done, planned: None  # noqa: E731
     if case.flat:
         record_flat(folder / "flat", unit, FLAT_EXPOSURES, quiet)
     stage = Stage(np.random.default_rng([unit.config.seed, STAGE_STREAM]))

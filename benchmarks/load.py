@@ -65,7 +65,7 @@ async def measure(
     """Run a daemon and its readers; ``real``: the browsers are Chromium, else they only read as it does."""
     async with served_unit(material, folder) as unit:
         daemon, browsers = unit.daemon, readers.browsers if real else 0
-        showing = await _started("load_browsers", unit.http_port, browsers, seconds) if browsers else None
+        showing = await _started("show", unit.http_port, browsers, seconds) if browsers else None
         if showing is not None and showing.stdout is not None:
             await showing.stdout.readline()
         await asyncio.sleep(2 * SETTLE_S)
@@ -73,9 +73,7 @@ async def measure(
         before, lost_before = counters.get("measurements", 0), lost(daemon)
         begun_s, cpu_s = time.monotonic(), time.process_time()
         ports = unit.modbus_port, unit.http_port
-        clients = await _started(
-            "load_clients", *ports, readers.controllers, readers.browsers - browsers, seconds
-        )
+        clients = await _started("read", *ports, readers.controllers, readers.browsers - browsers, seconds)
         printed, _ = await clients.communicate()
         wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
         measured, lost_now = counters["measurements"] - before, lost(daemon) - lost_before
@@ -99,9 +97,10 @@ async def measure(
         )
 
 
-async def _started(module: str, *arguments: float) -> asyncio.subprocess.Process:
+async def _started(what: str, *arguments: float) -> asyncio.subprocess.Process:
     return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", f"benchmarks.{module}", *map(str, arguments), stdout=asyncio.subprocess.PIPE
+        *(sys.executable, "-m", "benchmarks.load_readers", what, *map(str, arguments)),
+        stdout=asyncio.subprocess.PIPE,
     )
 
 
@@ -134,11 +133,9 @@ def main(arguments: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="altd-load-") as folder:
             real = options.browsers == "chromium"
             figures = asyncio.run(measure(material, readers, seconds, Path(folder), real))
-        chromium = (
-            ""
-            if figures.chromium_cores is None
-            else f"{figures.chromium_cores:10.2f}{figures.chromium_mb:8.0f}"
-        )
+        chromium = ""
+        if figures.chromium_cores is not None:
+            chromium = f"{figures.chromium_cores:10.2f}{figures.chromium_mb:8.0f}"
         print(
             f"{readers.name:>11}{figures.seconds:7.0f}{figures.pairs:7}{figures.lost:6}{figures.cpu_share:6.2f}"
             f"{figures.memory_mb:6.0f}{len(figures.polls_ms):8}{_spread(figures.polls_ms, 50, 99, 100)}"

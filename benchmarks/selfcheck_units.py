@@ -30,6 +30,8 @@ HARD_LUX = 1000.0
 """The brightest surroundings of App. A.1."""
 WIDE, TIGHT = FIELD_HALF_MM, (76.0, 60.0)
 """What the pictures hold: all frame LEDs, or some of them cut by the border."""
+EXPOSURES = 2
+"""Of each camera, for a measurement."""
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
 
 
@@ -75,18 +77,14 @@ class CheckedUnit:
         return replace(calibration, targets=tuple(targets))
 
     def measured(
-        self,
-        calibration: Calibration,
-        poses: Sequence[BeamPose],
-        compensation: Compensation | None,
-        exposures: int = 2,
+        self, calibration: Calibration, poses: Sequence[BeamPose], compensation: Compensation | None
     ) -> tuple[FloatArray, FloatArray]:
         """Errors and sigmas, each (poses, 4): x and y mm, yaw and pitch °; NaN where it is not measured."""
         instrument = BeamInstrument(calibration, Measuring())
         errors, sigmas = np.full((len(poses), 4), np.nan), np.full((len(poses), 4), np.nan)
         for row, pose in enumerate(poses):
             self.unit.place(pose)
-            mean = self._mean_spots(calibration, compensation, exposures)
+            mean = self._mean_spots(calibration, compensation)
             if mean is None:
                 continue
             solved = instrument.solve(mean if compensation is None else compensated(mean, compensation))
@@ -98,11 +96,9 @@ class CheckedUnit:
             sigmas[row] = [value.sigma or math.nan for value in values]
         return errors, sigmas
 
-    def _mean_spots(
-        self, calibration: Calibration, compensation: Compensation | None, exposures: int
-    ) -> MeanSpots | None:
+    def _mean_spots(self, calibration: Calibration, compensation: Compensation | None) -> MeanSpots | None:
         spots: Mapping[str, list[Spot]] = {camera: [] for camera in CAMERAS}
-        for _ in range(exposures):
+        for _ in range(EXPOSURES):
             for camera in CAMERAS:
                 target = next(each for each in calibration.targets if each.name == camera)
                 flat = target.flat
@@ -114,10 +110,10 @@ class CheckedUnit:
                 spots[camera].append(spot)
             self._sequence += 1
         px = np.array([[np.mean([(s.u_px, s.v_px) for s in spots[camera]], axis=0)] for camera in CAMERAS])
-        variances = [np.mean([s.sigma_px**2 for s in spots[camera]]) / exposures for camera in CAMERAS]
+        variances = [np.mean([s.sigma_px**2 for s in spots[camera]]) / EXPOSURES for camera in CAMERAS]
         covariance = np.diag(np.repeat(variances, 2))
         return MeanSpots(
-            CAMERAS, px.reshape(-1, 2), covariance, 0, exposures, 0, shapes=(None,) * len(CAMERAS)
+            CAMERAS, px.reshape(-1, 2), covariance, 0, EXPOSURES, 0, shapes=(None,) * len(CAMERAS)
         )
 
     def _expose(self, camera: str) -> Frame:

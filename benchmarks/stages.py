@@ -145,13 +145,8 @@ def _chain(material: Material) -> MeasuringChain:
     config = make_config()
     views = [View(target.name, target.camera) for target in config.targets]
     instrument = BeamInstrument(material.calibration, config.measuring, config.installation)
-    return MeasuringChain(
-        views,
-        material.calibration,
-        config.measuring,
-        instrument,
-        Provenance(origins=lambda: [Fault(Reason.SIMULATED)]),
-    )
+    provenance = Provenance(origins=lambda: [Fault(Reason.SIMULATED)])
+    return MeasuringChain(views, material.calibration, config.measuring, instrument, provenance)
 
 
 def _memory_stages(material: Material) -> list[_Stage]:

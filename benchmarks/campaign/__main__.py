@@ -16,6 +16,7 @@ from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.tally_table import RunDescription, write_page
 from benchmarks.campaign.units import NAMES, RECORDED, RECORDINGS, folder
 from benchmarks.campaign.ways.spots import BEAMS, photographed_beam
+from benchmarks.progress import show
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -67,8 +68,7 @@ def _campaign(options: argparse.Namespace) -> int:
             print(f"campaign: without {left_out}: {place} is not there", file=sys.stderr)
     seconds = options.seconds or (None if options.measurements else 180.0)
     tallies, took_s = run(plan, Effort(seconds, options.measurements, options.processes), _show)
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\033[K")
+    show("")
     print("\n".join(tally_table.text(tallies)))
     if options.worst:
         print("\n".join(("", *tally_table.worst(tallies))))
@@ -102,15 +102,11 @@ def _good(arguments: list[str]) -> int:
 
 
 def _show_share(done: int, planned: int) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\033[K{done} of {planned} hours" if done < planned else "\r\033[K")
-        sys.stderr.flush()
+    show(f"{done} of {planned} hours" if done < planned else "")
 
 
 def _show(made: int, passed_s: float) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\033[K{made} measurements, {made / max(passed_s, 1e-9):.0f} a second")
-        sys.stderr.flush()
+    show(f"{made} measurements, {made / max(passed_s, 1e-9):.0f} a second")
 
 
 if __name__ == "__main__":

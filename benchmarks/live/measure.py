@@ -68,7 +68,7 @@ def _undisturbed(folder: Path, calibration: Path, seconds: float) -> tuple[Stead
         measuring_daemon(folder, calibration, (FRONT, REAR)) as (daemon, watch),
     ):
         watch.first(lambda seen: seen.valid, 0.0, _VALID_TIMEOUT_S)
-        beside = [sys.executable, "-m", "benchmarks.live.in_process", str(folder / "altd.toml")]
+        beside = [sys.executable, "-m", "benchmarks.live.steady", str(folder / "altd.toml")]
         with running([*beside, str(SEED), str(seconds)], folder / "in_process.log") as in_process:
             steady = measure_steady(watch, daemon, make_unit(SEED, drive=True), seconds)
             in_process.process.wait(_VALID_TIMEOUT_S)

@@ -1,18 +1,33 @@
-"""A unit that measures undisturbed: losses, how evenly values come, what they cost, how true they are."""
+"""A unit that measures undisturbed: losses, how evenly values come, what they cost, how true they are.
+
+``python -m benchmarks.live.steady`` is the same unit without a wire, at the same time.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import dataclasses
+import json
 import math
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from altd.app.daemon import Daemon
+from altd.app.parts import calibration_of
+from altd.config import load_config
+from altd.status.measurement_json import as_object
 from benchmarks.live.parts import Running
 from benchmarks.live.watch import Watch
+from hw_sim.camera import make_cameras
+from hw_sim.gige.command import make_unit
 from hw_sim.unit import CAMERAS, Unit
 
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -111,3 +126,43 @@ def _lost(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, int]
 
 def _increase(before: Mapping[str, Any], after: Mapping[str, Any], component: str, counter: str) -> int:
     return int(after[component].get(counter, 0)) - int(before[component].get(counter, 0))
+
+
+def main() -> int:
+    """Measure without a wire so long, and say how true it was, as JSON: arguments CONFIG SEED SECONDS.
+
+    The drive and the vibration of a simulated unit are functions of the machine's clock: this daemon, whose
+    cameras are handed to it, sees the very scene that the one on the wire sees.
+    """
+    config, seed, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    unit = make_unit(seed, drive=True)
+    measurements = asyncio.run(_measured(config, unit, seconds))
+    print(json.dumps(dataclasses.asdict(truthfulness(unit, measurements))))
+    return 0
+
+
+async def _measured(config_file: Path, unit: Unit, seconds: float) -> list[dict[str, Any]]:
+    """The valid measurements of so many seconds."""
+    with_faces = load_config(config_file)
+    config = with_faces.model_copy(update={"cameras": {}, "http": None, "modbus_tcp": None})
+    cameras = {camera.name: camera for camera in make_cameras(unit)}
+    daemon = Daemon(config, calibration_of(config, cameras), cameras)
+    task = asyncio.create_task(daemon.run())
+    cursor = daemon.board.cursor()
+    measurements: list[dict[str, Any]] = []
+    try:
+        async with asyncio.timeout(seconds):
+            while True:
+                measurement = await cursor.next()
+                if measurement.valid:
+                    measurements.append(as_object(measurement))
+    except TimeoutError:
+        return measurements
+    finally:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+
+
+if __name__ == "__main__":
+    sys.exit(main())

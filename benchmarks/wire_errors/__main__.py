@@ -4,11 +4,97 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from altd.errors import BadInputError
-from benchmarks.wire_errors import tally_page
-from benchmarks.wire_errors.runner import run
+from benchmarks.progress import show
+from benchmarks.wire_errors.errors import ERRORS, HOLD_S, LIMIT_S
+from benchmarks.wire_errors.runner import WIRES, Tally, run
+from benchmarks.wire_errors.served import RATE_HZ
+
+
+def text(tallies: Sequence[Tally]) -> Iterable[str]:
+    """Lines for a terminal."""
+    yield f"{'error':<15}{'wire':<13}{'injected':>9}{'found':>7}{'passed':>7}  by"
+    for tally in tallies:
+        found = sum(tally.found.values())
+        yield (
+            f"{tally.error:<15}{tally.wire:<13}{tally.injected:>9}{found:>7}{tally.passed:>7}"
+            f"  {_by(tally.found)}; good {tally.good}, refused {_by(tally.good_refused) or 0}"
+        )
+
+
+def passed(tallies: Iterable[Tally]) -> int:
+    """Errors that the reader took for good messages."""
+    return sum(tally.passed for tally in tallies)
+
+
+def write_page(path: Path, tallies: Sequence[Tally], command: str) -> None:
+    """The page; raises BadInputError when it cannot be written."""
+    try:
+        path.write_text(page(tallies, command), encoding="utf-8")
+    except OSError as error:
+        raise BadInputError(path, f"cannot be written: {error.strerror or error}") from error
+
+
+def page(tallies: Sequence[Tally], command: str) -> str:
+    """The page as Markdown; its third line is the headline."""
+    injected, missed = sum(tally.injected for tally in tallies), passed(tallies)
+    good = sum(tally.good for tally in tallies)
+    refused = sum(sum(tally.good_refused.values()) for tally in tallies)
+    of = {(tally.error, tally.wire): tally for tally in tallies}
+    rows = "".join(
+        f"| {error} | " + " | ".join(_cell(of[error, wire]) for wire in WIRES) + " |\n" for error in ERRORS
+    )
+    found = f"the check of docs/proof.md found {injected - missed:,}; {missed:,} passed."
+    return f"""# Wire errors: what a reader of the unit finds
+
+Of {injected:,} errors put on four wires {found}
+
+Made by `{command}`.
+
+Two units of altd with all their interfaces run in a process of their own, {RATE_HZ:g}
+measurements a second. Between them and the reader is a proxy on real wires: TCP connections, pseudo
+terminals, an HTTP stream. Each second message is an error. The reader is the Python of [proof](../proof.md),
+taken out of the page; it imports nothing of altd, its clock is not synchronised, and it may use nothing
+older than {LIMIT_S:g} s. The checks of the wires themselves (CRC-16 of Modbus RTU, checksums of NMEA 0183,
+TCP's own, transaction numbers) are made right by the proxy, so that they find nothing.
+
+| error | {" | ".join(WIRES)} |
+|---|---|---|---|---|
+{rows}
+A cell: errors found of errors injected, and by which check (`docs/proof.md`, *The check*).
+
+- The reader begins on a line that holds nothing back: without synchronised clocks delay counts from there.
+- *corruption*: 1 to 100 bits turned round. *repetition*: the last message once more. *insertion*: one of the
+  last 50. *wrong order*: two messages exchanged. *delay*: held for {HOLD_S:g} s, so that age and delay are
+  above the limit.
+- *loss*: Modbus gives no answer, which is a time-out. On the telegram's line and in the stream the message
+  that follows is good, and the gap in `message` or `published` tells (*lost*).
+- *masquerade*: a sender that has the unit's number and a right checksum of the wire but does not compute the
+  CRC-32, or some other device at the same address. Somebody who computes it is not found by any of these
+  measures.
+- *wrong address*: a good message of a second unit of the same kind.
+
+Of {good:,} good messages in between {refused:,} were refused: {_by(_sum_of_refused(tallies)) or "none"}.
+What is refused as *late* or ran into the time-out was late on a machine that had other work;
+an error that would come right after a message that ran into the time-out is not counted.
+"""
+
+
+def _cell(tally: Tally) -> str:
+    by = _by(tally.found, numbered=len(tally.found) > 1)
+    return f"{sum(tally.found.values()):,} of {tally.injected:,}: {by}"
+
+
+def _sum_of_refused(tallies: Iterable[Tally]) -> Counter[str]:
+    return sum((tally.good_refused for tally in tallies), Counter[str]())
+
+
+def _by(counts: Counter[str], numbered: bool = True) -> str:
+    return ", ".join(f"{name} {count:,}" if numbered else name for name, count in counts.most_common())
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,23 +104,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the page there")
     options = parser.parse_args(arguments)
-    tallies = run(options.count, options.seed, _show)
-    _show("")
-    print("\n".join(tally_page.text(tallies)))
+    tallies = run(options.count, options.seed, show)
+    show("")
+    print("\n".join(text(tallies)))
     if options.page is not None:
         command = f"python -m benchmarks.wire_errors --count {options.count} --seed {options.seed}"
         try:
-            tally_page.write_page(options.page, tallies, command)
+            write_page(options.page, tallies, command)
         except BadInputError as error:
             print(f"wire_errors: {error}", file=sys.stderr)
             return 2
-    return 1 if tally_page.passed(tallies) else 0
-
-
-def _show(what: str) -> None:
-    """One line on standard error while it is a terminal; silence otherwise."""
-    if sys.stderr.isatty():
-        print(f"\r\033[K{what}", end="", file=sys.stderr, flush=True)
+    return 1 if passed(tallies) else 0
 
 
 if __name__ == "__main__":

@@ -248,26 +248,22 @@ if BEAMS.is_dir():
     WAYS.add()(photographed_beam)
 
 
+def _times_the_light(draw: Draw, times: float, words: str) -> Spoil:
+    return Spoil(words, light=lambda scene, since: scene.beam_times(times), cameras=draw.targets())
+
+
 @WAYS.add()
 def dim_laser(draw: Draw) -> Spoil:
     """A hundredth to a half of the light."""
     share = draw.log(0.01, 0.5)
-    return Spoil(
-        f"{share:.1%} of the light",
-        light=lambda scene, since: scene.beam_times(share),
-        cameras=draw.targets(),
-    )
+    return _times_the_light(draw, share, f"{share:.1%} of the light")
 
 
 @WAYS.add()
 def dazzling_laser(draw: Draw) -> Spoil:
     """Too much light for the exposure."""
     times = draw.log(1.3, 30.0)
-    return Spoil(
-        f"{times:.1f} times the light",
-        light=lambda scene, since: scene.beam_times(times),
-        cameras=draw.targets(),
-    )
+    return _times_the_light(draw, times, f"{times:.1f} times the light")
 
 
 @WAYS.add()

@@ -23,6 +23,9 @@ class Delivery:
     arrives_ns: int
 
 
+Change = Callable[[list[Delivery], int], list[Delivery]]
+
+
 @dataclass(frozen=True, slots=True)
 class Mistimed:
     """One way with its parameters drawn.
@@ -34,7 +37,7 @@ class Mistimed:
     """
 
     note: str
-    change: Callable[[list[Delivery], int], list[Delivery]]
+    change: Change
     pair_by: Literal["sequence", "time"]
     end_ns: int | None = None
     held_ns: int = 0
@@ -73,9 +76,7 @@ _of_a_clock = _entered(lambda draw: True)
 """What a clock in the camera alone does wrong: a V4L2 camera is stamped by the kernel of the host."""
 
 
-def _each(
-    change: _One, cameras: frozenset[str], length_ns: int | None
-) -> Callable[[list[Delivery], int], list[Delivery]]:
+def _each(change: _One, cameras: frozenset[str], length_ns: int | None) -> Change:
     """Change the frames of some cameras from the onset on, for so long."""
 
     def changed(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
@@ -133,15 +134,21 @@ def clock_steps(draw: Draw) -> Mistimed:
     return Mistimed(f"by {far_ns / S:+.2f} s, {_names(cameras)}", change, _pairing(draw))
 
 
-@_enter
-def stamps_stuck(draw: Draw) -> Mistimed:
-    """The stamps of a camera stand still for a while."""
+def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mistimed:
+    """For a while frames say of themselves what the first one said."""
     length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        return _each(lambda one: replace(one, t_ns=onset_ns), cameras, length_ns)(deliveries, onset_ns)
+        first = next(one for one in deliveries if one.true_ns >= onset_ns)
+        return _each(lambda one: as_first(one, first), cameras, length_ns)(deliveries, onset_ns)
 
     return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+
+
+@_enter
+def stamps_stuck(draw: Draw) -> Mistimed:
+    """The stamps of a camera stand still for a while."""
+    return _stuck(draw, lambda one, first: replace(one, t_ns=first.t_ns))
 
 
 @_enter
@@ -211,13 +218,7 @@ def number_once(draw: Draw) -> Mistimed:
 @_enter
 def numbers_stuck(draw: Draw) -> Mistimed:
     """The numbers stand still for a while."""
-    length_ns, cameras = draw.whole(2, 40) * PERIOD_NS, draw.targets()
-
-    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        first = next(one.sequence for one in deliveries if one.true_ns >= onset_ns)
-        return _each(lambda one: replace(one, sequence=first), cameras, length_ns)(deliveries, onset_ns)
-
-    return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)
+    return _stuck(draw, lambda one, first: replace(one, sequence=first.sequence))
 
 
 @_enter
@@ -280,18 +281,21 @@ def out_of_order(draw: Draw) -> Mistimed:
     return Mistimed(_names(cameras), _each(later, cameras, None), _pairing(draw))
 
 
+def _without(is_lost: Callable[[Delivery, int], bool]) -> Change:
+    """Leave out the frames that ``is_lost`` names by when their light fell since the onset, ns."""
+
+    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
+        return [one for one in deliveries if not is_lost(one, one.true_ns - onset_ns)]
+
+    return change
+
+
 @_enter
 def frames_lost(draw: Draw) -> Mistimed:
     """Some frames never arrive."""
     share, cameras, rng = draw.uniform(0.02, 0.9), draw.targets(), draw.rng
 
-    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        return [
-            one
-            for one in deliveries
-            if one.true_ns < onset_ns or one.camera not in cameras or rng.random() >= share
-        ]
-
+    change = _without(lambda one, since_ns: since_ns >= 0 and one.camera in cameras and rng.random() < share)
     return Mistimed(f"{share:.0%}, {_names(cameras)}", change, _pairing(draw))
 
 
@@ -300,11 +304,5 @@ def camera_silent(draw: Draw) -> Mistimed:
     """A camera, or both, delivers nothing for a while."""
     length_ns, cameras = round(draw.log(0.1, 4.0) * S), draw.targets()
 
-    def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
-        return [
-            one
-            for one in deliveries
-            if one.camera not in cameras or not 0 <= one.true_ns - onset_ns < length_ns
-        ]
-
+    change = _without(lambda one, since_ns: one.camera in cameras and 0 <= since_ns < length_ns)
     return Mistimed(f"for {length_ns / S:.2f} s", change, _pairing(draw), length_ns)

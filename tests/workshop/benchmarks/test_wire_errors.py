@@ -12,7 +12,8 @@ from random import Random
 import pytest
 from support.places import ROOT
 
-from benchmarks.wire_errors import errors, tally_page
+from benchmarks.wire_errors import __main__ as wire_errors
+from benchmarks.wire_errors import errors
 from benchmarks.wire_errors.errors import BLOCK, JSON, TELEGRAM, Payload
 from benchmarks.wire_errors.runner import WIRES, Tally
 
@@ -95,8 +96,8 @@ def test_the_table_counts_what_passed() -> None:
     tally.add(True, "", 3)
     tally.add(False, "late", 0)
     assert (tally.injected, tally.passed, tally.found["corrupt"], tally.good) == (2, 1, 1, 1)
-    assert tally_page.passed([tally]) == 1
-    assert any("1" in line.split() and "telegram" in line for line in tally_page.text([tally]))
+    assert wire_errors.passed([tally]) == 1
+    assert any("1" in line.split() and "telegram" in line for line in wire_errors.text([tally]))
 
 
 @pytest.mark.parametrize("name", MESSAGES)
