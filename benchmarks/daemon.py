@@ -29,6 +29,8 @@ from hw_sim.ports import free_port
 POLLS_PER_S = 10
 SETTLE_S = 1.2
 """Until the window is full and every client is attached."""
+_MAX_HISTORY_BYTES = 400 * 10**6
+_PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,10 +236,6 @@ def _terminal() -> Iterator[tuple[int, Path]]:
     finally:
         os.close(far)
         os.close(near)
-
-
-_MAX_HISTORY_BYTES = 400 * 10**6
-_PATIENCE_S = 120.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from benchmarks.campaign.good import lines as good_lines
 from benchmarks.campaign.good import run_good
 from benchmarks.campaign.runner import Effort, Plan, run
 from benchmarks.campaign.tally_table import RunDescription, write_page
-from benchmarks.campaign.units import NAMES, RECORDED, RECORDINGS, folder
+from benchmarks.campaign.units import NAMES, RECORDED, RECORDINGS, cache_folder
 from benchmarks.campaign.ways.spots import BEAMS, photographed_beam
 from benchmarks.progress import show
 
@@ -96,7 +96,9 @@ def _good(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args(arguments)
-    sums = run_good(options.hours, options.step_s, options.seed, options.processes, folder(), _show_share)
+    sums = run_good(
+        options.hours, options.step_s, options.seed, options.processes, cache_folder(), _show_share
+    )
     print("\n".join(good_lines(sums, options.hours, options.step_s)))
     return 1 if any(count.wrong for count in sums.values()) else 0
 

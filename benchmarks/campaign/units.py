@@ -32,6 +32,12 @@ from hw_sim.unit import CAMERAS, EXPOSURES_MS, Unit, UnitConfig
 RECORDED = "unit-a"
 """The recorded unit of ../shared/data; all others are simulated."""
 
+ROOT = Path(__file__).resolve().parents[2]
+RECORDINGS = ROOT.parent / "shared/data" / RECORDED
+
+_EXPOSURES_A_NODE = 2
+_FLAT_EXPOSURES = 10
+_CALIBRATES = ("vision", "mapping", "measuring", "calibration", "recording", "records")
 _REFERENCE = Laser()
 
 
@@ -95,15 +101,7 @@ SIMULATED: dict[str, UnitSpec] = {
 NAMES = (*SIMULATED, RECORDED)
 
 
-ROOT = Path(__file__).resolve().parents[2]
-RECORDINGS = ROOT.parent / "shared/data" / RECORDED
-
-_EXPOSURES_A_NODE = 2
-_FLAT_EXPOSURES = 10
-_CALIBRATES = ("vision", "mapping", "measuring", "calibration", "recording", "records")
-
-
-def folder() -> Path:
+def cache_folder() -> Path:
     """Where scans and calibrations are kept."""
     base = os.environ.get("ALTD_CAMPAIGN_CACHE") or os.environ.get("XDG_CACHE_HOME")
     return Path(base or Path.home() / ".cache") / "altd-campaign"
@@ -113,7 +111,7 @@ def calibrated(name: str) -> Calibration:
     """The calibration of a unit; made, and kept, when there is none of this code."""
     scan, flat = _scan_of(name)
     kept_name = name if name == RECORDED else scan.parent.name
-    file = folder() / f"{kept_name}-{_CODE}.json"
+    file = cache_folder() / f"{kept_name}-{_CODE}.json"
     if not file.exists():
         _say(f"calibrating {name}")
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -127,7 +125,7 @@ def _scan_of(name: str) -> tuple[Path, Path | None]:
     if name == RECORDED:
         return RECORDINGS / "scan", None
     spec = SIMULATED[name]
-    kept = folder() / f"{name}-{hash_of([ROOT / 'hw_sim', Path(__file__).with_name('units.py')])}"
+    kept = cache_folder() / f"{name}-{hash_of([ROOT / 'hw_sim', Path(__file__).with_name('units.py')])}"
     if not kept.exists():
         _say(f"recording {name}")
         draft = kept.with_name(f".{kept.name}.{os.getpid()}")

@@ -1,4 +1,4 @@
-"""The processes of a unit on a real wire: the simulated cameras, and the daemon beside them."""
+"""The processes of a unit on a real wire: cameras to do faults to, the daemon, and who reads from it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,12 @@ from benchmarks.unit_toml import unit_toml
 from hw_sim.unit import EXPOSURES_MS
 
 ROOT = Path(__file__).resolve().parents[2]
+SEED = 1
+FRONT, REAR = "127.0.0.1", "127.0.0.2"
+LINKED = "10.77.0.2"
+"""The front camera's address where it stands behind a link of its own."""
+_UNITS_END = "10.77.0.1"
+_READY = "Ctrl-C ends it"
 _START_TIMEOUT_S = 20.0
 _DAEMON_CORE = min(os.sched_getaffinity(0))
 
@@ -134,14 +140,6 @@ def write_config(
         f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {ports.modbus}\n{more}'
     )
     return path
-
-
-SEED = 1
-FRONT, REAR = "127.0.0.1", "127.0.0.2"
-LINKED = "10.77.0.2"
-"""The front camera's address where it stands behind a link of its own."""
-_UNITS_END = "10.77.0.1"
-_READY = "Ctrl-C ends it"
 
 
 class Camera(contextlib.AbstractContextManager["Camera"]):
