@@ -195,10 +195,10 @@ _Stamp = tuple[int, int, int, int] | None
 
 
 class CredentialsKeeper:
-    """Reads the file again whenever it is another one.
+    """Reads the file again when it was replaced or changed.
 
-    ``complain`` is told of one that cannot be used, and with an empty text of one that can. With one that
-    cannot, nobody may act: who takes a file away means that. Raises BadInputError when it cannot be used at
+    ``complain`` is called with the reason when the file cannot be used, and with an empty text when it can
+    be used again. Without a usable file nobody may act. Raises BadInputError when the file cannot be used at
     the start.
     """
 

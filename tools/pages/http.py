@@ -67,7 +67,7 @@ that is an [OpenAPI](https://spec.openapis.org/oas/v3.1.0) document, `/api/v1/op
 | path | gives |
 |---|---|
 {paths}
-What stands under `/api/v1` keeps its meaning; keys may be added. The paths without `v1` are those of the
+Paths and keys under `/api/v1` keep their meaning; keys may be added. The paths without `v1` are those of the
 first release, and stay. Pictures of the targets go over a
 WebSocket at `/api/v1/pictures`, which no OpenAPI document knows.
 
@@ -281,7 +281,7 @@ Each error is one JSON object, whatever was wrong, also with what is no HTTP:
 {{"error": "one sentence for people"}}
 ```
 
-Where a measurement was asked for and there is none, `status` stands beside it with the codes of the reasons.
+An error in place of a measurement has a `status` with the codes of the reasons.
 
 | status | means |
 |---|---|

@@ -114,7 +114,7 @@ together in one request: {SIZE} registers from address 0 are everything, the fir
 floating point. Two requests fit together only if `sequence` is the same in both.
 
 - Use a number only if bit 0 of `status` is 1 and `age` is below your limit, say 1000 ms.
-- When `heartbeat` stands still for a second, or no answer comes, the unit has stopped: use no number.
+- When `heartbeat` does not change for a second, or no answer comes, the unit has stopped: use no number.
 - In the tunnel, refuse a measurement with bit 12 or 13: it does not come from this unit's cameras.
 - A new measurement comes with every exposure, 20 a second. To poll faster than that gains nothing.
 

@@ -188,7 +188,7 @@ The file is [proof/check.c](proof/check.c); the tests compile it with the system
 
 ## IEC 61131-3 Structured Text
 
-The file is [proof/check.st](proof/check.st). The compiler matiec (`iec2c`) takes it as it stands; as there is
+The file is [proof/check.st](proof/check.st). The compiler matiec (`iec2c`) compiles it unchanged; as there is
 no package of it to install, the tests run this text with an interpreter of their own, and hold it, C and
 Python to the same answers.
 

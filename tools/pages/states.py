@@ -51,9 +51,9 @@ again.
 
 - A cause shows at once; one of maintenance when it was true for {MAINTENANCE_DELAY_S:g} s, with pauses of
   no more than that: a frame that is lost now and then calls nobody.
-- It goes when it was not true for {HOLD_S:g} s ({MAINTENANCE_DELAY_S:g} s for maintenance), so that whoever
-  asks once a second misses none. `active` says whether it is true just now, `times` how often it came: one
-  that comes and goes is one cause that stays.
+- It goes when it was not true for {HOLD_S:g} s ({MAINTENANCE_DELAY_S:g} s for maintenance), so that a client
+  that asks once a second misses none. `active` says whether it is true just now, `times` how often it came:
+  one that comes and goes is one cause that stays.
 - For {START_S:g} s after the start, until the first valid measurement, cameras that are not open yet are no
   failure; the state is `check_function`, never good. A component that does not come up within
   {MAX_START_S:g} s is a cause.
@@ -71,7 +71,7 @@ below is true, see [lamps](lamps.md).
 
 ## The measurement's causes
 
-Codes as in [reasons](reasons.md), where it stands when exactly each is given.
+Codes as in [reasons](reasons.md), which defines when each is given.
 
 | code | signal | meaning | what to do |
 |---|---|---|---|
@@ -144,7 +144,7 @@ the last 31 days, and since the start.
   the smear, sigma grows. Clean window and plate regularly, not only when `dusty` asks for it.
 - **Temperatures** of `[[thermometers]]`, and of GigE Vision cameras that tell their own (Video4Linux has
   none): beyond a limit until back by {TEMPERATURE_HYSTERESIS_K:g} K.
-- **Calibration age** by the time of day; a clock that stands before the calibration is `clock_wrong`.
+- **Calibration age** by the time of day; a clock that is earlier than the calibration is `clock_wrong`.
 """
 
 

@@ -46,7 +46,7 @@ characters between `$` and `*`, as two hexadecimal digits. The longest telegram 
 characters and takes {seconds:.2f} s at 9600 baud, 8N1.
 
 Each time the unit opens the port, after switching on or when an adapter is plugged in again, an empty line
-(CR LF) goes before the first telegram: it ends what may have been torn, so that the telegram stands alone.
+(CR LF) goes before the first telegram: it ends a telegram that may have been cut off.
 
 A valid measurement:
 

@@ -9,7 +9,7 @@ Aravis waits 2.5 s for a camera that does not answer, and finding one takes it a
 camera can be opened. These questions need neither control of the camera nor Aravis.
 
 An answer counts when it comes from the address that was asked and bears the number of the question, which
-nobody can guess. What comes beside it costs a bounded time and no memory.
+is random. Other datagrams cost a bounded time and no memory.
 """
 
 from __future__ import annotations

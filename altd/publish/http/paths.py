@@ -24,7 +24,7 @@ _SECONDS = {"type": "number", "minimum": -LAST_S, "maximum": LAST_S}
 
 _NOT_ALLOWED = {
     401: "the token or the session is missing, unknown or over",
-    403: "who asks may not, or a page that is not the unit's own asks",
+    403: "the client may not do this, or the request comes from a page that is not the unit's own",
 }
 
 _MEASUREMENT = {
