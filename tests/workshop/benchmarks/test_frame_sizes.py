@@ -24,6 +24,7 @@ async def test_a_loop_that_stands_still_for_30_ms_comes_so_late() -> None:
     with Ticker() as ticker:
         await asyncio.sleep(0.01)
         time.sleep(0.03)  # noqa: ASYNC251  this is what is to be seen
-        await asyncio.sleep(0.01)
-    assert 28e6 < max(ticker.late_ns) < 200e6
-    assert len(ticker.late_ns) >= 10
+        before = len(ticker.late_ns)
+        while len(ticker.late_ns) < max(before + 1, 10):  # noqa: ASYNC110  a tick is no event
+            await asyncio.sleep(0.005)
+    assert 28e6 < max(ticker.late_ns) < 10e9
