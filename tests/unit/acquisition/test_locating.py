@@ -31,7 +31,7 @@ from altd.config import ExposureSettings
 from altd.measuring.pairing import Pairer
 from altd.measuring.spot_locator import Located
 from altd.ports import CameraEndedError, CameraTimeoutError
-from altd.records import Frame, Origin
+from altd.records import Frame, Origin, PixelArray
 from altd.status.health import Health
 from altd.vision.localise import locate
 
@@ -199,7 +199,10 @@ async def test_a_loop_that_is_held_up_finds_some_frame_sets_and_the_rest_is_coun
     await stop(bench.task)
 
 
-async def test_the_frames_of_a_set_are_located_side_by_side() -> None:
+LARGE = np.zeros((1024, 1024), np.uint8)
+
+
+async def test_the_large_frames_of_a_set_are_located_side_by_side() -> None:
     """Each waits until the other is being located, too."""
     both = threading.Barrier(2)
     locators = {camera: Locator(lambda frame: both.wait(LONG_S)) for camera in ("front", "rear")}
@@ -210,21 +213,41 @@ async def test_the_frames_of_a_set_are_located_side_by_side() -> None:
     task = asyncio.create_task(locating.run(waiting))
     for number in range(3):
         for camera in ("front", "rear"):
-            pairs.put(replace(shot(number), camera=camera), wait=False)
+            pairs.put(replace(shot(number), camera=camera, pixels=LARGE), wait=False)
         (pair,) = await waiting.take()
         assert pair.sequence == number
         assert set(pair.items) == {"front", "rear"}
     await stop(task)
 
 
-async def test_a_defect_beside_is_raised_too() -> None:
+async def test_small_frames_are_located_one_after_the_other() -> None:
+    threads: list[str] = []
+    locators = {
+        camera: Locator(lambda frame: threads.append(threading.current_thread().name))
+        for camera in ("front", "rear")
+    }
+    locating = Locating(locators, {})  # type: ignore[arg-type]
+    pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
+    pairs = FramePairs(pairer, locating.arrived, FakeClock())
+    waiting = LocatedPairs(pairs)
+    task = asyncio.create_task(locating.run(waiting))
+    for camera in ("front", "rear"):
+        pairs.put(replace(shot(1), camera=camera), wait=False)
+    (pair,) = await waiting.take()
+    assert set(pair.items) == {"front", "rear"}
+    assert threads == ["locate", "locate"]
+    await stop(task)
+
+
+@pytest.mark.parametrize("pixels", [PIXELS, LARGE])
+async def test_a_defect_beside_is_raised_too(pixels: PixelArray) -> None:
     locators = {"front": Locator(), "rear": Locator(lambda frame: 1 / 0)}
     locating = Locating(locators, {})  # type: ignore[arg-type]
     pairer: Pairer[Frame] = Pairer(("front", "rear"), "sequence", 10_000_000, 30_000_000)
     pairs = FramePairs(pairer, locating.arrived, FakeClock())
     task = asyncio.create_task(locating.run(LocatedPairs(pairs)))
     for camera in ("front", "rear"):
-        pairs.put(replace(shot(1), camera=camera), wait=False)
+        pairs.put(replace(shot(1), camera=camera, pixels=pixels), wait=False)
     with pytest.raises(ZeroDivisionError):
         await task
 
