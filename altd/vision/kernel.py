@@ -102,7 +102,8 @@ def fit(
 ) -> tuple[list[float], FloatArray, float, float] | None:
     """``fit.solve_by_numpy``: the values of a ``Solution`` in their order; None when it does not converge."""
     count = blocks.rows.shape[1]
-    given, found, rows = np.ascontiguousarray(blocks.rows), np.array(state), np.empty((_FIT_ROWS + 1, count))
+    given, found = _packed(blocks.rows), np.array(state, np.float64)
+    rows = np.empty((_FIT_ROWS + 1, count))
     centre_variance, contrast2 = c_double(), c_double()
     assert _library is not None  # noqa: S101  asked before
     is_found = _library.altd_fit(
@@ -116,7 +117,9 @@ def misfit(
     rings: Rings, blocks: Blocks, solution: Solution, rise: float, order_sigma: float, texture_contrast: float
 ) -> FoundMisfit | None:
     """``misfit.misfit_by_numpy``; None where there are too few blocks to tell."""
-    given, state, rows = map(np.ascontiguousarray, (blocks.rows, solution.state, solution.rows))
+    given, state, rows = map(_packed, (blocks.rows, np.array(solution.state), solution.rows))
+    if given.shape[1] != rows.shape[1]:
+        raise ValueError(f"{given.shape[1]} blocks, but a fit of {rows.shape[1]}")
     found = FoundMisfit()
     assert _library is not None  # noqa: S101  asked before
     is_found = _library.altd_misfit(
@@ -124,6 +127,11 @@ def misfit(
         *(rise, order_sigma, texture_contrast, byref(found)),
     )
     return found if is_found else None
+
+
+def _packed(values: FloatArray) -> FloatArray:
+    """The values as compiled code reads them: doubles, row after row."""
+    return np.ascontiguousarray(values, np.float64)
 
 
 def _address(values: FloatArray) -> int:

@@ -172,6 +172,26 @@ def by_numpy(residuals: Residuals, usual_contrast: float | None) -> Misfit | Non
         return misfit.misfit_of(residuals, usual_contrast)
 
 
+def test_arrays_of_another_layout_give_the_same_and_of_another_size_are_refused() -> None:
+    """Compiled code reads doubles, row after row, and does not know where an array ends."""
+    frame, flat = next(frames())
+    fitted = fitted_profile(frame, SpotSettings(), flat)
+    assert fitted is not None
+    residuals = fitted.residuals
+    given, solution = residuals.blocks, residuals.solution
+    turned = replace(
+        residuals,
+        blocks=replace(given, rows=np.asfortranarray(given.rows)),
+        solution=replace(solution, rows=np.repeat(solution.rows, 2, axis=1)[:, ::2]),
+    )
+    assert assert_same_misfit(turned, None)
+    whole_numbers = [round(solution.state[fit.PEAK]) + 1, 0, 0, 1, 0, 1, 0, 0, 0, 1]
+    assert_same_misfit(replace(residuals, solution=replace(solution, state=whole_numbers)), None)
+    for shorter in (replace(given, rows=given.rows[:, :-1]), replace(given, rows=given.rows[:, :0])):
+        with pytest.raises(ValueError, match="blocks, but a fit of"):
+            misfit.misfit_of(replace(residuals, blocks=shorter))
+
+
 def test_spots_and_reasons_are_the_same() -> None:
     reference = SpotReference(grain=0.05, misfit_ratio=1.0, pattern_px=0.02, noise_px=0.005, shape=None)
     reasons = set()
