@@ -170,6 +170,33 @@ def move_aside(path: Path, what: str, now: datetime | None = None) -> Path:
     return aside
 
 
+class transaction:  # noqa: N801  used as a statement
+    """``BEGIN IMMEDIATE`` to ``COMMIT``, or ``ROLLBACK`` after a failure."""
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+
+    def __enter__(self) -> None:
+        self._connection.execute("BEGIN IMMEDIATE")
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._connection.execute("COMMIT")
+        elif self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
+
+
+def touched(path: Path) -> tuple[object, ...]:
+    """What changes when a file of a history is replaced, deleted or written.
+
+    The index of the log is mapped into memory, also by who reads: there only which file it is.
+    """
+    files = (_stat(path), _stat(path.with_name(f"{path.name}-wal")))
+    index = _stat(path.with_name(f"{path.name}-shm"))
+    kept = [each and (each.st_dev, each.st_ino, each.st_size, each.st_mtime_ns) for each in files]
+    return (*kept, index and (index.st_dev, index.st_ino))
+
+
 def _connected(path: Path, mode: str) -> sqlite3.Connection:
     connection = sqlite3.connect(
         f"file:{quote(str(path.absolute()))}?mode={mode}",
@@ -213,3 +240,10 @@ def _is_lone_copy(path: Path, error: sqlite3.OperationalError) -> bool:
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
     is_refused = code in {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY}
     return is_refused and not any(path.with_name(path.name + ending).exists() for ending in _BESIDE)
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except FileNotFoundError:
+        return None

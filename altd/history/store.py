@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import secrets
 import sqlite3
 from collections.abc import Mapping, Sequence
@@ -23,6 +22,8 @@ from altd.history.opening import (
     is_private,
     open_to_write,
     set_aside,
+    touched,
+    transaction,
 )
 from altd.history.retention import Retention
 from altd.history.schema import (
@@ -141,7 +142,7 @@ class _OpenStore:
         self._connection = connection
         self._path = path
         self._about = about
-        self._touched = _touched(path)
+        self._touched = touched(path)
         self._notices: list[Notice] = []
         self._told: set[str] = set()
         self.epochs = Epochs(connection)
@@ -157,7 +158,7 @@ class _OpenStore:
     def begin(self, batch: Batch, session: str, notices: Sequence[Notice]) -> None:
         """Prepare columns and reasons, and begin an epoch; ``notices`` are written as its first events."""
         first_us = batch.items[0].wall_us if batch.items else batch.wall_us
-        with _transaction(self._connection):
+        with transaction(self._connection):
             (known,) = self._connection.execute(
                 "SELECT coalesce((SELECT value FROM facts WHERE name = 'session'), '')"
             ).fetchone()
@@ -177,13 +178,13 @@ class _OpenStore:
             self.epochs.begin("start" if is_restart else "reopened", first_us, batch.monotonic_ns)
             for notice in self._notices:
                 self._add_notice(notice, first_us)
-        self._touched = _touched(self._path)
+        self._touched = touched(self._path)
         self._new_spans()
 
     def write(self, batch: Batch) -> int:
         """Write a batch in one transaction; returns the bytes of the pages that are in use."""
         self._check_place()
-        with _transaction(self._connection):
+        with transaction(self._connection):
             for item in batch.items:
                 self._take(item, batch.monotonic_ns)
             self._write_spans()
@@ -201,12 +202,12 @@ class _OpenStore:
                     self._add_notice(self._notices[-1], batch.wall_us)
         self.retention.give_back()
         used_bytes = self.retention.used_bytes()
-        self._touched = _touched(self._path)  # the last statement may have put the log into the file
+        self._touched = touched(self._path)  # the last statement may have put the log into the file
         return used_bytes
 
     def end(self, wall_us: int) -> None:
         """Mark the epoch as ended."""
-        with _transaction(self._connection):
+        with transaction(self._connection):
             self.epochs.end(wall_us)
 
     def take_notices(self) -> list[Notice]:
@@ -230,7 +231,7 @@ class _OpenStore:
 
     def _check_place(self) -> None:
         """The files are as the last batch left them, and a reader does not hold the write-ahead log."""
-        if _touched(self._path) != self._touched:
+        if touched(self._path) != self._touched:
             with suppress(sqlite3.Error):  # a file that was moved is whole, and its log gets into no other
                 self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             raise TouchedFileError("was replaced, deleted or written by another program while it was open")
@@ -316,22 +317,6 @@ class _OpenStore:
         self.retention.events[str(about[1])] += 1
 
 
-class _transaction:  # noqa: N801  used as a statement
-    """``BEGIN IMMEDIATE`` to ``COMMIT``, or ``ROLLBACK`` after a failure."""
-
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._connection = connection
-
-    def __enter__(self) -> None:
-        self._connection.execute("BEGIN IMMEDIATE")
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._connection.execute("COMMIT")
-        elif self._connection.in_transaction:
-            self._connection.execute("ROLLBACK")
-
-
 def _detail_text(detail: Mapping[str, object]) -> str | None:
     """As JSON; what is no JSON costs this detail, and not the batch."""
     try:
@@ -345,24 +330,6 @@ def _begun(path: Path, is_new: bool) -> list[Notice]:
     if not is_private(path):
         texts.append("others may read the history, or write it: its permissions cannot be changed")
     return [Notice(EventKind.HISTORY, text, {"file": str(path)}) for text in texts]
-
-
-def _touched(path: Path) -> tuple[object, ...]:
-    """What changes when a file of a history is replaced, deleted or written.
-
-    The index of the log is mapped into memory, also by who reads: there only which file it is.
-    """
-    files = (_stat(path), _stat(path.with_name(f"{path.name}-wal")))
-    index = _stat(path.with_name(f"{path.name}-shm"))
-    kept = [each and (each.st_dev, each.st_ino, each.st_size, each.st_mtime_ns) for each in files]
-    return (*kept, index and (index.st_dev, index.st_ino))
-
-
-def _stat(path: Path) -> os.stat_result | None:
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        return None
 
 
 def _us_of(time: datetime) -> int:
