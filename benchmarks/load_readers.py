@@ -158,8 +158,8 @@ def main() -> int:
     """Read or show, and print what came."""
     numbers, seconds = [int(number) for number in sys.argv[2:-1]], float(sys.argv[-1])
     if sys.argv[1] == "show":
-        # Browsers run on computers of their own. Here they take what nobody else wants of the processors, so
-        # that they do not slow down what they look at; as root Chromium would even run before all others.
+        # Browsers run on computers of their own. Here they run in the idle class, so that they do not
+        # slow down the daemon; as root Chromium would even run before all others.
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         print(json.dumps(asdict(asyncio.run(_show(numbers[0], numbers[1], seconds)))))
     else:

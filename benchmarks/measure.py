@@ -107,7 +107,7 @@ def _start(config: Path, port: int) -> tuple[float, float]:
 
 
 def _ask(port: int) -> bool | None:
-    """Whether the latest measurement is valid; None when nobody answers."""
+    """Whether the latest measurement is valid; None without an answer."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=2.0)
     try:
         connection.request("GET", "/api/measurement")

@@ -198,7 +198,7 @@ class CredentialsKeeper:
     """Reads the file again when it was replaced or changed.
 
     ``complain`` is called with the reason when the file cannot be used, and with an empty text when it can
-    be used again. Without a usable file nobody may act. Raises BadInputError when the file cannot be used at
+    be used again. Without a usable file no user may act. Raises BadInputError when the file cannot be used at
     the start.
     """
 

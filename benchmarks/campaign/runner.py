@@ -120,7 +120,7 @@ def batch(plan: Plan, numbers: Sequence[int]) -> dict[str, Tally]:
 
 
 def episode(plan: Plan, number: int) -> tuple[str, str, Outcome, str]:
-    """Run one episode; the name of its way, what was drawn, what came of it, and why nobody could see it.
+    """Run one episode; the name of its way, what was drawn, what came of it, and why it cannot be detected.
 
     Ways come in turn, so that each gets its share however short the run; the unit is drawn.
     """

@@ -9,13 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from altd.errors import BadInputError
-from benchmarks.campaign import tally_table
 from benchmarks.campaign.catalogue import WAYS
 from benchmarks.campaign.judge import LIMITS, SIGMAS, Tally, Verdict
 from tools.markdown import wrapped
 
 HIDDEN_SUFFIX = " (hidden)"
-"""After the name of a way: its episodes in which nobody could see it, on that unit, as it was drawn."""
+"""After the name of a way: its episodes that the drawn unit cannot detect."""
 
 HEAD = (
     *("way", "kind", "episodes", "measured", "wrong", "right", "invalid"),
@@ -79,7 +78,7 @@ def wrong_count(tallies: Mapping[str, Tally]) -> int:
 
 
 def invisible_count(tallies: Mapping[str, Tally]) -> int:
-    """Wrong ones called valid that nobody could tell."""
+    """Wrong ones called valid that cannot be detected."""
     return sum(tally.verdicts[Verdict.WRONG] for tally in tallies.values() if tally.invisible)
 
 
@@ -129,7 +128,7 @@ end of a disturbance to the next valid measurement. Ways of times run through pi
 that is driven, and a reader of the board is judged every 25 ms: its numbers must be those of some moment
 within the last second and a window. Stamps of a clock in the camera are mapped as the GigE driver maps them.
 
-What is *(hidden)* was drawn so that on that unit nobody could see it, by the limits of
+*(hidden)* episodes were drawn so that the unit cannot detect them, by the limits of
 `benchmarks/campaign/detectability.py`, which are written down below; such ways were found by this campaign,
 and what it counts as wrong rests on where these limits lie.
 
@@ -151,21 +150,21 @@ class RunDescription:
 
 def write_page(path: Path, tallies: Mapping[str, Tally], run: RunDescription) -> None:
     """Write the page; raises BadInputError when the disk refuses."""
-    wrong = tally_table.wrong_count(tallies)
+    wrong = wrong_count(tallies)
     total = sum(tally.measurements + tally.clean for tally in tallies.values())
-    ways = {name.removesuffix(tally_table.HIDDEN_SUFFIX) for name in tallies} & WAYS.keys()
+    ways = {name.removesuffix(HIDDEN_SUFFIX) for name in tallies} & WAYS.keys()
     headline = (
         f"Of {total:,} measurements in {len(ways)} ways, and in pairs of them, {wrong:,} wrong ones were "
-        f"called valid, beside {tally_table.invisible_count(tallies):,} where nobody could tell (marked *)."
+        f"called valid, beside {invisible_count(tallies):,} that cannot be detected (marked *)."
     )
     text = _HEAD.format(headline=headline, **asdict(run))
-    head, *rows = tally_table.rows(tallies)
+    head, *body = rows(tallies)
     lines = ["| " + " | ".join(head) + " |", "|---|---|" + "---:|" * (len(head) - 2)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    hidden = [f"- {line[2:]}" for line in tally_table.invisible(tallies)]
+    lines += ["| " + " | ".join(row) + " |" for row in body]
+    hidden = [f"- {line[2:]}" for line in invisible(tallies)]
     if hidden:
         lines += ["", "What physics forbids to see (marked *), with its size:", "", *hidden]
-    lines += ["", *(f"- {line}." for line in tally_table.totals(tallies)), "", "## The ways", ""]
+    lines += ["", *(f"- {line}." for line in totals(tallies)), "", "## The ways", ""]
     lines += [f"- `{name}` ({way.kind}): {_first_line(way.make)}" for name, way in WAYS.items()]
     try:
         path.write_text(wrapped(text + "\n".join(lines) + "\n"))

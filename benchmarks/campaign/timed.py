@@ -35,7 +35,7 @@ _TURNS = 6
 
 
 class SteppedClock:
-    """Behind ``altd.ports.Clock``; time stands still until it is set."""
+    """An ``altd.ports.Clock`` whose time advances only when it is set."""
 
     def __init__(self, now_ns: int) -> None:
         self._now_ns = now_ns

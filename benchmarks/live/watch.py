@@ -30,7 +30,7 @@ class Ports:
 
     @classmethod
     def free(cls) -> Self:
-        """Ports that nobody has at the moment."""
+        """Ports that are free at the moment."""
         return cls(free_port(), free_port())
 
 

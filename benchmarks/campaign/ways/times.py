@@ -147,7 +147,7 @@ def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mi
 
 @_enter
 def stamps_stuck(draw: Draw) -> Mistimed:
-    """The stamps of a camera stand still for a while."""
+    """The stamps of a camera repeat for a while."""
     return _stuck(draw, lambda one, first: replace(one, t_ns=first.t_ns))
 
 
@@ -217,7 +217,7 @@ def number_once(draw: Draw) -> Mistimed:
 
 @_enter
 def numbers_stuck(draw: Draw) -> Mistimed:
-    """The numbers stand still for a while."""
+    """The frame numbers repeat for a while."""
     return _stuck(draw, lambda one, first: replace(one, sequence=first.sequence))
 
 

@@ -16,7 +16,7 @@ Address = tuple[str, int] | str
 _TIMEOUT_S = 5.0
 
 STATUSES = {*http.STATUSES, 408}
-"""408 is for who waits."""
+"""408 answers a request that is not completed in time."""
 
 _ANSWER = re.compile(rb"HTTP/1\.1 (\d{3}) [A-Za-z -]*\r\n((?:[a-zA-Z-]+: [^\r\n]*\r\n)+)\r\n", re.DOTALL)
 _BLANK_LINE = re.compile(rb"\n\r?\n")
