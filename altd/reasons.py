@@ -222,6 +222,14 @@ class Reason(StrEnum):
         "the first self-check since the start has not ended yet",
     )  # fmt: skip
 
+    NOT_LIVE = (
+        "not_live", _UNIT, 29, StatusGroup.NOT_TRUSTED, _CHECK_FUNCTION,
+        "frames or calibration are not this unit's own",
+        "set the unit's cameras and its calibration in the config; to rehearse, start `altd run --rehearsal`",
+        "frames are played or simulated, or the calibration was made from simulated frames, and the daemon "
+        "was not started with `--rehearsal`",
+    )  # fmt: skip
+
     EXPOSURES_LOST = (
         "exposures_lost", _WARNING, 0, StatusGroup.EXPOSURES_LOST, _MAINTENANCE_REQUIRED,
         "exposures were lost",
@@ -239,6 +247,12 @@ class Reason(StrEnum):
         "frames or calibration are simulated, this is NOT LIVE",
         _NOT_LIVE,
         "a simulator made the frames, or those of the calibration",
+    )  # fmt: skip
+    REHEARSAL = (
+        "rehearsal", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
+        "started to rehearse",
+        "restart the daemon without `--rehearsal` before a machine is steered",
+        "the daemon was started with `--rehearsal`: played and simulated frames give valid values",
     )  # fmt: skip
     ROLL_MISSING = (
         "roll_missing", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
@@ -308,5 +322,5 @@ class Reason(StrEnum):
         return self.scope is Scope.WARNING
 
 
-NOT_LIVE = frozenset({Reason.PLAYBACK, Reason.SIMULATED})
+NOT_FROM_CAMERAS = frozenset({Reason.PLAYBACK, Reason.SIMULATED})
 """A measurement with one of these does not come from the unit's cameras."""

@@ -197,7 +197,7 @@ async def running(
     source: Source, config: Config, lamps: Lamps | None = None, history: Path | None = None
 ) -> AsyncIterator[Daemon]:
     """A daemon on the cameras of a source, for as long as the block lasts; it keeps its history in a file."""
-    daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps)
+    daemon = Daemon(config, source.material.calibration, source.cameras, lamps=lamps, rehearsal=True)
     if history is not None:
         about = history_about(config, source.material.calibration, daemon.board.quantities)
         daemon.past.keep_in(history, _MAX_HISTORY_BYTES, about)

@@ -83,7 +83,7 @@ def _write_run_folder(folder: Path, calibration: Calibration, http_port: int, ex
 def _start(config: Path, port: int) -> tuple[float, float]:
     """Seconds to the first answer of any kind, and to the first valid measurement."""
     begun_s = time.monotonic()
-    command = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+    command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
     with (
         tempfile.TemporaryFile("w+") as said,
         subprocess.Popen(command, stderr=said) as daemon,  # noqa: S603  our own interpreter and module

@@ -136,7 +136,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             config = config.model_copy(update=hardware.tables)
             cameras = cameras_of(config, Path("--gige"))
         known = calibration_of(config, cameras)
-        daemon = Daemon(config, known, cameras)
+        daemon = Daemon(config, known, cameras, rehearsal=True)
         daemon.past.keep_as(config, known)
         figures = Figures(daemon, unit, "daemon alone") if hardware else Figures(daemon, unit)
         view = View(daemon, unit, faces, figures)

@@ -109,7 +109,8 @@ class Pipeline:
                 steps.debug("exposure %d: held back by a self-check", measurement.sequence)
                 return
             measurement = checked
-        self.record(self.board.publish(measurement))
+        measurement = self.board.publish(measurement)
+        self.record(measurement)
         if steps.isEnabledFor(logging.DEBUG):
             after_ms = (self._clock.monotonic_ns() - measurement.light_ns) * 1e-6
             line = status_line(measurement)

@@ -62,10 +62,11 @@ _FACES_START_TIMEOUT_S = 1.0
 class Daemon:
     """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them.
 
-    ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs.
+    ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs. Played
+    and simulated frames give valid values only with ``rehearsal``.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  the parts of a unit
         self,
         config: Config,
         calibration: Calibration,
@@ -73,6 +74,7 @@ class Daemon:
         clock: Clock | None = None,
         lamps: Lamps | None = None,
         indicators: Indicators | None = None,
+        rehearsal: bool = False,
     ) -> None:
         self.config = config
         self.clock = clock or SystemClock()
@@ -99,7 +101,7 @@ class Daemon:
             self._inclination = InclinationMonitor(
                 *inclinometer, instrument.quantities, config.installation, component, self.clock
             )
-        self.board = self._board(instrument.quantities, identity)
+        self.board = self._board(instrument.quantities, identity, rehearsal)
         self._maintenance = MaintenanceWatches(config, calibration, cameras, self.health, self.clock)
         self.state = UnitState(self.board, self.health, self.clock, self._maintenance.watches)
         self.health.state = self.state.read
@@ -142,11 +144,11 @@ class Daemon:
             if name in self._cameras and isinstance(settings, LiveCameraSettings)
         }
 
-    def _board(self, quantities: Quantities, identity: Identity) -> Board:
+    def _board(self, quantities: Quantities, identity: Identity, rehearsal: bool) -> Board:
         monitor, stale_after_s = self._inclination, self.config.measuring.stale_after_s
         if monitor is None:
-            return Board(self.clock, stale_after_s, quantities, identity)
-        return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete)
+            return Board(self.clock, stale_after_s, quantities, identity, rehearsal=rehearsal)
+        return Board(self.clock, stale_after_s, monitor.quantities, identity, monitor.complete, rehearsal)
 
     def keep_state_in(self, folder: Path) -> None:
         """Keep in this folder what outlives a restart: what checks and recordings left. Before ``run``."""
@@ -303,12 +305,12 @@ class Daemon:
         return ConsolePublisher(port, self.board, self.health, component, self.clock, self.past.for_console())
 
 
-def daemon_of(config: Config, place: Path) -> Daemon:
+def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
     cameras = cameras_of(config, place)
     calibration = calibration_of(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)
-    daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators)
+    daemon = Daemon(config, calibration, cameras, lamps=lamps, indicators=indicators, rehearsal=rehearsal)
     for component in (MEASURING, *(f"camera {name}" for name in cameras)):
         daemon.health.component(component).set_state(State.STARTING)
     if (folder := state_folder()) is not None:

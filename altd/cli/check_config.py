@@ -20,6 +20,7 @@ def run(options: argparse.Namespace) -> int:
     """Say so, and which files are not there yet; 2 for what cannot be used."""
     from altd.app.parts import check_files, missing_files
     from altd.app.settings import load_settings
+    from altd.config import RecordingCameraSettings
 
     config = load_settings(options.config)
     calibration, errors = check_files(config)
@@ -27,8 +28,11 @@ def run(options: argparse.Namespace) -> int:
         complain(f"altd check-config: {error}")
     if errors:
         return 2
-    simulated = ", calibrated from SIMULATED frames" if calibration and calibration.simulated else ""
-    say(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{simulated}")
+    simulated = calibration is not None and calibration.simulated
+    origin = ", calibrated from SIMULATED frames" if simulated else ""
+    say(f"{options.config}: good: unit {config.unit.serial}, {len(config.targets)} targets{origin}")
+    if simulated or any(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values()):
+        say(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
     for missing in missing_files(config):
         say(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
     return 0

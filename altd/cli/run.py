@@ -21,6 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What the command takes."""
     add_config(parser)
     parser.add_argument(
+        "--rehearsal",
+        action="store_true",
+        help="give valid values of played and simulated frames too, to try out what reads them; "
+        "every interface says so, and a service refuses it",
+    )
+    parser.add_argument(
         "--trace-frames", action="store_true", help="log the way of each frame, with times, on standard error"
     )
 
@@ -30,11 +36,13 @@ def run(options: argparse.Namespace) -> int:
     from altd.app.daemon import daemon_of
     from altd.app.settings import load_settings
 
+    if options.rehearsal and "NOTIFY_SOCKET" in os.environ:  # systemd.exec(5): of a service of Type=notify
+        raise BadInputError("--rehearsal", "a service does not rehearse; start `altd run` by hand")
     if options.trace_frames:
         logging.getLogger("altd.frames").setLevel(logging.DEBUG)
     prefix = "" if "JOURNAL_STREAM" in os.environ else "altd: "  # the journal puts our name there itself
     with logging_to_stderr(logging.INFO, prefix):
-        daemon = daemon_of(load_settings(options.config), options.config)
+        daemon = daemon_of(load_settings(options.config), options.config, options.rehearsal)
         try:
             asyncio.run(until_signal(daemon.run()))
         except BadInputError:

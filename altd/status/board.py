@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 
 from altd.ports import Clock
-from altd.reasons import Reason
+from altd.reasons import NOT_FROM_CAMERAS, Reason
 from altd.records import Fault, Measurement, Quantities
 from altd.status.proof import Identity
+
+_REHEARSAL = Fault(Reason.REHEARSAL)
 
 
 class Board:
     """Holds the latest measurement; a reader that waits has its own cursor and learns what it skipped.
 
-    ``complete`` adds to each measurement what other sensors say.
+    ``complete`` adds to each measurement what other sensors say. Without ``rehearsal`` a measurement from
+    played or simulated frames, or by a calibration from simulated frames, loses its numbers.
     """
 
     def __init__(
@@ -24,10 +28,12 @@ class Board:
         quantities: Quantities,
         identity: Identity = Identity(),  # noqa: B008  frozen; nobody's board is of no unit
         complete: Callable[[Measurement], Measurement] = lambda measurement: measurement,
+        rehearsal: bool = False,
     ) -> None:
         self.quantities = quantities
         """What its measurements hold; known before the first."""
         self._complete = complete
+        self._rehearsal = rehearsal
         self.identity = identity
         """Whose measurements these are."""
         self._clock = clock
@@ -47,13 +53,23 @@ class Board:
 
     def publish(self, measurement: Measurement) -> Measurement:
         """Publish a measurement and wake every reader that waits; returns it as it is published."""
-        published = self._complete(measurement)
+        published = self._as_live(self._complete(measurement))
         self._latest, self._stale = published, None
         self._published_ns = self._clock.monotonic_ns()
         self._count += 1
         self._changed.set()
         self._changed = asyncio.Event()
         return published
+
+    def _as_live(self, measurement: Measurement) -> Measurement:
+        """The measurement with its numbers if it is live or the unit rehearses; else without them."""
+        if self._rehearsal:
+            return replace(measurement, status=(*measurement.status, _REHEARSAL))
+        why = [str(fault.reason) for fault in measurement.status if fault.reason in NOT_FROM_CAMERAS]
+        if not why:
+            return measurement
+        not_live = Fault(Reason.NOT_LIVE, detail=" and ".join(why))
+        return measurement.without_numbers((not_live, *measurement.status))
 
     async def published_after(self, count: int) -> int:
         """How many measurements were published, once it is not ``count`` any more."""

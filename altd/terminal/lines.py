@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from textwrap import wrap
 
-from altd.reasons import NOT_LIVE
+from altd.reasons import NOT_FROM_CAMERAS
 from altd.records import counted
 from altd.status.health import duration
 from altd.terminal.documents import CauseDocument, Reading, SelfCheckDocument, Shown, StatusDocument
@@ -31,7 +31,7 @@ def verdict_text(reading: Reading) -> str:
     """Whether the numbers may be used, as it is called out: ``VALID``, ``NOT LIVE``, ``NOT VALID``."""
     if not reading.valid:
         return "NOT VALID"
-    return "VALID" if NOT_LIVE.isdisjoint(reading.status) else "NOT LIVE"
+    return "VALID" if NOT_FROM_CAMERAS.isdisjoint(reading.status) else "NOT LIVE"
 
 
 def cause_text(cause: CauseDocument) -> str:

@@ -97,7 +97,7 @@ def daemon_command(config: Path) -> list[str]:
     A real camera takes no time of the unit's processor, nor does a controller.
     """
     python = ["taskset", "-c", str(_DAEMON_CORE), sys.executable]
-    return [*python, "-m", "altd.cli", "run", "--config", str(config)]
+    return [*python, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
 
 
 @contextlib.contextmanager

@@ -146,7 +146,7 @@ async def _measured(config_file: Path, unit: Unit, seconds: float) -> list[dict[
     with_faces = load_config(config_file)
     config = with_faces.model_copy(update={"cameras": {}, "http": None, "modbus_tcp": None})
     cameras = {camera.name: camera for camera in make_cameras(unit)}
-    daemon = Daemon(config, calibration_of(config, cameras), cameras)
+    daemon = Daemon(config, calibration_of(config, cameras), cameras, rehearsal=True)
     task = asyncio.create_task(daemon.run())
     cursor = daemon.board.cursor()
     measurements: list[dict[str, Any]] = []

@@ -38,7 +38,7 @@ def feeding(frames: str, fps: float, devices: list[Path], feeder: str = "feeding
 @contextlib.contextmanager
 def running(config: str) -> Iterator[subprocess.Popen[bytes]]:
     """``altd run`` until it measures; ended as systemd does it. What it says goes to ``daemon.log``."""
-    words = [sys.executable, "-m", "altd.cli", "run", "--config", config]
+    words = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", config]
     with Path("daemon.log").open("wb") as log, subprocess.Popen(words, stderr=log) as daemon:
         try:
             await_valid(_UP_WITHIN_S)

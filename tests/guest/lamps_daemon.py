@@ -59,7 +59,7 @@ def noted(notes: Path) -> list[tuple[str, dict[str, int]]]:
 
 @contextmanager
 def daemon(notes: Path) -> Iterator[subprocess.Popen[str]]:
-    with altd(notes, "run", "--config", CONFIG) as process:
+    with altd(notes, "run", "--rehearsal", "--config", CONFIG) as process:
         try:
             yield process
         finally:

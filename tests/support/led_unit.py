@@ -201,7 +201,9 @@ async def driven_led_unit(
     seen, clock = _LitUnit(unit, leds), FakeClock.of_loop(threads=len(CAMERAS))
     leds.now_ns = clock.monotonic_ns
     cameras = {name: _ClockedCamera(seen, name, clock) for name in CAMERAS}
-    running = LedUnit(Daemon(settings, calibration, cameras, clock, lamps=leds), unit, leds, seen)
+    running = LedUnit(
+        Daemon(settings, calibration, cameras, clock, lamps=leds, rehearsal=True), unit, leds, seen
+    )
     with pytest.MonkeyPatch.context() as patch:
         clock.watch_devices(patch)
         async with _running(running, prepare):
@@ -225,7 +227,7 @@ async def led_unit(
     schedule = Schedule(unit.config.period_ns, real_time=True)
     cameras = {name: SimulatedCamera(cast("Unit", seen), name, schedule, waits=False) for name in CAMERAS}
     async with _running(
-        LedUnit(Daemon(settings, calibration, cameras, lamps=leds), unit, leds, seen), prepare
+        LedUnit(Daemon(settings, calibration, cameras, lamps=leds, rehearsal=True), unit, leds, seen), prepare
     ) as running:
         yield running
 

@@ -77,14 +77,14 @@ class PlayingDaemon:
 
     def wait_until_valid(self) -> dict[str, Any]:
         """The first measurement that is."""
-        return self._wait_until(lambda measurement: bool(measurement["valid"]))
+        return self.wait_until(lambda measurement: bool(measurement["valid"]))
 
     def wait_for_measurements(self, count: int) -> None:
         """Until so many further ones were made."""
         first: int = self.measurement()["sequence"]
-        self._wait_until(lambda measurement: measurement["sequence"] >= first + count)
+        self.wait_until(lambda measurement: measurement["sequence"] >= first + count)
 
-    def _wait_until(self, holds: Callable[[dict[str, Any]], bool], timeout_s: float = 60.0) -> dict[str, Any]:
+    def wait_until(self, holds: Callable[[dict[str, Any]], bool], timeout_s: float = 60.0) -> dict[str, Any]:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError):
@@ -104,7 +104,7 @@ def playing(
     faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
     config = write_config(folder / "altd.toml", unit.calibration, unit.beams, faces + more)
     process = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)],
+        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)],
         stdin=subprocess.DEVNULL,
         stderr=stderr,
         preexec_fn=prepare,

@@ -275,7 +275,7 @@ async def test_the_daemon_controls_its_live_cameras_and_shows_it_in_health(
     )
     unit = Unit(UnitConfig(seed=3))
     cameras = {camera.name: camera for camera in make_cameras(unit)}
-    daemon = Daemon(config, calibration_of_unit_3, cameras)
+    daemon = Daemon(config, calibration_of_unit_3, cameras, rehearsal=True)
     running = asyncio.create_task(daemon.run())
     board = daemon.board.cursor()
     async with asyncio.timeout(30):

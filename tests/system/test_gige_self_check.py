@@ -92,7 +92,7 @@ def checked_unit(calibration: Path, folder: Path, faults: str) -> Iterator[Check
         more = MORE.format(exposures=EXPOSURES, port=port)
         config = folder / "altd.toml"
         config.write_text(unit_toml("SIM-3", calibration, front, rear, more))
-        words = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+        words = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
         with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as daemon:
             try:
                 yield CheckedUnit(cameras, f"http://127.0.0.1:{port}/api/")

@@ -53,7 +53,7 @@ async def test_what_is_said_of_a_silent_camera_counts_and_its_figures_go(
 ) -> None:
     port, unit = free_port(), Unit(UnitConfig(seed=3))
     cameras = {camera.name: camera for camera in make_cameras(unit)}
-    daemon = Daemon(config(port), calibration_of_unit_3, cameras)
+    daemon = Daemon(config(port), calibration_of_unit_3, cameras, rehearsal=True)
     running = asyncio.create_task(daemon.run())
     board = daemon.board.cursor()
     async with asyncio.timeout(30):

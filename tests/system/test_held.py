@@ -59,7 +59,9 @@ def test_a_daemon_that_was_held_never_calls_an_old_value_valid(folder: Path, tmp
         f'[http]\nhost = "127.0.0.1"\nport = {http_port}\n'
     )
     config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beam", faces)
-    with subprocess.Popen([sys.executable, "-m", "altd.cli", "run", "--config", config]) as process:
+    with subprocess.Popen(
+        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", config]
+    ) as process:
         try:
             await_valid(http_port)
             answers = hold(process.pid, modbus_port, http_port, HOLD_S, polls_s=3.0)

@@ -208,11 +208,15 @@ def read_until(descriptor: int, pattern: str, timeout_s: float = 60.0) -> str:
     return text
 
 
-@pytest.mark.parametrize(("frames", "calibration"), [("simulated", "real"), ("real", "simulated")])
-def test_every_face_of_the_daemon_says_it(
-    files: Files, tmp_path: Path, frames: str, calibration: str
+@pytest.mark.parametrize(
+    ("frames", "calibration", "rehearsal"),
+    [("simulated", "real", True), ("real", "simulated", True), ("real", "simulated", False)],
+)
+def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_values(
+    files: Files, tmp_path: Path, frames: str, calibration: str, rehearsal: bool
 ) -> None:
     """Played: what is marked as simulated stays so, beside being played."""
+    said = {"playback", "simulated"} | ({"rehearsal"} if rehearsal else {"not_live"})
     devices: list[str] = []
     http, modbus = free_port(), free_port()
     with line_to(devices.append) as telegram, line_to(devices.append) as console:
@@ -226,20 +230,29 @@ def test_every_face_of_the_daemon_says_it(
         assert ("SIMULATED" in checked) == (calibration == "simulated")
         assert ("SIMULATED" in examined) == (calibration == "simulated")
         command = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+        command += ["--rehearsal"] * rehearsal
         daemon = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            assert re.search(r"^\$PALT[^\n]*,S,", read_until(telegram, r"\$PALT[^\n]*,S,[^\n]*\n"), re.M)
-            measured = PlayingDaemon(daemon, http, modbus).wait_until_valid()
-            assert {"playback", "simulated"} <= set(measured["status"])
+            mode = "S" if rehearsal else "V"  # since many exposures there is no other reason
+            sent = read_until(telegram, rf"\$PALTM,[^\n]*,{mode},\d\d+,[^\n]*\n\$PALTQ,\d\d+,[^\n]*\n")
+            assert all(code in sent.splitlines()[-1] for code in said)
+            measured = PlayingDaemon(daemon, http, modbus).wait_until(
+                lambda measurement: set(measurement["status"]) == said
+            )
+            assert measured["valid"] == rehearsal
+            assert (measured["x_mm"] is not None) == rehearsal
             with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/stream", timeout=20) as stream:
                 event = next(line for line in stream if line.startswith(b"data:"))
-            assert "simulated" in json.loads(event.removeprefix(b"data:"))["status"]
+            streamed = json.loads(event.removeprefix(b"data:"))
+            assert (streamed["valid"], set(streamed["status"])) == (rehearsal, said)
             with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/status", timeout=20) as page:
-                fact = json.load(page)["calibration"]
-            assert ("SIMULATED" in fact) == (calibration == "simulated")
+                status = json.load(page)
+            assert ("SIMULATED" in status["calibration"]) == (calibration == "simulated")
+            assert said <= {cause["code"] for cause in status["state"]["causes"]}
             os.write(console, b"status\r")
             assert "simulated" in read_until(console, "simulated")
-            assert _status_word(modbus) >> 12 & 0b11 == 0b11
+            played, not_trusted = 0b11 << 12, 1 << 15
+            assert _status_word(modbus) == played | (1 if rehearsal else not_trusted)
         finally:
             daemon.kill()
             daemon.wait()

@@ -171,7 +171,8 @@ class TestDaemonToSystemd:
     def test_is_ready_with_the_first_word_on_the_board_and_then_alive(
         self, config: Path, tmp_path: Path
     ) -> None:
-        warming_up, measuring = "not measuring: warming_up, playback", "measuring (playback)"
+        warming_up = "not measuring: not_live, warming_up, playback"
+        measuring = "not measuring: not_live, playback"
         with running(config, tmp_path) as daemon:
             assert daemon.word() == ["READY=1", f"STATUS={warming_up}", "WATCHDOG=1"]
             last_s = time.monotonic()
@@ -190,7 +191,7 @@ class TestDaemonToSystemd:
         self, config: Path, tmp_path: Path
     ) -> None:
         config.write_text(config.read_text().replace("repeat = true", "repeat = false"))
-        silent = "STATUS=not measuring: front_camera_silent, rear_camera_silent, playback"
+        silent = "STATUS=not measuring: not_live, front_camera_silent, rear_camera_silent, playback"
         with running(config, tmp_path) as daemon:
             assert daemon.word()[0] == "READY=1"
             while daemon.word() != [silent, "WATCHDOG=1"]:

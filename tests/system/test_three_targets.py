@@ -137,7 +137,7 @@ def test_the_daemon_measures_and_publishes_all_of_them(unit: Path, tmp_path: Pat
         f'[measuring]\nwindow = {EXPOSURES}\n[http]\nhost = "127.0.0.1"\nport = {http}\n'
         f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
     )
-    command = [sys.executable, "-m", "altd.cli", "run", "--config", str(config)]
+    command = [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)]
     with subprocess.Popen(command) as daemon:
         try:
             check(PlayingDaemon(daemon, http, modbus).wait_until_valid(), BEAMS[1])

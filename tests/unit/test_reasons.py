@@ -9,9 +9,9 @@ CONTRACT = {
     "spot_missing": 1, "ambiguous": 2, "saturated": 3, "cut_by_edge": 4, "wrong_size": 5, "wrong_shape": 6,
     "camera_silent": 7, "implausible": 8, "exposure_changing": 9, "distorted": 10, "frame_repeated": 11,
     "wrong_camera": 12, "out_of_step": 20, "out_of_range": 21, "unsteady": 22, "warming_up": 23, "stale": 24,
-    "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28,
+    "check_failed": 25, "geometry_drift": 26, "geometry_unverified": 27, "self_checking": 28, "not_live": 29,
     "geometry_suspect": 0, "geometry_unknown": 0, "compensated": 0, "exposures_lost": 0,
-    "playback": 0, "simulated": 0, "roll_missing": 0, "pitch_diverges": 0,
+    "playback": 0, "simulated": 0, "rehearsal": 0, "roll_missing": 0, "pitch_diverges": 0,
 }  # fmt: skip
 """Codes on the wires, and their numbers on Modbus, as released."""
 
@@ -21,7 +21,7 @@ BITS = {
     7: {"exposures_lost"}, 10: {"camera_silent"}, 11: {"camera_silent"}, 12: {"playback"},
     13: {"simulated"}, 14: {"implausible"}, 15: {
         "frame_repeated", "wrong_camera", "check_failed", "geometry_drift", "geometry_unverified",
-        "geometry_suspect", "geometry_unknown", "compensated",
+        "geometry_suspect", "geometry_unknown", "compensated", "not_live",
     },
 }  # fmt: skip
 
@@ -40,12 +40,12 @@ def test_a_reason_is_its_code_and_knows_whose_it_is() -> None:
     assert Reason("stale") is Reason.STALE
     assert f"{Reason.STALE}" == "stale"
     assert {reason for reason in Reason if reason.is_warning} == {
-        "exposures_lost", "playback", "simulated", "geometry_suspect", "geometry_unknown", "compensated",
-        "roll_missing", "pitch_diverges",
+        "exposures_lost", "playback", "simulated", "rehearsal", "roll_missing", "pitch_diverges",
+        "geometry_suspect", "geometry_unknown", "compensated",
     }  # fmt: skip
     assert {reason for reason in Reason if reason.scope is Scope.UNIT} == {
         "out_of_step", "out_of_range", "unsteady", "warming_up", "stale", "check_failed",
-        "geometry_drift", "geometry_unverified", "self_checking",
+        "geometry_drift", "geometry_unverified", "self_checking", "not_live",
     }  # fmt: skip
 
 
@@ -67,6 +67,7 @@ def test_every_reason_has_a_signal_and_none_is_good() -> None:
     assert {reason for reason in Reason if reason.signal is Signal.FAILURE} == NOT_WELL_BY_ITSELF
     assert {reason for reason in Reason if reason.signal is Signal.CHECK_FUNCTION} == {
         "exposure_changing", "warming_up", "playback", "simulated", "self_checking",
+        "not_live", "rehearsal",
     }  # fmt: skip
 
 

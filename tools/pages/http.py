@@ -90,8 +90,8 @@ first two seconds after the start, both are where fewer than four exposures are 
 how the beam moves.
 
 Use the numbers only when `valid` is true. What is not known is `null`, never zero and never old; `status`
-then says why, with the codes that `telegram.md` explains. With `playback` or `simulated` in `status` the
-numbers are not live.
+then says why, with the codes that `telegram.md` explains. Played and simulated frames give valid numbers only
+after `altd run --rehearsal`; `status` then has `rehearsal`, and `playback` or `simulated`.
 
 `roll_deg` is `null` unless an inclinometer is fitted ([inclinometer](inclinometer.md)). Then `sigma` holds
 `roll_deg` too, and `sensors` says how good it is and how old it was when the measurement was published:
@@ -183,8 +183,8 @@ on targets as `altd_target_x_mm` with the label `target`, and `altd_valid`, `alt
 `altd_availability_ratio`, `altd_self_check_verdict`, `altd_component_state`, what components count and
 measure of themselves, and `altd_build_info`. What is not known has no sample: no 0, no NaN and no old number.
 `altd_valid` and `altd_live` are always there, and 0 where nothing was measured yet. `altd_live` is 1 only
-while measurements come from the unit's cameras: playback and simulated data can be valid, but are not live.
-Alarm on both:
+while measurements come from the unit's cameras: in a rehearsal (`altd run --rehearsal`) played and simulated
+data can be valid, but are not live. Alarm on both:
 
     altd_valid == 0 or altd_live == 0 or absent(altd_valid)
 

@@ -150,10 +150,14 @@ Addresses without a name read 0.
 Bits {_listed(_of_valid())} may be set beside bit {VALID}, as warnings: a controller that refuses a
 measurement for bit {_listed(_of_both())} refuses some that are valid.
 
-The warnings {_codes(WITHOUT_BIT)} of the inclinometer have no bit. Where roll is missing, `roll` and
-`sigma_roll` are *not known*. That something is to be seen to is said by `state` at address {STATE.address} of
-the checked block: {Signal.MAINTENANCE_REQUIRED.number} after ten seconds, unless something worse is shown;
-what it is, by `/api/status`, the telegram and the console.
+The warnings {_codes(WITHOUT_BIT)} have no bit. `state` at address {STATE.address} of the checked block
+shows them: {Signal.CHECK_FUNCTION.number} at once for a rehearsal, {Signal.MAINTENANCE_REQUIRED.number} after
+ten seconds for the inclinometer, unless something worse is shown. `/api/status`, the telegram and the console
+name them. Where roll is missing, `roll` and `sigma_roll` are *not known*.
+
+Bits 12 and 13 are set beside bit {VALID} only while the daemon rehearses (`altd run --rehearsal`). Without
+that argument a measurement from played or simulated frames is invalid, with reason code
+{Reason.NOT_LIVE.modbus_code}.
 
 ## Reason codes
 

@@ -67,7 +67,8 @@ Numbers have a point, a fixed number of decimals and no plus sign. Directions ar
 
 1. Check the checksum of both sentences and that their sequences agree; else throw both away.
 2. Use the numbers only when the mode is exactly `A`. With `V` they are empty. `P` (a recording is played) and
-   `S` (simulated) carry numbers that are good for trying out a reader and never for steering a machine.
+   `S` (simulated) come only from a daemon that was started with `--rehearsal`. Their numbers are good for
+   trying out a reader and never for steering a machine.
 3. An empty field means *not known*. It is never zero and never the last good value.
 4. When the sequence stays the same, nothing new was measured; the unit itself says `V` with `{Reason.STALE}`
    after `stale_after_s`. When no telegram comes for three intervals, the unit or the line is dead.

@@ -9,7 +9,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoM
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4, generate_latest
 from prometheus_client.registry import Collector
 
-from altd.reasons import NOT_LIVE, Signal
+from altd.reasons import NOT_FROM_CAMERAS, Signal
 from altd.records import Measurement, Quantity
 from altd.status.board import Board
 from altd.status.cause import StateReport
@@ -76,7 +76,7 @@ class _Unit(Collector):
         valid.add_metric([], float(measurement is not None and measurement.valid))
         yield valid
         live = _gauge("altd_live", "1 while what is measured comes from this unit's cameras, else 0")
-        is_live = measurement is not None and NOT_LIVE.isdisjoint(
+        is_live = measurement is not None and NOT_FROM_CAMERAS.isdisjoint(
             fault.reason for fault in measurement.status
         )
         live.add_metric([], float(is_live))

@@ -214,6 +214,7 @@ class TestBadInput:
         assert (outcome.status, outcome.err) == (0, "")
         assert outcome.out.splitlines() == [
             f"{path}: good: unit TEST-1, 2 targets",
+            f"{path}: not live: its values are valid only with `altd run --rehearsal`",
             f"{path}: cameras.front.path, cameras.rear.path: {tmp_path}/nowhere is not there yet; "
             "altd record makes it",
         ]
@@ -243,7 +244,7 @@ def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path,
     more = f'[http]\nhost = "127.0.0.1"\nport = {port}\n'
     config = write_config(tmp_path / "altd.toml", folder / "cal.json", folder / "beams", more)
     process = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)],
+        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)],
         stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONWARNINGS": "error"},
     )
@@ -257,7 +258,7 @@ def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path,
             except OSError:
                 time.sleep(0.05)
         assert answer["valid"]
-        assert answer["status"] == ["playback"]
+        assert answer["status"] == ["playback", "rehearsal"]
         process.send_signal(signal.SIGTERM)
         assert process.wait(10) == 0
     finally:
@@ -265,7 +266,7 @@ def test_the_daemon_measures_within_3_s_and_ends_with_0_on_sigterm(folder: Path,
         _, err = process.communicate()
     lines = err.decode().splitlines()
     assert lines[0] == f"altd: unit TEST-1: http 127.0.0.1:{port}"
-    assert lines[1] == "altd: not measuring: warming_up, playback"
+    assert lines[1] == "altd: not measuring: warming_up, playback, rehearsal"
     assert all(line.startswith("altd: ") for line in lines)
 
 

@@ -143,10 +143,17 @@ def test_the_shipped_config_passes_its_own_check() -> None:
     shipped = ROOT / "config" / "altd.toml"
     outcome = altd_here("check-config", shipped)
     assert (outcome.status, outcome.err) == (0, "")
-    good, *missing = outcome.out.splitlines()
+    good, played, *missing = outcome.out.splitlines()
     assert good == f"{shipped}: good: unit ALT-0001, 2 targets"
+    assert played == f"{shipped}: not live: its values are valid only with `altd run --rehearsal`"
     assert [line.split(": ")[1] for line in missing] == [
         "unit.calibration",
         "cameras.front.path, cameras.rear.path",
     ]
     refusal(altd_here("run", "--config", shipped))
+
+
+def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    line = refusal(altd_here("run", "--rehearsal", "--config", tmp_path / "none.toml"))
+    assert line == "altd run: --rehearsal: a service does not rehearse; start `altd run` by hand"

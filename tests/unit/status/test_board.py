@@ -96,3 +96,29 @@ async def test_what_claims_to_be_of_the_future_ages_all_the_same(board: Board, c
     read = board.read()
     assert read is not None
     assert not read.valid
+
+
+@pytest.mark.parametrize("origin", [Reason.PLAYBACK, Reason.SIMULATED])
+def test_what_is_not_from_this_units_cameras_is_invalid_however_good(board: Board, origin: Reason) -> None:
+    played = measurement(3, 8_000_000_000, origin)
+    assert played.valid
+    published = board.publish(played)
+    assert board.read() is published
+    assert not published.valid
+    assert (published.values, published.motions) == ({}, {})
+    assert points_of(published) == {"front": None, "rear": None}
+    assert [str(fault) for fault in published.status] == ["not_live", str(origin)]
+    assert published.status[0].detail == str(origin)
+
+
+def test_in_a_rehearsal_it_keeps_its_numbers_and_every_measurement_says_so(clock: FakeClock) -> None:
+    board = Board(clock, 1.0, QUANTITIES, rehearsal=True)
+    for origin in ((Reason.SIMULATED,), ()):
+        published = board.publish(measurement(3, 0, *origin))
+        assert published.valid
+        assert [fault.reason for fault in published.status] == [*origin, Reason.REHEARSAL]
+    board.publish(measurement(4, 0, Reason.SPOT_MISSING))
+    lost = board.read()
+    assert lost is not None
+    assert not lost.valid
+    assert Reason.REHEARSAL in {fault.reason for fault in lost.status}

@@ -102,6 +102,8 @@ REACHED: dict[str, tuple[str, Callable[[Unit], StateReport]]] = {
     "exposures_lost": (MAINTENANCE, measured_with(Reason.EXPOSURES_LOST)),
     "playback": (CHECK, measured_with(Reason.PLAYBACK)),
     "simulated": (CHECK, measured_with(Reason.SIMULATED)),
+    "not_live": (CHECK, measured_with(Reason.SIMULATED)),
+    "rehearsal": (CHECK, measured_with(Reason.REHEARSAL)),
     "roll_missing": (MAINTENANCE, measured_with(Reason.ROLL_MISSING)),
     "pitch_diverges": (MAINTENANCE, measured_with(Reason.PITCH_DIVERGES)),
     "starting": (CHECK, just_started),

@@ -36,6 +36,7 @@ def test_every_cause_is_listed_the_worst_first() -> None:
     report = unit.measure(*status, for_s=MAINTENANCE_DELAY_S)
     assert [(shown.cause.kind, shown.cause.of) for shown in report.causes] == [
         ("camera_failed", "camera rear"),
+        ("not_live", None),
         ("playback", None),
         ("spot_missing", "front"),
         ("spot_missing", "rear"),

@@ -209,7 +209,8 @@ async def test_another_fault_is_written_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", [Condition.STARTING, Condition.CALIBRATION_DUE, Reason.SIMULATED, Reason.PLAYBACK]
+    "kind",
+    [Condition.STARTING, Condition.CALIBRATION_DUE, Reason.SIMULATED, Reason.PLAYBACK, Reason.NOT_LIVE],
 )
 async def test_what_is_no_fault_is_not_written(tmp_path: Path, kind: Kind) -> None:
     async with running(Unit(tmp_path)) as unit:

@@ -44,6 +44,7 @@ def after(*reasons: Reason) -> Measurement:
         (after(Reason.CAMERA_SILENT, Reason.SIMULATED), 60, True, DARK, STEADY),
         (after(Reason.WARMING_UP), 60, False, BLINKS, DARK),
         (after(Reason.WARMING_UP, Reason.PLAYBACK), 60, True, BLINKS, BLINKS),
+        (after(Reason.NOT_LIVE, Reason.PLAYBACK), 60, False, DARK, STEADY),
         (after(Reason.WARMING_UP, Reason.STALE), 60, False, DARK, STEADY),
         (None, 0, False, BLINKS, DARK),
         (None, 1.9, False, BLINKS, DARK),

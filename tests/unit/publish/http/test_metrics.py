@@ -78,9 +78,9 @@ def test_the_numbers_are_those_of_the_json(
     ("reasons", "valid", "live"),
     [
         ((), 1.0, 1.0),
-        ((Reason.PLAYBACK,), 1.0, 0.0),
-        ((Reason.SIMULATED,), 1.0, 0.0),
-        ((Reason.COMPENSATED, Reason.SIMULATED), 1.0, 0.0),
+        ((Reason.PLAYBACK,), 0.0, 0.0),
+        ((Reason.SIMULATED,), 0.0, 0.0),
+        ((Reason.COMPENSATED, Reason.SIMULATED), 0.0, 0.0),
         ((Reason.COMPENSATED,), 1.0, 1.0),
         ((Reason.UNSTEADY, Reason.PLAYBACK), 0.0, 0.0),
         ((Reason.UNSTEADY,), 0.0, 1.0),

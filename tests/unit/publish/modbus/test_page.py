@@ -29,5 +29,5 @@ def test_the_page_says_which_bits_a_valid_measurement_may_have_and_which_warning
     bit_15 = next(line for line in page().splitlines() if line.startswith("| 15 |"))
     assert "with bit 0 at 1 a warning: `geometry_suspect`, `geometry_unknown`, `compensated` |" in bit_15
     assert "Bits 7, 12, 13 and 15 may be set beside bit 0, as warnings" in text
-    assert "The warnings `roll_missing`, `pitch_diverges` of the inclinometer have no bit." in text
-    assert "`state` at address 201 of the checked block: 4 after ten seconds" in text
+    assert "The warnings `rehearsal`, `roll_missing`, `pitch_diverges` have no bit." in text
+    assert "2 at once for a rehearsal, 4 after ten seconds for the inclinometer" in text

@@ -161,6 +161,7 @@ def test_a_target_that_the_unit_does_not_have_is_not_known(measured: Measured) -
         (Fault(Reason.CAMERA_SILENT, "rear"), 11, [0, 0, 7]),
         (Fault(Reason.PLAYBACK), 12, [0, 0, 0]),
         (Fault(Reason.SIMULATED), 13, [0, 0, 0]),
+        (Fault(Reason.NOT_LIVE), 15, [29, 0, 0]),
         (Fault(Reason.IMPLAUSIBLE, "front"), 14, [0, 8, 0]),
     ],
 )
@@ -174,7 +175,11 @@ def test_every_fault_has_its_bit_and_code(
 
 def test_no_reason_is_without_a_bit_and_none_but_warnings_without_a_code() -> None:
     without = {reason for reason in Reason if reason.group is StatusGroup.NO_BIT}
-    assert without == {"roll_missing", "pitch_diverges"}  # warnings that came when the word was full
+    assert without == {
+        "rehearsal",
+        "roll_missing",
+        "pitch_diverges",
+    }  # warnings that came when the word was full
     assert {reason for row in STATUS_BITS for reason in row.reasons} == set(Reason) - without
     assert set(REASON_CODES) == {reason for reason in Reason if not reason.is_warning}
 

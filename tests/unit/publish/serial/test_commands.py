@@ -159,7 +159,7 @@ class TestForPrograms:
         self, board: Board, health: Health, clock: FakeClock
     ) -> None:
         for fault, weight in (
-            (Fault(Reason.SIMULATED), 4),
+            (Fault(Reason.SIMULATED), 4 + 128),
             (Fault(Reason.SPOT_MISSING, "front"), 2 + 128),
             (Fault(Reason.CAMERA_SILENT, "rear"), 8 + 128),
         ):

@@ -85,7 +85,7 @@ async def test_it_comes_over_the_wire_and_what_is_typed_meanwhile_waits(
     publisher = ConsolePublisher(settings, board, health, health.component("serial"), clock, past)
     async with serving(publisher):
         wire.send(b"history\rversion\r")
-        shown = await wire.receive(lambda shown: shown.endswith(b"unit ALT-0007\r\n> "), 10.0)
+        shown = await wire.receive(lambda shown: shown.endswith(b"unit ALT-0007\r\n> "))
     await past.history.end()
     assert shown.count(b"10.000") == 6
     assert shown.index(b"spot_missing") < shown.index(b"version\r\n")
