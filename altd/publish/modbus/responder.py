@@ -1,23 +1,15 @@
 """From a request to its response: the protocol data unit, the same on every wire.
 
-pymodbus reads the request, checks it and builds the response; ``docs/decisions/0002-modbus.md`` says why its
-servers and its other functions are not used.
-
-pymodbus 3.16 answers a stream access to a device identification object that is not there with no objects at
-all, where the specification starts again at object 0, and it stumbles over read code 0; so Read Device
-Identification (function 43/14, Modbus Application Protocol V1.1b3, 6.21) is answered here.
+Numbers of sections are those of the Modbus Application Protocol V1.1b3. ``docs/decisions/0002-modbus.md``
+says why pymodbus does not answer.
 """
 
 from __future__ import annotations
 
-import logging
 import struct
-from collections.abc import Callable, Sequence
-from typing import cast
+from collections.abc import Callable
 
 from pymodbus.constants import ExcCodes
-from pymodbus.datastore import ModbusServerContext
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
 from altd import __version__
 from altd.publish.modbus import checked_block
@@ -31,7 +23,7 @@ from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError, SelfCheckService
 
 WRITE_SINGLE_REGISTER = 6
-"""Modbus Application Protocol V1.1b3, 6.6: function, address, value; the response is the request again."""
+"""6.6: function, address, value; the response is the request again."""
 
 SELF_CHECK_ADDRESS = 1000
 """Beyond the registers that are read, so that no read block reaches it."""
@@ -102,13 +94,10 @@ def _response(read_code: int, numbers: list[int]) -> bytes:
 
 
 READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
-"""What is served beside the identification (Modbus Application Protocol V1.1b3, 6.3, 6.4); the rest is an
-illegal function."""
+"""6.3, 6.4; holding and input registers are the same."""
 
-_READ_REQUEST_BYTES = 5
-"""Function, address and number of registers; pymodbus would answer a longer one, too."""
-
-logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # it logs a line for every malformed request
+MAX_READ = 125
+"""Registers in one response (6.3)."""
 
 
 class Responder:
@@ -123,14 +112,13 @@ class Responder:
         self._board = board
         self._state = state
         self._component = component
-        self._decoder = DecodePDU(True)
         self._image = RegisterImage()
         self._block = CheckedBlock()
         self._stamps = Stamps(board)
 
-    async def answer(self, request: bytes) -> bytes:
+    def answer(self, request: bytes) -> bytes:
         """The response to a request, both from the function code on and not empty."""
-        response = await self._response(request)
+        response = self._response(request)
         self._component.count("requests")
         if isinstance(response, ExcCodes):
             self._component.count("exceptions")
@@ -138,25 +126,25 @@ class Responder:
         self._component.gave_data()
         return response
 
-    async def _response(self, request: bytes) -> bytes | ExcCodes:
+    def _response(self, request: bytes) -> bytes | ExcCodes:
         """The response, or the code of the exception."""
         function = request[0]
         if function == READ_DEVICE_IDENTIFICATION:
             return identification(request)
         if function not in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
             return ExcCodes.ILLEGAL_FUNCTION
-        decoded = self._decoder.decode(request) if len(request) == _READ_REQUEST_BYTES else None
-        if decoded is None:
+        if len(request) != _REQUEST.size:
             return ExcCodes.ILLEGAL_VALUE
-        response: ModbusPDU = await decoded.datastore_update(cast("ModbusServerContext", self), 0)
-        if isinstance(response, ExceptionResponse):
-            return ExcCodes(response.exception_code)
-        return bytes([response.function_code]) + response.encode()
+        _, address, count = _REQUEST.unpack(request)
+        if not 1 <= count <= MAX_READ:
+            return ExcCodes.ILLEGAL_VALUE
+        words = self._registers(address, count)
+        if isinstance(words, ExcCodes):
+            return words
+        return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
-    async def async_getValues(  # noqa: N802  the name by which pymodbus asks its context
-        self, device_id: int, function: int, address: int, count: int
-    ) -> Sequence[int] | ExcCodes:
-        """The registers of a read; holding and input registers are the same."""
+    def _registers(self, address: int, count: int) -> list[int] | ExcCodes:
+        """So many registers from an address on."""
         board = self._board
         measurement, age_s, published = board.read(), board.age_s(), board.published
         if address + count <= SIZE:

@@ -253,7 +253,7 @@ class ModbusRtuPublisher:
             received = await port.read() + await self._until_silence(port)
             request = bus.receive(received[-MAX_BUFFERED_BYTES:], clock())
             if request is not None and self._framed(request) != answered:  # a two-wire adapter hears itself
-                answered = self._framed(await self._responder.answer(request))
+                answered = self._framed(self._responder.answer(request))
                 if not port.write(answered):  # the controller does not listen; it asks again when it does
                     self._component.count("answers_dropped")
 

@@ -244,18 +244,18 @@ class ModbusTcpPublisher:
                     return
                 request = await reader.readexactly(length - 1)
                 async with self._response_turn:
-                    answer = await self._answer(unit, request)
+                    answer = self._answer(unit, request)
                     client.ask(clock())
                     writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                     await asyncio.sleep(0)
                 await writer.drain()
 
-    async def _answer(self, unit: int, request: bytes) -> bytes:
+    def _answer(self, unit: int, request: bytes) -> bytes:
         if unit == self._settings.unit_id or unit in _DIRECT:
             if self._service is not None and request[0] == WRITE_SINGLE_REGISTER:
                 self._component.count("commands")
                 return command_response(request, self._service)
-            return await self._responder.answer(request)
+            return self._responder.answer(request)
         self._component.count("other_units")
         return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])
 

@@ -109,6 +109,6 @@ def check(example: list[tuple[list[Said], int, float]]) -> None:
 
 
 async def _answered(responder: Responder, request: bytes) -> None:
-    answer = await responder.answer(request)
+    answer = responder.answer(request)
     assert 2 <= len(answer) <= 253
     assert answer[0] in (request[0], request[0] | 0x80)

@@ -200,9 +200,9 @@ async def test_the_state_is_the_signal_of_the_moment_of_each_reading(
         board, health.component("modbus"), lambda: StateReport(shown, 0, 0, (), nothing_observed)
     )
     board.publish(measured())
-    first = words(await responder.answer(BLOCK))
+    first = words(responder.answer(BLOCK))
     shown = signal
-    second = words(await responder.answer(BLOCK))
+    second = words(responder.answer(BLOCK))
     numbers = {
         "good": 0,
         "failure": 1,
