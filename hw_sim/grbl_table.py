@@ -10,10 +10,8 @@ import os
 import select
 import threading
 import time
-import tty
 from bisect import bisect_right
 from collections import deque
-from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -21,6 +19,7 @@ import numpy as np
 from hw_sim.beam import BeamPose
 from hw_sim.grbl import Controller
 from hw_sim.grbl_machine import Machine
+from hw_sim.plugged_port import PluggedPort
 from hw_sim.stage import Stage
 from hw_sim.unit import Unit
 
@@ -64,9 +63,8 @@ class GrblTable:
         self._lock = threading.RLock()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="grbl-table", daemon=True)
-        self._terminal, self._line = os.openpty()
-        tty.setraw(self._line)
-        self.device = Path(os.ttyname(self._line))
+        self._port = PluggedPort()
+        self.device = self._port.device
         self._times_ns: deque[int] = deque(maxlen=MAX_POSES)
         self._poses: deque[BeamPose] = deque(maxlen=MAX_POSES)
         self._target_mm = self.machine.planner.target_mm
@@ -93,10 +91,7 @@ class GrblTable:
     def unplug(self) -> None:
         """Pull the cable: the port is gone."""
         with self._lock:
-            if self._terminal >= 0:
-                os.close(self._terminal)
-                os.close(self._line)
-                self._terminal = self._line = -1
+            self._port.unplug()
 
     def stop_answering(self) -> None:
         """Let the controller's firmware stop answering; a move that is under way is finished."""
@@ -136,7 +131,7 @@ class GrblTable:
     def _serve(self) -> None:
         while not self._ending.is_set():
             with self._lock:
-                if self._terminal < 0:
+                if self._port.terminal < 0:
                     return
                 self._exchange()
             self._ending.wait(TICK_S)
@@ -144,8 +139,8 @@ class GrblTable:
     def _exchange(self) -> None:
         now_ns = time.monotonic_ns()
         data = b""
-        if select.select([self._terminal], [], [], 0)[0]:
-            data = self._with_line_noise(os.read(self._terminal, 4096))
+        if select.select([self._port.terminal], [], [], 0)[0]:
+            data = self._with_line_noise(os.read(self._port.terminal, 4096))
         if self._power:
             if self._answers:
                 homing = self.machine.state == "Home"
@@ -159,8 +154,8 @@ class GrblTable:
     def _send(self, text: str) -> None:
         if "ALARM:1" in text or "ALARM:3" in text:
             self.displace(LOST_STEPS_MM, -LOST_STEPS_MM)
-        if text and self._terminal >= 0:
-            os.write(self._terminal, self._with_line_noise(text.encode("ascii")))
+        if text and self._port.terminal >= 0:
+            os.write(self._port.terminal, self._with_line_noise(text.encode("ascii")))
 
     def _with_line_noise(self, data: bytes) -> bytes:
         if self.noise == 0 or not data:

@@ -11,10 +11,10 @@ import select
 import struct
 import threading
 import time
-import tty
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Self
+
+from hw_sim.plugged_port import PluggedPort
 
 HOLDING, INPUT = 3, 4
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
@@ -59,9 +59,8 @@ class Inclinometer:
         self._measured: Registers = measure(self)
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="inclinometer", daemon=True)
-        self._terminal, self._line = os.openpty()
-        tty.setraw(self._line)
-        self.device = Path(os.ttyname(self._line))
+        self._port = PluggedPort()
+        self.device = self._port.device
 
     @classmethod
     def balluff(cls) -> Self:
@@ -88,17 +87,14 @@ class Inclinometer:
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
-        terminal, line, self._terminal, self._line = self._terminal, self._line, -1, -1
-        for descriptor in (terminal, line):
-            if descriptor >= 0:
-                os.close(descriptor)
+        self._port.unplug()
 
     def angle_deg(self, angle_deg: float) -> float:
         """An angle with the noise of a reading."""
         return angle_deg + self.random.gauss(0.0, self.noise_deg)
 
     def _serve(self) -> None:
-        heard, terminal = b"", self._terminal
+        heard, terminal = b"", self._port.terminal
         while not self._ending.is_set():
             try:
                 if not select.select([terminal], [], [], _WAIT_S)[0]:
