@@ -95,7 +95,7 @@ class Pipeline:
             self._heard_ns = self._clock.monotonic_ns()
             self._publish(self.chain.silence(self._heard_ns))
         not_told = dict.fromkeys(self.component.figures)
-        self.component.observe(not_told | self.chain.step() | self.chain.views())
+        self.component.observe(not_told | self.chain.step() | self.chain.spots() | self.chain.views())
         self.component.counters["late_frames"] = self.chain.late_frames
         for camera, dropped in self.located.frames.dropped.items():
             self.component.counters[f"dropped_{camera}"] = dropped

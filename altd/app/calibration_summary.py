@@ -25,7 +25,9 @@ def target_areas_of(config: Config, calibration: Calibration) -> tuple[TargetAre
     """The targets of the config, in beam order."""
     known = [(target, calibration.target(target.name)) for target in config.targets]
     return tuple(
-        TargetArea(target.name, target.z_mm, tuple((x, y) for x, y in fitted.valid_mm.tolist()))
+        TargetArea(
+            target.name, target.z_mm, tuple((x, y) for x, y in fitted.valid_mm.tolist()), target.camera
+        )
         for target, fitted in known
         if fitted is not None
     )

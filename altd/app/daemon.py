@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 
 import cv2
@@ -270,12 +271,7 @@ class Daemon:
             from altd.publish.modbus.tcp import ModbusTcpPublisher
 
             place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
-            yield (
-                place,
-                ModbusTcpPublisher(
-                    config.modbus_tcp, board, health.component(place), health.self_check, self.state.read
-                ),
-            )
+            yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place), health)
         if config.http is not None:
             from altd.publish.http.publisher import HttpPublisher
 
@@ -297,7 +293,7 @@ class Daemon:
         if isinstance(port, ModbusRtuPortSettings):
             from altd.publish.modbus.rtu import ModbusRtuPublisher
 
-            return ModbusRtuPublisher(port, self.board, component, self.state.read)
+            return ModbusRtuPublisher(port, self.board, component, self.health)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
 
         if isinstance(port, TelegramPortSettings):
@@ -315,6 +311,7 @@ def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
         daemon.health.component(component).set_state(State.STARTING)
     if (folder := state_folder()) is not None:
         daemon.keep_state_in(folder)
+    daemon.health.facts["config_sha256"] = sha256(place.read_bytes()).hexdigest()
     daemon.past.keep_as(config, calibration)
     return daemon
 

@@ -24,6 +24,7 @@ from altd.cli import (
     map,  # noqa: A004  the command's name
     password,
     record,
+    registers,
     replay,
     run,
     scan,
@@ -66,6 +67,7 @@ COMMANDS: dict[str, Command] = {
     "export": export,
     "events": events,
     "check-config": check_config,
+    "registers": registers,
     "devices": devices,
     "doctor": doctor,
 }

@@ -65,6 +65,10 @@ def _network(text: str) -> str:
 Network = Annotated[str, AfterValidator(_network)]
 
 
+WordOrder = Literal["ABCD", "CDAB", "BADC", "DCBA"]
+"""The order of the four bytes of a 32-bit value in its two registers, A the highest."""
+
+
 class ModbusTcpSettings(Table):
     """Modbus TCP server."""
 
@@ -74,6 +78,8 @@ class ModbusTcpSettings(Table):
     """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
     unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
+    word_order: WordOrder = "ABCD"
+    """Bytes of a 32-bit value in its two registers, A the highest; 16-bit values and text do not change."""
     allow_self_check: bool = False
     """Let a controller ask for a self-check by a write (`modbus.md`); anybody on the network then can."""
     reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
@@ -175,6 +181,8 @@ class ModbusRtuPortSettings(SerialPortSettings):
     speaks: Literal["modbus_rtu"]
     unit_id: UnitId = 1
     """Modbus unit identifier; requests to another one are not answered."""
+    word_order: WordOrder = "ABCD"
+    """As in `[modbus_tcp]`."""
 
 
 AnySerialPortSettings = Annotated[

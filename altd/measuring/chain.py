@@ -167,6 +167,16 @@ class MeasuringChain:
         skew_ns = None if self._silent() else self._last_skew_ns
         return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
 
+    def spots(self) -> dict[str, float | None]:
+        """Diameter (1/e², px) and peak (counts) of each target's newest spot; None: no spot."""
+        figures: dict[str, float | None] = {}
+        for target in self._targets:
+            spot = self._last_spots.get(target)
+            known = spot if isinstance(spot, Spot) else None
+            figures[f"diameter_{target}_px"] = None if known is None else round(known.diameter_px, 1)
+            figures[f"peak_{target}"] = None if known is None else round(known.peak, 1)
+        return figures
+
     def views(self) -> dict[str, float | str]:
         """Whether the cameras are those that were calibrated, for health."""
         return {

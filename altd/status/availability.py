@@ -6,6 +6,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from typing import Any
 
 from altd.records import utc_text
 
@@ -25,6 +26,9 @@ _MINUTE_NS = 60 * 10**9
 _HOUR_NS = 60 * _MINUTE_NS
 _SPANS = {"last_hour": (_MINUTE_NS, 60), "last_day": (_MINUTE_NS, 1440), "last_31_days": (_HOUR_NS, 744)}
 """What is counted of each span, and how many of them it has."""
+
+SPANS = (*_SPANS, "since_start")
+"""The keys of ``Availability.as_object``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,15 +152,20 @@ class Availability:
         if now_ns > begun_ns:
             self._since_start.add(now_ns - begun_ns, why)
 
-    def as_object(self) -> dict[str, object]:
+    def as_object(self) -> dict[str, dict[str, Any]]:
         """Share, valid, observed and lost seconds of each span and since when, as plain JSON types."""
         running_ns = self._last_ns - self.started_ns
-        spans: dict[str, object] = {}
+        spans: dict[str, dict[str, Any]] = {}
         for name, (length_ns, count) in _SPANS.items():
             whole = self._rings[length_ns].newest(count, running_ns)
             self._add_before(whole, count * length_ns - running_ns)
             spans[name] = self._as_object(whole)
         return spans | {"since_start": self._as_object(self._since_start)}
+
+    def shares(self) -> dict[str, float | None]:
+        """The share of time valid by span; None: nothing was observed."""
+        spans = self.as_object()
+        return {name: spans[name]["share"] for name in SPANS}
 
     def _add_before(self, whole: _Tally, missing_ns: int) -> None:
         """Add what is known of so long before this start."""
@@ -177,7 +186,7 @@ class Availability:
         if missing_s > running_s:
             whole.add(round((missing_s - running_s) * 1e9), NOT_RUNNING)
 
-    def _as_object(self, tally: _Tally) -> dict[str, object]:
+    def _as_object(self, tally: _Tally) -> dict[str, Any]:
         now = None if self._utc is None else self._utc(self._last_ns)
         since = None if now is None else now - timedelta(microseconds=tally.observed_ns / 1000)
         return tally.as_object() | {"since": None if since is None else utc_text(since)}

@@ -113,7 +113,7 @@ class EventLog:
     """
 
     def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+        self.clock = clock
         self._asked: deque[Event] = deque(maxlen=MAX_ASKED_EVENTS)
         self._others: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._count = 0
@@ -135,7 +135,7 @@ class EventLog:
 
         Control letters in its words are written as escapes.
         """
-        now_ns = self._clock.monotonic_ns()
+        now_ns = self.clock.monotonic_ns()
         self.release(now_ns)
         event = self._event(kind, text, detail or {})
         self._limit(
@@ -151,8 +151,8 @@ class EventLog:
         self._keep(replace(self._event(kind, text, detail), is_recorded=True), _Window(0))
 
     def _event(self, kind: EventKind, text: str, detail: Mapping[str, object]) -> Event:
-        now_ns = self._clock.monotonic_ns()
-        time = self._clock.utc(now_ns) or _NO_TIME
+        now_ns = self.clock.monotonic_ns()
+        time = self.clock.utc(now_ns) or _NO_TIME
         return Event(0, now_ns, time, kind, kind.severity, one_line(text[:MAX_TEXT_CHARACTERS]), None, detail)
 
     def _limit(self, event: Event) -> None:

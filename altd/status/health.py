@@ -113,7 +113,7 @@ class Health:
     """The components of one daemon, in the order in which they came up."""
 
     def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+        self.clock = clock
         self._components: dict[str, Component] = {}
         self.facts: dict[str, str] = {}
         """What does not change while the daemon runs: serial, version, calibration."""
@@ -132,7 +132,7 @@ class Health:
     def component(self, name: str) -> Component:
         """The component of that name, new when it is not known yet."""
         if name not in self._components:
-            self._components[name] = Component(name, self._clock, since_ns=self._clock.monotonic_ns())
+            self._components[name] = Component(name, self.clock, since_ns=self.clock.monotonic_ns())
         return self._components[name]
 
     def __iter__(self) -> Iterator[Component]:
@@ -140,7 +140,7 @@ class Health:
 
     def as_object(self) -> Mapping[str, object]:
         """All of it as plain JSON types."""
-        now_ns = self._clock.monotonic_ns()
+        now_ns = self.clock.monotonic_ns()
         report = self.state()
         found = (
             {}

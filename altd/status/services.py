@@ -251,6 +251,8 @@ class SelfCheckService:
     def __init__(self, events: EventLog) -> None:
         self.unavailable = "this unit has no frame LEDs that the daemon switches"
         self.latest: SelfCheckReport | None = None
+        self.ended_ns: int | None = None
+        """When it was published."""
         self.waiting = 0
         """Who waits for a report."""
         self._begun = 0
@@ -269,7 +271,7 @@ class SelfCheckService:
 
     def publish(self, report: SelfCheckReport) -> None:
         """A check has ended."""
-        self.latest = report
+        self.latest, self.ended_ns = report, self._events.clock.monotonic_ns()
         self._changed.set()
         self._changed = asyncio.Event()
 

@@ -10,11 +10,15 @@ AREA_MM = (140.0, 110.0)
 
 @dataclass(frozen=True, slots=True)
 class TargetArea:
-    """One target: ``valid_mm`` are the corners of the area in which spots are valid, in the unit frame."""
+    """One target: ``valid_mm`` are the corners of the area in which spots are valid, in the unit frame.
+
+    ``camera`` is the name of the camera that looks at it.
+    """
 
     name: str
     z_mm: float
     valid_mm: tuple[tuple[float, float], ...]
+    camera: str = ""
 
 
 def as_object(areas: tuple[TargetArea, ...]) -> dict[str, object]:

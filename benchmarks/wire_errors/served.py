@@ -43,7 +43,9 @@ class _Unit:
         health = Health(self.clock)
         component = health.component(serial)
         self.http = HttpPublisher(HttpSettings(host="127.0.0.1", port=0), self.board, health, component)
-        self.tcp = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=0), self.board, component)
+        self.tcp = ModbusTcpPublisher(
+            ModbusTcpSettings(host="127.0.0.1", port=0), self.board, component, health
+        )
         self.serial: list[Publisher] = [
             TelegramPublisher(
                 TelegramPortSettings(
@@ -60,6 +62,7 @@ class _Unit:
                 ModbusRtuPortSettings(device=Path(device), speaks="modbus_rtu", baud=_BAUD),
                 self.board,
                 component,
+                health,
             )
             for device in ports["rtu"]
         ]

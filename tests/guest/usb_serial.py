@@ -167,7 +167,9 @@ class Unit:
             return ConsolePublisher(
                 ConsolePortSettings(**line), self.board, self.health, component, self.clock
             )
-        return ModbusRtuPublisher(ModbusRtuPortSettings(**line, unit_id=UNIT), self.board, component)
+        return ModbusRtuPublisher(
+            ModbusRtuPortSettings(**line, unit_id=UNIT), self.board, component, self.health
+        )
 
     def states(self) -> list[State]:
         return [component.state for component in self.health]

@@ -45,6 +45,9 @@ class Chain:
     def step(self) -> dict[str, float]:
         return {"skew_ms": 0.25}
 
+    def spots(self) -> dict[str, float | None]:
+        return {}
+
     def views(self) -> dict[str, float | str]:
         return self.shift
 

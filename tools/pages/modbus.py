@@ -22,11 +22,35 @@ from altd.publish.modbus.registers import (
     Type,
     image,
 )
-from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, SELF_CHECK_NOW
+from altd.publish.modbus.responder import (
+    CALIBRATION_CHECKSUM,
+    CALIBRATION_DATE,
+    SELF_CHECK_ADDRESS,
+    SELF_CHECK_NOW,
+    SERIAL,
+)
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
+from altd.publish.modbus.serial_functions import RUNNING, SERVER_ID
 from altd.publish.modbus.tcp import FIRST_REQUEST_S, KEPT_SHARE, MAX_CLIENTS, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
-from altd.publish.modbus.values import REASON_CODES, STATUS_BITS, VALID, WITHOUT_BIT, Snapshot, StatusBit
+from altd.publish.modbus.unit_blocks import (
+    CONDITION_BLOCK,
+    CONDITION_FIRST,
+    CONDITION_SIZE,
+    UNIT_BLOCK,
+    UNIT_FIRST,
+    UNIT_SIZE,
+)
+from altd.publish.modbus.values import (
+    DISCRETE_INPUTS,
+    REASON_CODES,
+    STATUS_BITS,
+    VALID,
+    WITHOUT_BIT,
+    Snapshot,
+    StatusBit,
+)
 from altd.reasons import Reason, Signal
+from altd.status.health import FIGURE_AGE_S
 from tools.pages.example import MEASURED
 
 EXAMPLE = Snapshot(
@@ -35,6 +59,30 @@ EXAMPLE = Snapshot(
     published=141,
 )
 """The measurement that the page shows."""
+
+COUNTED = (
+    (11, "whole frames on the line, of any unit"),
+    (12, "pieces that were no whole frame"),
+    (13, "requests to this unit that it answered with an exception"),
+    (14, "requests to this unit"),
+    (15, "answers for which the line had no room"),
+)
+
+
+def _span(first: int, size: int) -> str:
+    return f"{first} to {first + size - 1}"
+
+
+BLOCKS = (
+    (_span(0, SIZE), "[the measurement](#read-a-measurement)", "with each poll"),
+    (
+        _span(checked_block.FIRST, checked_block.SIZE),
+        "[the checked block](proof.md): the measurement with all that proves it",
+        "with each poll, instead",
+    ),
+    (_span(UNIT_FIRST, UNIT_SIZE), "[which unit this is](#the-unit)", "when the controller connects"),
+    (_span(CONDITION_FIRST, CONDITION_SIZE), "[its condition](#the-condition)", "every few seconds"),
+)
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
 """The register of the unit's signal."""
@@ -87,9 +135,13 @@ left in the same way. If reserved addresses fill all {MAX_CLIENTS} places, other
 one more of their own closes another.
 
 Everything is read only, but for [a self-check](#a-self-check). Function 4 (input registers) and function 3
-(holding registers) read the same registers; function 43/14 reads vendor, product and version, as a stream
-(read codes 1 to 3; an unknown object starts again at object 0) or one object (code 4; an unknown one is
-exception 2).
+(holding registers) read the same registers. Function 2 reads [discrete inputs](#discrete-inputs-function-2).
+Function 43/14 reads the [identification](#identification-function-4314).
+
+{_table(("registers", "hold", "read them"), BLOCKS)}
+
+A request stays within one row of this table. `altd registers --format json|csv|st` prints all of it for
+programs; `st` is a list of constants in Structured Text.
 
 Addresses on this page count from 0, as on the wire. Where a tool counts from 1, add 1: address {FLOATS} is
 3{FLOATS + 1:04} as an input register and 4{FLOATS + 1:04} as a holding register.
@@ -102,6 +154,10 @@ A controller that must know whether what it reads is whole, new and from this un
 Big-endian throughout, ABCD: the high byte of a register first, the high word of a 32-bit value first. These
 registers never change. Read them first, and swap bytes or words in the controller until they are right.
 
+A controller that cannot swap is served in its own order: `word_order = "CDAB"`, `"BADC"` or `"DCBA"` in
+`[modbus_tcp]` or in the port's table. It changes every 32-bit value, these two among them; 16-bit values and
+text stay as they are. The CRC of the checked block is over the bytes as they are sent.
+
 {register_table(TEST_BLOCK)}
 
     $ mbpoll -1 -0 -B -t 3:float -r {TESTS} -c 1 -p {tcp.port} -a {tcp.unit_id} ADDRESS
@@ -113,7 +169,9 @@ registers never change. Read them first, and swap bytes or words in the controll
 together in one request: {SIZE} registers from address 0 are everything, the first {float_end} are header and
 floating point. Two requests fit together only if `sequence` is the same in both.
 
-- Use a number only if bit 0 of `status` is 1 and `age` is below your limit, say 1000 ms.
+- Use a number only if bit 0 of `status` is 1 and `age` is below your limit. A value is the mean of one
+  second, so its middle is about half a second old: an age of 500 to 600 ms is normal, and 1000 ms a good
+  limit.
 - When `heartbeat` does not change for a second, or no answer comes, the unit has stopped: use no number.
 - In the tunnel, refuse a measurement with bit 12 or 13: it does not come from this unit's cameras.
 - A new measurement comes with every exposure, 20 a second. To poll faster than that gains nothing.
@@ -136,7 +194,8 @@ Each value is there twice: as floating point (f32, IEEE 754 single precision) in
 
 ## What "not known" looks like
 
-{_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type))}
+{_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type if not kind.is_text))}
+| text16, text32 | no characters |
 
 A value that is not known is never 0 and never an old one. With bit 0 at 0 none of the values is
 known but `roll`, which an inclinometer measures by itself, whether or not the beam is seen. A number too
@@ -180,6 +239,46 @@ at address {SCALED} it is {_hex(words[SCALED : SCALED + 2])}, the integer 100120
 100120/{PER_UNIT} mm = 10.012 mm.
 `roll` is `nan`: this unit has no inclinometer.
 
+## The unit
+
+{register_table(UNIT_BLOCK)}
+
+Text is ASCII, two characters a register, the first in the high byte; zeros follow it.
+
+## The condition
+
+{register_table(CONDITION_BLOCK)}
+
+What was not observed for {FIGURE_AGE_S:g} s is *not known*. The shares of time are counted again every ten
+seconds.
+
+## Discrete inputs, function 2
+
+{_inputs()}
+
+Exactly one of 1 to 4 is set unless the state is good.
+
+## Identification, function 43/14
+
+Objects as a stream (read codes 1 to 3; an unknown object starts again at object 0) or one by one (code 4; an
+unknown one is exception 2):
+
+| object | holds |
+| --- | --- |
+| 0, 1, 2, 4 | vendor, product code, version, product name |
+| 0x{SERIAL:02X} | the unit's serial number |
+| 0x{CALIBRATION_DATE:02X}, 0x{CALIBRATION_CHECKSUM:02X} | date and checksum of the calibration file |
+
+## Diagnostics on a serial line, functions 8 and 17
+
+The specification has them for serial lines alone; over TCP they are exception 1. Function 8 has the
+sub-functions 0 (the request comes back), 10 (counters to zero) and
+
+{_table(("sub-function", "counts"), COUNTED)}
+
+Function 17 gives 0x{SERVER_ID:02X}, 0x{RUNNING:02X} (running), and as text product, version and serial
+number.
+
 ## A self-check
 
 With `allow_self_check = true` in `[modbus_tcp]`, function 6 (write single register) with the value
@@ -193,8 +292,8 @@ is asked.
 
 | code | when |
 | --- | --- |
-| 1 illegal function | a write that is not allowed, or any function but 3, 4 and 43/14 |
-| 2 illegal data address | a read that leaves 0 to {SIZE - 1}, or the checked block ([proof](proof.md)) |
+| 1 illegal function | a write that is not allowed, or a function that is not on this page |
+| 2 illegal data address | a read that leaves its table, or an input that is not there |
 | 3 illegal data value | no register, more than 125, or a malformed request |
 | 11 gateway target device failed to respond | Modbus TCP: the unit id is another one |
 """
@@ -265,6 +364,11 @@ def _values() -> str:
             for row, scaled in zip(FLOAT_BLOCK, SCALED_BLOCK, strict=True)
         ),
     )
+
+
+def _inputs() -> str:
+    rows = ((place, f"`{row.name}`", row.meaning) for place, row in enumerate(DISCRETE_INPUTS))
+    return _table(("address", "name", "1 when"), rows)
 
 
 def _hex(words: Iterable[int]) -> str:

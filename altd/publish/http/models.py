@@ -95,6 +95,8 @@ class Status(Answer):
     unit_number: str = ""
     """CRC-32 of the serial number: the `unit` of every message."""
     calibration: str = ""
+    config_sha256: str = ""
+    """Of the config file as the daemon read it."""
     spot_fit: str = ""
     """`compiled`, or `numpy` and why: numpy finds the same and takes more CPU."""
     state: UnitState | None = None

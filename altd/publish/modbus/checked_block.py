@@ -12,7 +12,7 @@ from collections.abc import Callable
 from operator import attrgetter
 
 from altd.publish.modbus import values
-from altd.publish.modbus.registers import Register, RegisterImage, Type
+from altd.publish.modbus.registers import Register, RegisterImage, Table, Type, WordOrder
 from altd.publish.modbus.values import Reading, Snapshot
 from altd.status.proof import Stamp, crc32
 
@@ -42,7 +42,7 @@ HEAD = (
         Type.U16,
         "",
         "NAMUR NE 107: 0 good, 1 failure, 2 check function, 3 out of specification, 4 maintenance required",
-        attrgetter("state"),
+        values.state,
         is_ageing=True,
     ),
     Register(
@@ -151,15 +151,23 @@ ROWS = (
 )
 
 
-class CheckedBlock:
-    """The block as it is read: what ages, and the CRC, are made again for each reading."""
+BLOCK = Table(ROWS, FIRST, SIZE)
 
-    def __init__(self) -> None:
-        self._image = RegisterImage(ROWS, FIRST, SIZE)
+
+class CheckedBlock:
+    """The block as it is read: what ages, and the CRC, are made again for each reading.
+
+    The CRC is over the bytes as they are sent, in whatever word order.
+    """
+
+    def __init__(self, order: WordOrder = WordOrder.ABCD) -> None:
+        self._order = order
+        self._image = RegisterImage(BLOCK, order)
 
     def at(self, snapshot: Snapshot) -> list[int]:
         """All registers of a snapshot that has a stamp; true until the next call."""
         words = self._image.at(snapshot)
         checked = struct.pack(f">{SIZE - 2}H", *words[:-2])
-        words[-2:] = struct.unpack(">2H", crc32(checked).to_bytes(4, "big"))
+        high, low = divmod(crc32(checked), 1 << 16)
+        words[-2:] = self._order.arranged((high, low))
         return words

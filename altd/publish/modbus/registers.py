@@ -1,8 +1,8 @@
 """The register table: the one definition of what a controller reads, and how a measurement becomes registers.
 
 Addresses are those of the protocol data unit, counted from 0 (Modbus Application Protocol V1.1b3, 4.4).
-A 32-bit value takes two registers, high word first; a register is sent high byte first (ibid. 4.2):
-byte order ABCD. ``docs/modbus.md`` is generated from this file.
+A register is sent high byte first (ibid. 4.2). A 32-bit value takes two registers, high word first unless the
+settings ask for another ``WordOrder``. ``docs/modbus.md`` is generated from this file.
 """
 
 from __future__ import annotations
@@ -29,6 +29,27 @@ FLOATS, SCALED, TESTS = 20, 60, 100
 PER_UNIT = 10_000
 """Counts per mm, degree or mm/m in the scaled block."""
 
+
+class WordOrder(StrEnum):
+    """The order of the bytes of a 32-bit value, A the highest."""
+
+    ABCD = "ABCD"
+    CDAB = "CDAB"
+    BADC = "BADC"
+    DCBA = "DCBA"
+
+    def arranged(self, words: tuple[int, int]) -> tuple[int, int]:
+        """The registers of a value, of which ``words`` are the high one and the low one."""
+        high, low = words
+        if self in (WordOrder.BADC, WordOrder.DCBA):
+            high, low = _swapped(high), _swapped(low)
+        return (low, high) if self in (WordOrder.CDAB, WordOrder.DCBA) else (high, low)
+
+
+def _swapped(word: int) -> int:
+    return (word & 0xFF) << 8 | word >> 8
+
+
 _FLOAT_MAX = sys.float_info.max
 _FLOAT32_MAX = float.fromhex("0x1.fffffep127")
 
@@ -40,24 +61,43 @@ class Type(StrEnum):
     U32 = "u32"
     S32 = "s32"
     F32 = "f32"
+    TEXT16 = "text16"
+    TEXT32 = "text32"
 
     @property
     def words(self) -> int:
         """Registers that a value takes."""
-        return 1 if self is Type.U16 else 2
+        return _WORDS[self]
+
+    @property
+    def is_32_bit(self) -> bool:
+        """Whether a value is a number of two registers, whose order the settings choose."""
+        return self.words > 1 and not self.is_text
+
+    @property
+    def is_text(self) -> bool:
+        """Whether a value is text of so many characters."""
+        return self in (Type.TEXT16, Type.TEXT32)
 
     @property
     def unknown(self) -> tuple[int, ...]:
-        """The registers that say "not known", which no value gives: all ones, most negative, NaN."""
+        """The registers that say "not known", which no value gives: all ones, most negative, NaN, no text."""
         return {
             Type.U16: (0xFFFF,),
             Type.U32: (0xFFFF, 0xFFFF),
             Type.S32: (0x8000, 0x0000),
             Type.F32: (0x7FC0, 0x0000),
-        }[self]
+        }.get(self, (0,) * self.words)
 
-    def pack(self, value: float | None) -> tuple[int, ...]:
-        """The registers of a value: integers are rounded, what is out of range is held at the range's end."""
+    def pack(self, value: float | str | None) -> tuple[int, ...]:
+        """The registers of a value: integers are rounded, what is out of range is held at the range's end.
+
+        Text is ASCII, two characters a register, the first in the high byte; zeros follow it, and a character
+        that is not ASCII is sent as a question mark.
+        """
+        if isinstance(value, str):
+            text = value.encode("ascii", "replace")[: 2 * self.words]
+            return struct.unpack(f">{self.words}H", text.ljust(2 * self.words, b"\0"))
         if value is None or not math.isfinite(value):
             return self.unknown
         layout, low, high = {
@@ -69,6 +109,9 @@ class Type(StrEnum):
         held = min(max(value, low), high)
         packed = struct.pack(layout, held if self is Type.F32 else round(held))
         return struct.unpack(f">{self.words}H", packed)
+
+
+_WORDS = {Type.U16: 1, Type.U32: 2, Type.S32: 2, Type.F32: 2, Type.TEXT16: 8, Type.TEXT32: 16}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +131,7 @@ class Register:
 def _scaled(value: Reading) -> Reading:
     def counts(snapshot: Snapshot) -> float | None:
         plain = value(snapshot)
-        if plain is None or not math.isfinite(plain):
+        if not isinstance(plain, (int, float)) or not math.isfinite(plain):
             return None
         return max(-_FLOAT_MAX, min(PER_UNIT * plain, _FLOAT_MAX))  # a product that overflows is held, too
 
@@ -160,20 +203,36 @@ TEST_BLOCK = (
 REGISTERS = HEADER + FLOAT_BLOCK + SCALED_BLOCK + TEST_BLOCK
 
 
-def image(
-    snapshot: Snapshot, rows: Sequence[Register] = REGISTERS, first: int = 0, size: int = SIZE
-) -> list[int]:
-    """All registers of a table, ``size`` words from address ``first`` on; gaps are 0."""
-    words = [0] * size
-    _fill(words, rows, snapshot, first)
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A block of registers: ``size`` of them from address ``first`` on, of which ``rows`` have a meaning."""
+
+    rows: Sequence[Register] = REGISTERS
+    first: int = 0
+    size: int = SIZE
+
+    def place(self, address: int, count: int) -> slice | None:
+        """Where so many registers lie in the block; None: not all of them do."""
+        begin = address - self.first
+        return slice(begin, begin + count) if begin >= 0 and begin + count <= self.size else None
+
+
+MEASUREMENT = Table()
+
+
+def image(snapshot: Snapshot, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> list[int]:
+    """All registers of a table; gaps are 0."""
+    words = [0] * table.size
+    _fill(words, table.rows, snapshot, table.first, order)
     return words
 
 
 class RegisterImage:
     """The image as it is read: made once a measurement; only what ages is made again for each reading."""
 
-    def __init__(self, rows: Sequence[Register] = REGISTERS, first: int = 0, size: int = SIZE) -> None:
-        self._rows, self._first, self._size = rows, first, size
+    def __init__(self, table: Table = MEASUREMENT, order: WordOrder = WordOrder.ABCD) -> None:
+        self.table, self._order = table, order
+        rows = table.rows
         self._ageing = tuple(row for row in rows if row.is_ageing)
         self._of: Snapshot | None = None
         self._words: list[int] = []
@@ -183,13 +242,18 @@ class RegisterImage:
         made_of, self._of = self._of, snapshot
         is_same = made_of is not None and made_of.measurement is snapshot.measurement
         if made_of is None or not is_same or made_of.published != snapshot.published:
-            self._words = image(snapshot, self._rows, self._first, self._size)
+            self._words = image(snapshot, self.table, self._order)
         else:
-            _fill(self._words, self._ageing, snapshot, self._first)
+            _fill(self._words, self._ageing, snapshot, self.table.first, self._order)
         return self._words
 
 
-def _fill(words: list[int], rows: Sequence[Register], snapshot: Snapshot, first: int) -> None:
+def _fill(
+    words: list[int], rows: Sequence[Register], snapshot: Snapshot, first: int, order: WordOrder
+) -> None:
     for row in rows:
         place = row.address - first
-        words[place : place + row.type.words] = row.type.pack(row.value(snapshot))
+        packed = row.type.pack(row.value(snapshot))
+        if order is not WordOrder.ABCD and row.type.is_32_bit:
+            packed = order.arranged((packed[0], packed[1]))
+        words[place : place + len(packed)] = packed

@@ -7,18 +7,25 @@ says why pymodbus does not answer.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Any
 
 from pymodbus.constants import ExcCodes
 
 from altd import __version__
-from altd.publish.modbus import checked_block
-from altd.publish.modbus.checked_block import CheckedBlock
-from altd.publish.modbus.registers import SIZE, RegisterImage
-from altd.publish.modbus.values import Snapshot
+from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
+from altd.publish.modbus.registers import MEASUREMENT, RegisterImage, Table, WordOrder, image
+from altd.publish.modbus.unit_blocks import (
+    CONDITION_BLOCK,
+    CONDITION_FIRST,
+    CONDITION_SIZE,
+    UNIT_BLOCK,
+    UNIT_FIRST,
+    UNIT_SIZE,
+)
+from altd.publish.modbus.values import DISCRETE_INPUTS, Snapshot
 from altd.status.board import Board
-from altd.status.cause import StateReport
-from altd.status.health import Component
+from altd.status.health import Component, Health
 from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError, SelfCheckService
 
@@ -58,7 +65,10 @@ READ_DEVICE_IDENTIFICATION = 43
 MEI_TYPE = 14
 
 OBJECTS = {0: "altd", 1: "ALT", 2: __version__, 4: "Active Laser Target"}
-"""Vendor, product code, version and product name, by object id; all of them fit into one response."""
+"""Vendor, product code, version and product name, by object id."""
+
+SERIAL, CALIBRATION_DATE, CALIBRATION_CHECKSUM = 0x80, 0x81, 0x82
+"""Objects of the unit, as the extended category has them; with the others they fit into one response."""
 
 _STREAMS = {1: range(3), 2: range(0x80), 3: range(0x100)}
 """The objects of a category, by the read code that asks for them as a stream: basic, regular, extended."""
@@ -68,7 +78,18 @@ _CONFORMITY = 0x83
 """Every category, as a stream and one by one."""
 
 
-def identification(request: bytes) -> bytes | ExcCodes:
+def objects_of(health: Health) -> Mapping[int, bytes]:
+    """What function 43/14 reads, as ASCII; what is not known is not there."""
+    summary = health.calibration.summary
+    texts = OBJECTS | {
+        SERIAL: health.facts.get("serial"),
+        CALIBRATION_DATE: str(summary.get("created") or "")[: len("2026-11-02")],
+        CALIBRATION_CHECKSUM: summary.get("file", {}).get("checksum"),
+    }
+    return {number: text.encode("ascii", "replace") for number, text in texts.items() if text}
+
+
+def identification(request: bytes, objects: Mapping[int, bytes]) -> bytes | ExcCodes:
     """The response to a request, both from the function code on; or the code of the exception."""
     if len(request) > 1 and request[1] != MEI_TYPE:
         return ExcCodes.ILLEGAL_FUNCTION
@@ -76,22 +97,27 @@ def identification(request: bytes) -> bytes | ExcCodes:
         return ExcCodes.ILLEGAL_VALUE
     read_code, object_id = request[2], request[3]
     if read_code == _INDIVIDUAL:
-        if object_id not in OBJECTS:
+        if object_id not in objects:
             return ExcCodes.ILLEGAL_ADDRESS
-        return _response(read_code, [object_id])
+        return _response(read_code, {object_id: objects[object_id]})
     if read_code not in _STREAMS:
         return ExcCodes.ILLEGAL_VALUE
-    category = [number for number in OBJECTS if number in _STREAMS[read_code]]
+    category = {number: text for number, text in objects.items() if number in _STREAMS[read_code]}
     if object_id not in category:
         object_id = 0  # "as if object 0 were pointed out", 6.21
-    return _response(read_code, [number for number in category if number >= object_id])
+    return _response(read_code, {number: text for number, text in category.items() if number >= object_id})
 
 
-def _response(read_code: int, numbers: list[int]) -> bytes:
-    head = bytes([READ_DEVICE_IDENTIFICATION, MEI_TYPE, read_code, _CONFORMITY, 0, 0, len(numbers)])
-    values = ((number, OBJECTS[number].encode("ascii")) for number in numbers)
-    return head + b"".join(bytes([number, len(value)]) + value for number, value in values)
+def _response(read_code: int, objects: Mapping[int, bytes]) -> bytes:
+    head = bytes([READ_DEVICE_IDENTIFICATION, MEI_TYPE, read_code, _CONFORMITY, 0, 0, len(objects)])
+    return head + b"".join(bytes([number, len(text)]) + text for number, text in objects.items())
 
+
+READ_DISCRETE_INPUTS = 2
+"""6.2; eight inputs a byte, the first in the lowest bit."""
+
+MAX_INPUTS = 2000
+"""In one response (6.2)."""
 
 READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
 """6.3, 6.4; holding and input registers are the same."""
@@ -100,21 +126,34 @@ MAX_READ = 125
 """Registers in one response (6.3)."""
 
 
+UNIT = Table(UNIT_BLOCK, UNIT_FIRST, UNIT_SIZE)
+CONDITION = Table(CONDITION_BLOCK, CONDITION_FIRST, CONDITION_SIZE)
+
+TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION)
+"""All that functions 3 and 4 read; a read stays within one of them."""
+
+_SHARES_EVERY_S = 10.0
+"""Counting the time that was valid in 31 days takes milliseconds."""
+
+
 class Responder:
     """Answers requests and counts them; each is answered from one reading of the board.
 
-    ``state`` finds out the unit's state; None: nobody does.
+    ``health`` knows the unit and its condition.
     """
 
     def __init__(
-        self, board: Board, component: Component, state: Callable[[], StateReport | None] = lambda: None
+        self, board: Board, component: Component, health: Health, order: WordOrder = WordOrder.ABCD
     ) -> None:
         self._board = board
-        self._state = state
+        self._health = health
         self._component = component
-        self._image = RegisterImage()
-        self._block = CheckedBlock()
+        self._order = order
+        self._image = RegisterImage(order=order)
+        self._block = CheckedBlock(order)
         self._stamps = Stamps(board)
+        self._shares: Mapping[str, float | None] = {}
+        self._shares_s = -_SHARES_EVERY_S
 
     def answer(self, request: bytes) -> bytes:
         """The response to a request, both from the function code on and not empty."""
@@ -130,29 +169,54 @@ class Responder:
         """The response, or the code of the exception."""
         function = request[0]
         if function == READ_DEVICE_IDENTIFICATION:
-            return identification(request)
-        if function not in (READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
+            return identification(request, objects_of(self._health))
+        if function not in (READ_DISCRETE_INPUTS, READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS):
             return ExcCodes.ILLEGAL_FUNCTION
         if len(request) != _REQUEST.size:
             return ExcCodes.ILLEGAL_VALUE
         _, address, count = _REQUEST.unpack(request)
-        if not 1 <= count <= MAX_READ:
+        if not 1 <= count <= (MAX_INPUTS if function == READ_DISCRETE_INPUTS else MAX_READ):
             return ExcCodes.ILLEGAL_VALUE
+        if function == READ_DISCRETE_INPUTS:
+            return self._discrete_inputs(address, count)
         words = self._registers(address, count)
-        if isinstance(words, ExcCodes):
-            return words
+        if words is None:
+            return ExcCodes.ILLEGAL_ADDRESS
         return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
-    def _registers(self, address: int, count: int) -> list[int] | ExcCodes:
-        """So many registers from an address on."""
-        board = self._board
-        measurement, age_s, published = board.read(), board.age_s(), board.published
-        if address + count <= SIZE:
-            return self._image.at(Snapshot(measurement, age_s, published))[address : address + count]
-        place = address - checked_block.FIRST
-        if place < 0 or place + count > checked_block.SIZE:
+    def _discrete_inputs(self, address: int, count: int) -> bytes | ExcCodes:
+        rows = DISCRETE_INPUTS[address : address + count]
+        if len(rows) < count:
             return ExcCodes.ILLEGAL_ADDRESS
-        report = self._state()
-        state = None if report is None else report.signal.number
-        words = self._block.at(Snapshot(measurement, age_s, published, self._stamps.next(), state))
-        return words[place : place + count]
+        snapshot = self._snapshot(report=self._health.state())
+        bits = sum(row.is_set(snapshot) << place for place, row in enumerate(rows))
+        content = bits.to_bytes((count + 7) // 8, "little")
+        return bytes([READ_DISCRETE_INPUTS, len(content)]) + content
+
+    def _registers(self, address: int, count: int) -> list[int] | None:
+        """So many registers from an address on; None: not all of them are in one table."""
+        if place := MEASUREMENT.place(address, count):
+            return self._image.at(self._snapshot())[place]
+        if place := BLOCK.place(address, count):
+            checked = self._snapshot(stamp=self._stamps.next(), report=self._health.state())
+            return self._block.at(checked)[place]
+        if place := UNIT.place(address, count):
+            identity, uptime_s = self._board.identity, self._running_s()
+            known = self._snapshot(health=self._health, identity=identity, uptime_s=uptime_s)
+            return image(known, UNIT, self._order)[place]
+        if place := CONDITION.place(address, count):
+            report = self._health.state()
+            if report is not None and self._running_s() - self._shares_s >= _SHARES_EVERY_S:
+                shares, self._shares_s = report.availability.shares(), self._running_s()
+                self._shares = shares
+            found = self._snapshot(health=self._health, report=report, shares=self._shares)
+            return image(found, CONDITION, self._order)[place]
+        return None
+
+    def _running_s(self) -> float:
+        return self._board.running_ns() * 1e-9
+
+    def _snapshot(self, **more: Any) -> Snapshot:
+        """The board at this moment."""
+        board = self._board
+        return Snapshot(board.read(), board.age_s(), board.published, **more)

@@ -20,11 +20,12 @@ from typing import Self
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
+from altd.publish.modbus.registers import WordOrder
 from altd.publish.modbus.responder import Responder
-from altd.serial_port.port import Port, describe, opened
+from altd.publish.modbus.serial_functions import LineCounters, serial_response
+from altd.serial_port.port import Port, describe, opened, seconds_on_line
 from altd.status.board import Board
-from altd.status.cause import StateReport
-from altd.status.health import Component, State
+from altd.status.health import Component, Health, State
 
 MAX_FRAME_BYTES = 256
 """Bytes of the longest frame (Serial 2.5.1)."""
@@ -49,7 +50,7 @@ _BIT_READS, _REGISTER_READS, _SINGLE_WRITES, _MULTIPLE_WRITES = {1, 2}, {3, 4}, 
 
 _EXCEPTION_BIT = 0x80
 
-_REQUESTS_AFTER_NOISE = ((8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
+_REQUESTS_AFTER_NOISE = ((8, bytes([2])), (8, bytes([3])), (8, bytes([4])), (7, bytes([43, 14])))
 """Length and first bytes of the requests that are looked for behind noise."""
 
 
@@ -104,13 +105,15 @@ class Bus:
 
     def __init__(self, unit_id: int) -> None:
         self._unit_id = unit_id
+        self.counters = LineCounters()
         self._fragments: list[bytes] = []
         self._received_s = float("-inf")
         self._awaited: _AwaitedResponse | None = None
 
     def receive(self, received: bytes, now_s: float) -> bytes | None:
         """Take what was received up to a silence; the request to this unit that ends it, without id, CRC."""
-        if now_s - self._received_s > FRAGMENT_TIMEOUT_S:
+        if now_s - self._received_s > FRAGMENT_TIMEOUT_S and self._fragments:
+            self.counters.errors += 1
             self._fragments.clear()
         self._received_s = now_s
         if self._awaited is not None and now_s > self._awaited.until_s:
@@ -119,6 +122,7 @@ class Bus:
         while len(self._fragments) > 1 and (
             sum(map(len, self._fragments)) > MAX_FRAME_BYTES or len(self._fragments) > _MAX_FRAGMENTS
         ):
+            self.counters.errors += 1
             del self._fragments[0]
         for first in range(len(self._fragments)):
             whole = b"".join(self._fragments[first:])
@@ -129,10 +133,13 @@ class Bus:
                 if len(whole) < self._awaited.length:
                     return None  # the rest is to come
                 if len(whole) == self._awaited.length:
+                    self.counters.errors += 1
                     self.reset()  # damaged on its way
                     return None
         request = request_after_noise(received, self._unit_id)
         if request is not None:
+            self.counters.errors += 1
+            self.counters.messages += 1
             self.reset()
         return request
 
@@ -144,6 +151,7 @@ class Bus:
     def _take(self, frames: list[bytes], now_s: float) -> bytes | None:
         awaited, last = self._awaited, frames[-1]
         self.reset()
+        self.counters.messages += len(frames)
         if last[0] == self._unit_id:
             return last[1:-2]
         is_answer = awaited is not None and awaited.is_begun_by(last) and len(last) == awaited.length
@@ -232,11 +240,12 @@ class ModbusRtuPublisher:
         settings: ModbusRtuPortSettings,
         board: Board,
         component: Component,
-        state: Callable[[], StateReport | None] = lambda: None,
+        health: Health,
     ) -> None:
         self._settings = settings
-        self._responder = Responder(board, component, state)
+        self._responder = Responder(board, component, health, WordOrder(settings.word_order))
         self._component = component
+        self._health = health
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be had or is gone."""
@@ -248,14 +257,26 @@ class ModbusRtuPublisher:
 
     async def _serve(self, port: Port) -> None:
         clock = asyncio.get_running_loop().time
-        bus, answered = Bus(self._settings.unit_id), b""
+        bus, answered, echo_until_s = Bus(self._settings.unit_id), b"", 0.0
         while True:
             received = await port.read() + await self._until_silence(port)
             request = bus.receive(received[-MAX_BUFFERED_BYTES:], clock())
-            if request is not None and self._framed(request) != answered:  # a two-wire adapter hears itself
-                answered = self._framed(self._responder.answer(request))
+            if request is None:
+                continue
+            if self._framed(request) == answered and clock() < echo_until_s:
+                echo_until_s = 0.0  # a two-wire adapter hears itself, once
+            else:
+                answered = self._framed(self._response(request, bus.counters))
                 if not port.write(answered):  # the controller does not listen; it asks again when it does
                     self._component.count("answers_dropped")
+                    bus.counters.unanswered += 1
+                echo_until_s = clock() + seconds_on_line(self._settings, len(answered)) + FRAGMENT_TIMEOUT_S
+
+    def _response(self, request: bytes, counters: LineCounters) -> bytes:
+        counters.requests += 1
+        response = serial_response(request, counters, self._health) or self._responder.answer(request)
+        counters.exceptions += response[0] >= _EXCEPTION_BIT
+        return response
 
     async def _until_silence(self, port: Port) -> bytes:
         """What is received before the line falls silent."""

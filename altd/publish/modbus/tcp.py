@@ -22,11 +22,10 @@ from dataclasses import dataclass, field
 from pymodbus.constants import ExcCodes
 
 from altd.config import ModbusTcpSettings
+from altd.publish.modbus.registers import WordOrder
 from altd.publish.modbus.responder import WRITE_SINGLE_REGISTER, Responder, command_response
 from altd.status.board import Board
-from altd.status.cause import StateReport
-from altd.status.health import Component, State
-from altd.status.services import SelfCheckService
+from altd.status.health import Component, Health, State
 from altd.tcp_port import Networks, accept, address_of, group_of, is_among_last, listen
 
 QUIET_S = 60.0
@@ -166,19 +165,18 @@ READ_AHEAD_BYTES = 1024
 
 
 class ModbusTcpPublisher:
-    """Serves the board over Modbus TCP. ``service`` takes self-checks that controllers may ask for."""
+    """Serves board and health over Modbus TCP; takes self-checks that controllers may ask for."""
 
     def __init__(
         self,
         settings: ModbusTcpSettings,
         board: Board,
         component: Component,
-        service: SelfCheckService | None = None,
-        state: Callable[[], StateReport | None] = lambda: None,
+        health: Health,
     ) -> None:
         self._settings = settings
-        self._service = service if settings.allow_self_check else None
-        self._responder = Responder(board, component, state)
+        self._service = health.self_check if settings.allow_self_check else None
+        self._responder = Responder(board, component, health, WordOrder(settings.word_order))
         self._component = component
         self._clients: dict[Connection, asyncio.Task[None]] = {}
         self._addresses = Addresses()

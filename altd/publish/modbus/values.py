@@ -6,13 +6,15 @@ meaning.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
-from altd.reasons import Reason, StatusGroup
+from altd.reasons import NOT_FROM_CAMERAS, Reason, Signal, StatusGroup
 from altd.records import Measurement
-from altd.status.proof import Stamp
+from altd.status.cause import StateReport
+from altd.status.health import Health
+from altd.status.proof import Identity, Stamp
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +106,44 @@ class Snapshot:
     """What one request is answered from: the board at one instant.
 
     ``age_s`` is None before the first measurement; ``published`` counts the measurements put up so far.
-    ``stamp`` is None where the checked block is not read; ``state`` is the number of the unit's
-    signal, None where nobody finds it out.
+    What follows is filled as far as a block needs it: ``stamp`` for the checked block, ``report`` for the
+    unit's state; ``identity``, ``uptime_s``, ``health`` and ``shares``, the share of time valid by span, for
+    the blocks of the unit.
     """
 
     measurement: Measurement | None
     age_s: float | None
     published: int
     stamp: Stamp | None = None
-    state: int | None = None
+    report: StateReport | None = None
+    identity: Identity = field(default_factory=Identity)
+    uptime_s: float | None = None
+    health: Health | None = None
+    shares: Mapping[str, float | None] = field(default_factory=dict)
 
 
-Reading = Callable[[Snapshot], float | None]
-"""A value of a snapshot; None: not known."""
+Reading = Callable[[Snapshot], float | str | None]
+"""A value of a snapshot, text for a register of text; None: not known."""
+
+
+def has(measurement: Measurement, *reasons: Reason) -> bool:
+    """Whether a measurement carries one of these reasons."""
+    return any(fault.reason in reasons for fault in measurement.status)
+
+
+def state(snapshot: Snapshot) -> int | None:
+    """The number of the unit's signal."""
+    return None if snapshot.report is None else snapshot.report.signal.number
+
+
+def of_identity(name: str) -> Reading:
+    """``unit`` or ``session``."""
+    return lambda snapshot: getattr(snapshot.identity, name)
+
+
+def uptime_s(snapshot: Snapshot) -> float | None:
+    """Seconds since the daemon started."""
+    return snapshot.uptime_s
 
 
 def status(snapshot: Snapshot) -> int:
@@ -205,3 +232,35 @@ def _utc_ms(snapshot: Snapshot) -> int | None:
 def constant(value: float | None) -> Reading:
     """Always the same; None: never known."""
     return lambda _: value
+
+
+@dataclass(frozen=True, slots=True)
+class DiscreteInput:
+    """A bit that function 2 reads, at the address that is its place in ``DISCRETE_INPUTS``."""
+
+    name: str
+    meaning: str
+    is_set: Callable[[Snapshot], bool]
+
+
+def _is_valid(snapshot: Snapshot) -> bool:
+    return snapshot.measurement is not None and snapshot.measurement.valid
+
+
+def _says(*reasons: Reason) -> Callable[[Snapshot], bool]:
+    return lambda snapshot: snapshot.measurement is not None and has(snapshot.measurement, *reasons)
+
+
+def _shows(signal: Signal) -> Callable[[Snapshot], bool]:
+    return lambda snapshot: snapshot.report is not None and snapshot.report.signal is signal
+
+
+DISCRETE_INPUTS = (
+    DiscreteInput("valid", "the numbers may be used, as bit 0 of `status`", _is_valid),
+    DiscreteInput("failure", "NAMUR NE 107: failure", _shows(Signal.FAILURE)),
+    DiscreteInput("check_function", "check function", _shows(Signal.CHECK_FUNCTION)),
+    DiscreteInput("out_of_specification", "out of specification", _shows(Signal.OUT_OF_SPECIFICATION)),
+    DiscreteInput("maintenance_required", "maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)),
+    DiscreteInput("not_live", "frames or calibration are played or simulated", _says(*NOT_FROM_CAMERAS)),
+    DiscreteInput("rehearsal", "the daemon was started with `--rehearsal`", _says(Reason.REHEARSAL)),
+)

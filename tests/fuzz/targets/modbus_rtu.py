@@ -36,7 +36,9 @@ class Said:
 
 
 _OTHERS = st.integers(0, 247).filter(lambda unit: unit != UNIT)
-_LIKE_OURS = st.lists(st.sampled_from((UNIT, 3, 4, 0, 1, 2, 43, 14)) | st.integers(0, 255), max_size=60)
+_LIKE_OURS = st.lists(
+    st.sampled_from((UNIT, 3, 4, 0, 1, 2, 8, 17, 43, 14)) | st.integers(0, 255), max_size=60
+)
 
 
 @st.composite
@@ -54,7 +56,7 @@ def _polls_of_others(draw: st.DrawFn) -> list[Said]:
 
 _READS = st.builds(
     lambda function, a, n: struct.pack(">BHH", function, a, n),
-    st.sampled_from((3, 4)),
+    st.sampled_from((2, 3, 4)),
     st.integers(0, 130),
     st.integers(0, 130),
 )
@@ -68,7 +70,7 @@ EXAMPLES = st.lists(
 )
 """What is said, where its last frame is torn, and the silence before it."""
 
-_face = served(lambda faces: _Silent(Responder(faces.board, faces.component(NAME))))
+_face = served(lambda faces: _Silent(Responder(faces.board, faces.component(NAME), faces.health)))
 
 
 @dataclass

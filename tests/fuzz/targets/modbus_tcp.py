@@ -16,7 +16,7 @@ from altd.publish.modbus.tcp import ModbusTcpPublisher
 
 NAME = "modbus_tcp"
 UNIT = 7
-MAPS = (range(120), range(200, 280))
+MAPS = (range(120), range(200, 280), range(300, 350), range(400, 460))
 """What can be read: a read stays in one of them."""
 CHECK_NOW = bytes.fromhex("0603e80001")
 TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
@@ -25,6 +25,8 @@ TEST_ANSWER = struct.pack(">HHHB", 77, 0, 7, UNIT) + bytes.fromhex("04 04 123456
 _PDUS = (
     *(struct.pack(">BHH", function, 0, count) for function in (3, 4) for count in (1, 120, 121, 125, 126)),
     *(struct.pack(">BHH", 4, address, 80) for address in (199, 200, 201)),
+    *(struct.pack(">BHH", 3, address, 50) for address in (299, 300, 301, 400, 410, 411)),
+    *(struct.pack(">BHH", 2, address, count) for address in (0, 6) for count in (1, 7, 8, 2000, 2001)),
     *(bytes.fromhex(text) for text in ("2b0e0100", "2b0e0200", "2b0e0402", "2b0e04ff", "2b0d00", "2b")),
     *(bytes.fromhex(text) for text in ("0603e80001", "0603e80001", "0603e80002", "0603e90001", "06e8030001")),
     *(bytes.fromhex(text) for text in ("1003e80001020001", "0503e8ff00", "0403e80001", "0603e8000100")),
@@ -64,7 +66,7 @@ class _Asked:
 def _publisher(faces: Faces) -> ModbusTcpPublisher:
     faces.health.self_check.open(_Asked.once_more)
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
-    return ModbusTcpPublisher(settings, faces.board, faces.component(NAME), faces.health.self_check)
+    return ModbusTcpPublisher(settings, faces.board, faces.component(NAME), faces.health)
 
 
 _face = served(_publisher)
@@ -121,11 +123,16 @@ def _judge(asked: bytes, unit: int, answer: bytes) -> None:
             assert len(answer) == 2 + 2 * count
             if (address, count) == (200, 80):
                 assert zlib.crc32(answer[2:-4]) == int.from_bytes(answer[-4:])
+    elif function == 2 and len(asked) == 5 and answer[0] == 2:
+        address, count = struct.unpack(">HH", asked[1:])
+        assert address + count <= 7
+        assert len(answer) == 3
+        assert answer[2] >> count == 0
     elif function == 43 and answer[0] == 43:
         _judge_identification(asked, answer)
     elif function == 6:
         assert answer in ((asked,) if asked == CHECK_NOW else (b"\x86\x02", b"\x86\x03"))
-    elif function not in (3, 4, 43):
+    elif function not in (2, 3, 4, 43):
         assert answer == bytes([function | 0x80, 1])
     else:
         assert answer[0] == function | 0x80

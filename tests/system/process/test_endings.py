@@ -53,6 +53,7 @@ DONE = {
     "events": (0, "", set()),
     "check-config": (0, "", set()),
     "devices": (0, "", set()),
+    "registers": (0, "", set()),
     "doctor": (0, "", set()),
     "hw_sim flat": (0, "", {"kept"}),
     "hw_sim plate": (0, "", {"kept"}),
@@ -153,7 +154,7 @@ def test_ended_by_itself(name: str, played_unit: PlayedUnit, folder: Path) -> No
     "name",
     [
         *("calibrate", "replay", "replay's csv on standard output", "locate", "locate's table"),
-        *("map", "map's table", "selfcheck", "check-config", "devices", "doctor"),
+        *("map", "map's table", "selfcheck", "check-config", "registers", "devices", "doctor"),
         *("export on standard output", "events"),
     ],
 )

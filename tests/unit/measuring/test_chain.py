@@ -64,6 +64,14 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     front, rear = measured.seen().split("; ")
     assert front.startswith("front: spot at u 33")
     assert rear == "rear: spot_missing, nothing stands out of the background"
+    figures = measured.spots()
+    assert figures.pop("diameter_front_px") == pytest.approx(
+        float(front.split("diameter ")[1].split()[0]), abs=0.6
+    )
+    assert figures.pop("peak_front") == pytest.approx(float(front.split("peak ")[1].split()[0]), abs=0.6)
+    assert figures == {"diameter_rear_px": None, "peak_rear": None}
+    measured.silence(0)
+    assert set(measured.spots().values()) == {None}
 
 
 def test_what_is_found_is_told_of_each_new_frame_also_of_another_camera(calibration: Calibration) -> None:

@@ -19,7 +19,7 @@ from altd.instruments.beam.solver import Beam
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.records import Measurement
 from altd.status.board import Board
-from altd.status.health import Component
+from altd.status.health import Component, Health
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def measured_fixture(clock: FakeClock) -> Measured:
 async def tcp(board: Board, component: Component) -> AsyncIterator[ModbusTcpPublisher]:
     """A Modbus TCP publisher on a free port of the loopback."""
     publisher = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component
+        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component, Health(component.clock)
     )
     async with serving(publisher):
         yield publisher

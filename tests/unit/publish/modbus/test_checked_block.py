@@ -196,9 +196,8 @@ async def test_the_state_is_the_signal_of_the_moment_of_each_reading(
     board: Board, health: Health, clock: FakeClock, measured: Measured, signal: Signal
 ) -> None:
     shown, nothing_observed = Signal.GOOD, Availability(0)
-    responder = Responder(
-        board, health.component("modbus"), lambda: StateReport(shown, 0, 0, (), nothing_observed)
-    )
+    health.state = lambda: StateReport(shown, 0, 0, (), nothing_observed)
+    responder = Responder(board, health.component("modbus"), health)
     board.publish(measured())
     first = words(responder.answer(BLOCK))
     shown = signal

@@ -12,9 +12,7 @@ from support.serving import serving
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
-from altd.status.event_log import EventLog
-from altd.status.health import Component
-from altd.status.services import SelfCheckService
+from altd.status.health import Component, Health
 
 NOW = bytes.fromhex("06 03e8 0001")
 
@@ -25,18 +23,18 @@ def asked() -> list[bool]:
 
 
 @pytest.fixture
-def service(asked: list[bool], clock: FakeClock) -> SelfCheckService:
-    service = SelfCheckService(EventLog(clock))
-    service.open(lambda: asked.append(True))
-    return service
+def health(asked: list[bool], clock: FakeClock) -> Health:
+    health = Health(clock)
+    health.self_check.open(lambda: asked.append(True))
+    return health
 
 
 @pytest.fixture(params=[True])
 async def controller(
-    request: pytest.FixtureRequest, board: Board, component: Component, service: SelfCheckService
+    request: pytest.FixtureRequest, board: Board, component: Component, health: Health
 ) -> AsyncIterator[Client]:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=request.param)
-    publisher = ModbusTcpPublisher(settings, board, component, service)
+    publisher = ModbusTcpPublisher(settings, board, component, health)
     async with serving(publisher), connected(publisher) as client:
         yield client
 
@@ -89,9 +87,9 @@ async def test_nothing_else_is_taken(
 
 
 async def test_a_unit_that_cannot_check_itself_is_a_failure_of_the_device(
-    controller: Client, service: SelfCheckService
+    controller: Client, health: Health
 ) -> None:
-    service.unavailable = "the calibration has no LED references"
+    health.self_check.unavailable = "the calibration has no LED references"
     assert await controller.ask(NOW) == bytes.fromhex("86 04")
 
 
@@ -104,10 +102,10 @@ async def test_the_ids_of_the_device_itself_are_its_own(
 
 
 async def test_a_flood_of_writes_keeps_no_other_controller_waiting(
-    board: Board, component: Component, service: SelfCheckService, asked: list[bool]
+    board: Board, component: Component, health: Health, asked: list[bool]
 ) -> None:
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
-    publisher = ModbusTcpPublisher(settings, board, component, service)
+    publisher = ModbusTcpPublisher(settings, board, component, health)
     status = bytes.fromhex("04 0000 0001")
     async with serving(publisher), connected(publisher) as flooding, connected(publisher) as reading:
         for number in range(2000):

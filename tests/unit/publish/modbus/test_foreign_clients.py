@@ -20,7 +20,7 @@ from altd.config import ModbusRtuPortSettings
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.status.board import Board
-from altd.status.health import Component
+from altd.status.health import Component, Health
 from tools.pages import modbus as page
 
 
@@ -74,7 +74,7 @@ async def test_over_rtu_mbpoll_reads_the_same(
     with socat_line(tmp_path) as (unit, controller, _):
         port = ModbusRtuPortSettings(device=unit, speaks="modbus_rtu", baud=19200, parity="none", unit_id=12)
         at = ("-m", "rtu", "-b", 19200, "-P", "none", "-a", 12, controller)
-        async with serving(ModbusRtuPublisher(port, board, component)):
+        async with serving(ModbusRtuPublisher(port, board, component, Health(component.clock))):
             values = await mbpoll("-t", "3:float", "-r", 20, "-c", 4, *at)
             assert values == ["[20]: \t10.012", "[22]: \t4.987", "[24]: \t1.1459", "[26]: \t-1.7184"]
             assert len(await mbpoll("-t", "4:hex", "-r", 0, "-c", 120, *at)) == 120

@@ -20,7 +20,7 @@ from altd.publish.modbus import rtu
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher, silence_s
 from altd.status.board import Board
-from altd.status.health import Component
+from altd.status.health import Component, Health
 
 
 class Controller:
@@ -67,7 +67,7 @@ def settings(device: str, **fields: Any) -> ModbusRtuPortSettings:
 @pytest.fixture
 async def controller(pty: tuple[int, str], board: Board, component: Component) -> AsyncIterator[Controller]:
     descriptor, device = pty
-    async with serving(ModbusRtuPublisher(settings(device), board, component)):
+    async with serving(ModbusRtuPublisher(settings(device), board, component, Health(component.clock))):
         yield Controller(descriptor)
 
 
@@ -200,7 +200,7 @@ async def test_a_request_that_the_controller_gave_up_is_not_answered(controller:
     assert await controller.hears_nothing()
 
 
-@pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00"])
+@pytest.mark.parametrize("request_hex", ["04 0066 0002", "06 0000 1234", "2b 0e 01 00", "08 0000 1234"])
 async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller, request_hex: str) -> None:
     controller.send(frame(bytes.fromhex(request_hex)))
     answer = await controller.answer()
@@ -211,7 +211,9 @@ async def test_the_echo_of_our_own_answer_is_not_answered(controller: Controller
 
 async def test_a_missing_device_is_an_os_error(board: Board, component: Component) -> None:
     with pytest.raises(FileNotFoundError, match="/dev/altd-is-not-here"):
-        async with serving(ModbusRtuPublisher(settings("/dev/altd-is-not-here"), board, component)):
+        async with serving(
+            ModbusRtuPublisher(settings("/dev/altd-is-not-here"), board, component, Health(component.clock))
+        ):
             pass
 
 
@@ -220,7 +222,9 @@ async def test_a_file_that_is_no_serial_port_is_an_os_error(
 ) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
-        async with serving(ModbusRtuPublisher(settings(str(tmp_path / "file")), board, component)):
+        async with serving(
+            ModbusRtuPublisher(settings(str(tmp_path / "file")), board, component, Health(component.clock))
+        ):
             pass
 
 
@@ -228,7 +232,7 @@ async def test_a_port_in_use_is_an_os_error(
     controller: Controller, pty: tuple[int, str], board: Board, component: Component
 ) -> None:
     with pytest.raises(OSError, match=f"another program uses the port: '{pty[1]}'"):
-        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
+        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component, Health(component.clock))):
             pass
     assert await controller.is_answered()
 
@@ -239,7 +243,9 @@ async def test_a_port_that_goes_away_ends_the_publisher_with_an_os_error(
     controller, unit = os.openpty()
     device = os.ttyname(unit)
     ready = asyncio.Event()
-    task = asyncio.create_task(ModbusRtuPublisher(settings(device), board, component).run(ready.set))
+    task = asyncio.create_task(
+        ModbusRtuPublisher(settings(device), board, component, Health(component.clock)).run(ready.set)
+    )
     await ready.wait()
     os.close(unit)
     os.close(controller)
@@ -266,7 +272,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
 ) -> None:
     before = asyncio.all_tasks()
     for _ in range(3):
-        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component)):
+        async with serving(ModbusRtuPublisher(settings(pty[1]), board, component, Health(component.clock))):
             assert await Controller(pty[0]).is_answered()
         assert asyncio.all_tasks() == before
 
@@ -276,7 +282,7 @@ async def test_every_setting_of_the_line_can_be_used(
     pty: tuple[int, str], board: Board, component: Component, parity: str, stop_bits: int
 ) -> None:
     line = settings(pty[1], parity=parity, stop_bits=stop_bits, baud=1200)
-    async with serving(ModbusRtuPublisher(line, board, component)):
+    async with serving(ModbusRtuPublisher(line, board, component, Health(component.clock))):
         assert await Controller(pty[0]).is_answered()
 
 

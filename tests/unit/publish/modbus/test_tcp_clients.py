@@ -29,7 +29,7 @@ from altd.config import ModbusTcpSettings
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.tcp import MAX_CLIENTS, ModbusTcpPublisher
 from altd.status.board import Board
-from altd.status.health import Component
+from altd.status.health import Component, Health
 
 
 def timers_of_connections(port: int) -> list[str]:
@@ -131,7 +131,7 @@ async def test_a_reserved_controller_gets_in_where_others_have_asked_for_longer(
 ) -> None:
     """And stays, as no other new connection does."""
     settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, reserved=reserved)
-    publisher = ModbusTcpPublisher(settings, board, component)
+    publisher = ModbusTcpPublisher(settings, board, component, Health(component.clock))
     async with serving(publisher), contextlib.AsyncExitStack() as stack:
         for number in range(MAX_CLIENTS):
             early = await stack.enter_async_context(connected(publisher, f"127.0.1.{number + 1}"))
@@ -246,7 +246,9 @@ async def test_the_kernel_watches_over_connections(client: Client, tcp: ModbusTc
 async def test_an_address_in_use_is_an_os_error(
     tcp: ModbusTcpPublisher, board: Board, component: Component
 ) -> None:
-    second = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component)
+    second = ModbusTcpPublisher(
+        ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component, Health(component.clock)
+    )
     with pytest.raises(OSError, match="address already in use"):
         async with serving(second):
             pass
@@ -256,7 +258,7 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
     board: Board, component: Component
 ) -> None:
     publisher = ModbusTcpPublisher(
-        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component
+        ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT), board, component, Health(component.clock)
     )
     before = asyncio.all_tasks()
     async with contextlib.AsyncExitStack() as stack:
@@ -268,6 +270,8 @@ async def test_after_a_cancellation_nothing_is_left_and_the_port_is_free(
         assert component.counters["clients"] == 0
         for client in clients:
             assert await client.is_closed()
-    again = ModbusTcpPublisher(ModbusTcpSettings(host="127.0.0.1", port=publisher.port), board, component)
+    again = ModbusTcpPublisher(
+        ModbusTcpSettings(host="127.0.0.1", port=publisher.port), board, component, Health(component.clock)
+    )
     async with serving(again):
         pass

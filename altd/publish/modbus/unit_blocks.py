@@ -1,0 +1,228 @@
+"""Two blocks beside the measurement: which unit this is, and in which condition. Each fits into one request.
+
+Their values change slowly: they are made again at most once a second, whatever is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from typing import Any
+
+from altd.publish.modbus import values
+from altd.publish.modbus.registers import Register, Type
+from altd.publish.modbus.values import Reading, Snapshot
+from altd.reasons import Reason
+from altd.status.availability import SPANS
+from altd.status.health import MEASURING, Component, Health
+
+UNIT_FIRST, UNIT_SIZE = 300, 50
+CONDITION_FIRST, CONDITION_SIZE = 400, 60
+
+BLOCK_VERSION = 1
+"""Counts up when a register of these blocks changes its meaning or place."""
+
+VERDICTS = {"good": 1, "suspect": 2, "bad": 3, "unknown": 4}
+"""Numbers of a self-check's verdicts; 0: none has ended since the start."""
+
+THERMOMETERS = 4
+"""Temperatures that have registers."""
+
+TARGETS = ("front", "rear")
+_DAY_S = 86_400
+
+
+def _of_health(read: Callable[[Health], Any]) -> Reading:
+    return lambda snapshot: read(snapshot.health) if snapshot.health else None
+
+
+def _calibration(health: Health) -> datetime | None:
+    created = health.calibration.summary.get("created")
+    return None if created is None else datetime.fromisoformat(created)
+
+
+def _calibration_date(health: Health) -> int | None:
+    created = _calibration(health)
+    return None if created is None else int(f"{created:%Y%m%d}")
+
+
+def _calibration_age_days(health: Health) -> float | None:
+    created, now = _calibration(health), health.clock.utc(health.clock.monotonic_ns())
+    return None if created is None or now is None else (now - created).total_seconds() // _DAY_S
+
+
+def _first_32_bits(hexadecimal: str | None) -> int | None:
+    return int(hexadecimal[:8], 16) if hexadecimal else None
+
+
+def _calibration_checksum(health: Health) -> int | None:
+    return _first_32_bits(health.calibration.summary.get("file", {}).get("checksum"))
+
+
+def _is_rehearsal(snapshot: Snapshot) -> int | None:
+    """None before the first measurement: it is the measurement that says so."""
+    measurement = snapshot.measurement
+    return None if measurement is None else values.has(measurement, Reason.REHEARSAL)
+
+
+UNIT_BLOCK = (
+    Register(300, "block_version", Type.U16, "", "version of this block", values.constant(BLOCK_VERSION)),
+    Register(301, "rehearsal", Type.U16, "", "1: started with `--rehearsal`; 0: not", _is_rehearsal),
+    Register(302, "unit", Type.U32, "", "as at address 202", values.of_identity("unit")),
+    Register(304, "session", Type.U32, "", "as at address 204", values.of_identity("session")),
+    Register(306, "uptime", Type.U32, "s", "since the daemon started", values.uptime_s),
+    Register(
+        308, "calibration_date", Type.U32, "", "UTC as a number, 20261102", _of_health(_calibration_date)
+    ),
+    Register(310, "calibration_age", Type.U16, "d", "whole days", _of_health(_calibration_age_days)),
+    Register(
+        312,
+        "calibration_checksum",
+        Type.U32,
+        "",
+        "first 32 bits of the calibration file's checksum",
+        _of_health(_calibration_checksum),
+    ),
+    Register(
+        314,
+        "config_checksum",
+        Type.U32,
+        "",
+        "first 32 bits of the config file's SHA-256",
+        _of_health(lambda health: _first_32_bits(health.facts.get("config_sha256"))),
+    ),
+    Register(
+        316,
+        "firmware",
+        Type.TEXT16,
+        "",
+        "version of the daemon",
+        _of_health(lambda health: health.facts.get("version")),
+    ),
+    Register(
+        324,
+        "serial",
+        Type.TEXT32,
+        "",
+        "the unit's serial number; a longer one is cut",
+        _of_health(lambda health: health.facts.get("serial")),
+    ),
+)
+
+
+def _component(health: Health, name: str) -> Component | None:
+    return next((component for component in health if component.name == name), None)
+
+
+def _figure(component: Component | None, name: str) -> float | None:
+    value = component.figures.get(name) if component else None
+    return value if isinstance(value, (int, float)) else None
+
+
+def _of_camera(target: str, name: str) -> Reading:
+    """A figure of the camera that looks at a target."""
+
+    def read(health: Health) -> float | None:
+        cameras = (area.camera for area in health.targets if area.name == target)
+        return _figure(_component(health, f"camera {next(cameras, None)}"), name)
+
+    return _of_health(read)
+
+
+def _of_measuring(name: str) -> Reading:
+    return _of_health(lambda health: _figure(_component(health, MEASURING), name))
+
+
+def _lost_frames(health: Health) -> int:
+    """Frames that a driver or the daemon did not pass on, of all cameras."""
+    lost = sum(component.counters.get("lost", 0) for component in health if _is(component, "camera"))
+    measuring = _component(health, MEASURING)
+    counters = measuring.counters if measuring else {}
+    return lost + sum(count for name, count in counters.items() if name.startswith("dropped_"))
+
+
+def _late_frames(health: Health) -> int:
+    measuring = _component(health, MEASURING)
+    return measuring.counters.get("late_frames", 0) if measuring else 0
+
+
+def _is(component: Component, kind: str) -> bool:
+    return component.name.partition(" ")[0] == kind
+
+
+def _temperature(number: int) -> Reading:
+    """That of the thermometers which comes as this number, from 0."""
+
+    def read(health: Health) -> float | None:
+        known = [component for component in health if _is(component, "temperature")]
+        return _figure(known[number], "celsius") if number < len(known) else None
+
+    return _of_health(read)
+
+
+def _verdict(health: Health) -> int | None:
+    service = health.self_check
+    if service.latest is None:
+        return None if service.unavailable else 0
+    return VERDICTS.get(str(service.latest.document.get("verdict")), VERDICTS["unknown"])
+
+
+def _check_age_s(health: Health) -> float | None:
+    ended_ns = health.self_check.ended_ns
+    return None if ended_ns is None else (health.clock.monotonic_ns() - ended_ns) * 1e-9
+
+
+def _share(span: str) -> Reading:
+    def read(snapshot: Snapshot) -> float | None:
+        share = snapshot.shares.get(span)
+        return None if share is None else 10_000 * share
+
+    return read
+
+
+def _roll_age_ms(snapshot: Snapshot) -> float | None:
+    said = snapshot.measurement and snapshot.measurement.from_sensors.get("roll_deg")
+    if not said or said.value is None or snapshot.health is None:
+        return None
+    return (snapshot.health.clock.monotonic_ns() - said.t_ns) * 1e-6
+
+
+def _condition_rows() -> Iterator[Register]:
+    """In the order of their addresses."""
+    version = values.constant(BLOCK_VERSION)
+    yield Register(400, "block_version", Type.U16, "", "version of this block", version)
+    yield Register(401, "state", Type.U16, "", "NAMUR NE 107, as at address 201", values.state)
+    meaning = "0 none yet, " + ", ".join(f"{number} {verdict}" for verdict, number in VERDICTS.items())
+    yield Register(402, "self_check", Type.U16, "", f"last verdict: {meaning}", _of_health(_verdict))
+    yield Register(404, "self_check_age", Type.U32, "s", "since that check ended", _of_health(_check_age_s))
+    for place, span in enumerate(SPANS):
+        text = f"share of time valid, {span.replace('_', ' ')}, as far as it was observed"
+        yield Register(406 + place, f"valid_{span}", Type.U16, "0.01 %", text, _share(span))
+    text = "frames that a camera's driver or the daemon lost since the start"
+    yield Register(410, "lost_frames", Type.U32, "", text, _of_health(_lost_frames))
+    text = "frames that came after their exposure was given up"
+    yield Register(412, "late_frames", Type.U32, "", text, _of_health(_late_frames))
+    row = 414
+    for target in TARGETS:
+        spot = f"of the newest {target} spot"
+        for name, unit, text, reading in (
+            ("exposure", "ms", f"of the {target} camera", _of_camera(target, "exposure_ms")),
+            ("gain", "dB", f"of the {target} camera", _of_camera(target, "gain_db")),
+            ("diameter", "px", f"1/e² diameter {spot}", _of_measuring(f"diameter_{target}_px")),
+            ("peak", "", f"counts over background {spot}", _of_measuring(f"peak_{target}")),
+        ):
+            yield Register(row, f"{target}_{name}", Type.F32, unit, text, reading)
+            row += 2
+    for number in range(THERMOMETERS):
+        text = "in the order of /api/status"
+        yield Register(row, f"temperature_{1 + number}", Type.F32, "°C", text, _temperature(number))
+        row += 2
+    text = "from an inclinometer; not known without one"
+    yield Register(row, "roll", Type.F32, "°", text, values.number("roll_deg"))
+    yield Register(
+        row + 2, "sigma_roll", Type.F32, "°", "standard deviation of roll", values.sigma("roll_deg")
+    )
+    yield Register(row + 4, "roll_age", Type.U16, "ms", "of roll", _roll_age_ms)
+
+
+CONDITION_BLOCK = tuple(_condition_rows())
