@@ -76,7 +76,7 @@ class View:
 
     heading = (
         "each value ± its sigma, in brackets the difference from the simulator's truth; "
-        "every measurement carries the warning `simulated`"
+        "every measurement carries the warnings `simulated` and `rehearsal`"
     )
 
     def __init__(self, daemon: Daemon, unit: Unit, faces: Faces, figures: Figures) -> None:

@@ -119,7 +119,7 @@ def test_every_measurement_is_valid_and_says_that_its_cameras_are_not_real(measu
     for event in events:
         assert event["valid"]
         assert "simulated" in event["status"]
-        assert set(event["status"]) <= {"simulated", "exposures_lost"}
+        assert set(event["status"]) <= {"simulated", "rehearsal", "exposures_lost"}
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)

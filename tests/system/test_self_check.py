@@ -74,7 +74,7 @@ async def test_a_camera_that_moved_is_found_and_nothing_is_valid_until_it_is_bac
         assert running.daemon.health.component("self-check").state == "failed"
         running.unit.displace(REAR, Displacement())
         assert (await running.check()).document["verdict"] == "good"
-        assert codes(await running.measured(valid=True)) == {"simulated"}
+        assert codes(await running.measured(valid=True)) == {"simulated", "rehearsal"}
 
 
 def only_file(folder: Path) -> bytes:
@@ -187,7 +187,7 @@ async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not
     targets = [replace(target, leds_px=np.zeros((0, 2))) for target in calibration_of_unit_3.targets]
     without = replace(calibration_of_unit_3, targets=tuple(targets))
     async with driven_led_unit(without, config()) as running:
-        assert codes(await running.measured(valid=True)) <= {"simulated", "exposures_lost"}
+        assert codes(await running.measured(valid=True)) <= {"simulated", "rehearsal", "exposures_lost"}
         assert running.leds.lit_s == []
         assert running.daemon.health.self_check.unavailable == (
             "the calibration has no LED references for front, rear"
@@ -197,6 +197,6 @@ async def test_a_unit_without_references_measures_as_ever_and_says_why_it_is_not
 
 async def test_by_its_settings_it_checks_only_when_asked(calibration_of_unit_3: Calibration) -> None:
     async with driven_led_unit(calibration_of_unit_3, config(enabled=False)) as running:
-        assert codes(await running.measured(valid=True)) <= {"simulated", "exposures_lost"}
+        assert codes(await running.measured(valid=True)) <= {"simulated", "rehearsal", "exposures_lost"}
         assert running.leds.lit_s == []
         assert (await running.check()).document["verdict"] == "good"
