@@ -22,6 +22,7 @@ STUDIES = {
     "fig-3.17": "fig_3_17",
     "averaging": "averaging",
     "sigma-now": "sigma_now",
+    "output-now": "output_now",
     "ambient": "ambient",
     "laser": "laser",
     "chessboard": "chessboard",

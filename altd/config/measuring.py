@@ -16,6 +16,9 @@ class Measuring(Table):
     """Exposures that are averaged."""
     every: Annotated[int, Field(ge=1, le=1000)] = 1
     """A measurement after this many exposures: 1 is the sliding mean."""
+    output: Literal["mean", "now"] = "mean"
+    """`mean` of the window, about half a second old when it is new; or where its steady motion is `now`, at
+    the newest exposure: no lag, more noise (`accuracy.md`)."""
     pair_by: Literal["sequence", "time"] = "sequence"
     """What makes one exposure of two frames: their number, in recordings, or their time, with all others."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0

@@ -128,6 +128,20 @@ def _rates(draft: Draft) -> Iterator[Fault]:
         yield Fault(("measuring", "stale_after_s"), text, about=(("measuring", "every"), *rates))
 
 
+MIN_WINDOW_OF_NOW = 8
+"""Half a window is enough for a measurement (``averaging``), and steady motion is known of four exposures."""
+
+
+def _output(draft: Draft) -> Iterator[Fault]:
+    """The output `now` needs a window that shows how the beam moves."""
+    measuring = draft.measuring
+    if measuring is not None and measuring.output == "now" and measuring.window < MIN_WINDOW_OF_NOW:
+        text = (
+            f'{measuring.window} exposures are too few for output = "now"; possible: from {MIN_WINDOW_OF_NOW}'
+        )
+        yield Fault(("measuring", "window"), text, about=(("measuring", "output"),))
+
+
 def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
     """No two tables are of one camera."""
     first: dict[tuple[str, str], str] = {}
@@ -265,6 +279,7 @@ RULES: tuple[Rule, ...] = (
     _cameras,
     _cameras_of_one_kind,
     _rates,
+    _output,
     _one_camera_twice,
     _listeners,
     _certificate,

@@ -43,6 +43,7 @@ def spot_motion(
         onset_s=last_s,
         spread_s2=square_s2 / len(since_middle_s),
         span_s=last_s - float(since_middle_s[0]),
+        newest_s=last_s if newest is None else newest[1],
     )
 
 

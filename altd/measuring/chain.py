@@ -30,6 +30,7 @@ from altd.records import (
 from altd.records.spots import Motion
 
 _SILENT = NoSpot(Reason.CAMERA_SILENT, "no frame comes")
+_MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not known yet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +100,7 @@ class MeasuringChain:
         self._measuring = measuring
         self._instrument = instrument
         self._silent_after_ns = round(measuring.silent_after_s * 1e9)
+        self._is_of_now = measuring.output == "now"
         self.pairer: Pairer[Frame] = Pairer(
             tuple(self._views),
             measuring.pair_by,
@@ -292,14 +294,17 @@ class MeasuringChain:
         if unsynchronised:
             fault = Fault(Reason.OUT_OF_STEP, detail=unsynchronised)
             return self._invalid(frame_set, mean.t_ns, (fault,))
-        solution = self._instrument.solve(mean if self.correct is None else self.correct(mean))
+        spots = mean.at_newest() if self._is_of_now else mean
+        if spots is None:
+            return self._invalid(frame_set, mean.t_ns, (_MOTION_UNKNOWN,))
+        solution = self._instrument.solve(spots if self.correct is None else self.correct(spots))
         if isinstance(solution, Fault):
-            return self._invalid(frame_set, mean.t_ns, (solution,))
+            return self._invalid(frame_set, spots.t_ns, (solution,))
         lost = (Fault(Reason.EXPOSURES_LOST, detail=f"{mean.lost} in this window"),) if mean.lost else ()
-        return Measurement(
+        measurement = Measurement(
             sequence=frame_set.sequence,
-            t_ns=mean.t_ns,
-            time=self._provenance.utc(mean.t_ns),
+            t_ns=spots.t_ns,
+            time=self._provenance.utc(spots.t_ns),
             frames=mean.frames,
             quantities=self._instrument.quantities,
             values=solution.values,
@@ -308,6 +313,9 @@ class MeasuringChain:
             last_exposure_ns=frame_set.t_ns,
             motions=self._motions(mean, frame_set.t_ns, solution.motions),
         )
+        if not self._is_of_now:
+            return measurement
+        return measurement.with_motion_in_sigma() or self._invalid(frame_set, spots.t_ns, (_MOTION_UNKNOWN,))
 
     def _motions(
         self, mean: MeanSpots, newest_ns: int, of_window: Mapping[str, Motion]

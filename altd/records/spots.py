@@ -1,13 +1,13 @@
 """Spots in frames, their means over a window, and how they and the beam move.
 
-A value is the mean of a window that lies in the past. What is said here is how far the truth may be from it
-since (``Motion.variance_since``).
+A value is the mean of a window that lies in the past, or where the window's steady motion is at its newest
+exposure (``MeanSpots.at_newest``). ``Motion.variance_since`` gives how far the truth may be from it since.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,7 @@ class SpotMotion:
     which a variance may come out negative. ``onset_px_per_s`` is how fast the newest exposure left the others
     if it is an outlier, else zero, and ``onset_s`` when the last of the others was; ``spread_s2`` is the mean
     square of the exposures' times. Times count from the middle of the exposures, ``span_s`` is from the first
-    to the last.
+    to the last, ``newest_s`` is the newest one's, outlier or not. The spots are those of ``at_s``.
     """
 
     rate_px_per_s: npt.NDArray[np.float64]
@@ -36,6 +36,8 @@ class SpotMotion:
     onset_s: float
     spread_s2: float
     span_s: float
+    newest_s: float
+    at_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,8 @@ class Motion:
     ``rate`` with ``sigma_rate`` is that of the window. ``vibration`` is the standard deviation of the truth
     about the steady motion. ``probable_rate`` is the root mean square of what the rate may be,
     ``acceleration`` of its change in a second, both by the windows before; None: not known yet. ``onset``,
-    ``onset_s`` and ``spread_s2`` are as in ``SpotMotion``.
+    ``onset_s``, ``spread_s2`` and ``at_s`` are as in ``SpotMotion``. ``is_in_sigma``: the sigma of the value
+    holds what is said here of its own instant.
     """
 
     rate: float
@@ -56,22 +59,30 @@ class Motion:
     spread_s2: float
     probable_rate: float | None = None
     acceleration: float | None = None
+    at_s: float = 0.0
+    is_in_sigma: bool = False
 
     def variance_since(self, age_s: float) -> float | None:
-        """Mean square of how far the truth is from the window's mean, ``age_s`` after its middle.
+        """Mean square of how far the truth is from the value, ``age_s`` after the instant that it is of.
 
-        Beyond the variance of the mean itself. None: not known. A mean of uniformly accelerated motion is
-        ahead of the middle by half the acceleration times ``spread_s2``. Vibration counts in full at any age:
-        20 exposures a second cannot tell 2 Hz from 22, so its phase is not known. Rate and
-        acceleration are taken as independent, for one may end or turn at any time.
+        Beyond the variance of the value itself. None: not known. A mean of uniformly accelerated motion is
+        ahead of the middle by half the acceleration times ``spread_s2``, and so is the line through it: the
+        acceleration does not change its slope. Vibration counts in full at any age: 20 exposures a second
+        cannot tell 2 Hz from 22, so its phase is not known. Rate and acceleration are taken as independent,
+        for one may end or turn at any time.
         """
         if self.probable_rate is None or self.acceleration is None:
             return None
+        own = self._variance(0.0, self.probable_rate, self.acceleration) if self.is_in_sigma else 0.0
+        return self._variance(age_s, self.probable_rate, self.acceleration) - own
+
+    def _variance(self, age_s: float, rate: float, acceleration: float) -> float:
+        since_middle_s = self.at_s + age_s
         return (
             self.vibration**2
-            + (self.probable_rate * age_s) ** 2
-            + (0.5 * self.acceleration * (age_s**2 - self.spread_s2)) ** 2
-            + (self.onset * max(age_s - self.onset_s, 0.0)) ** 2
+            + (rate * age_s) ** 2
+            + (0.5 * acceleration * (since_middle_s**2 - self.spread_s2)) ** 2
+            + (self.onset * max(since_middle_s - self.onset_s, 0.0)) ** 2
         )
 
 
@@ -165,6 +176,22 @@ class MeanSpots:
     shapes: tuple[SpotShape | None, ...] = ()
     excess_px: tuple[float, ...] = ()
     motion: SpotMotion | None = None
+
+    def at_newest(self) -> MeanSpots | None:
+        """The spots of the newest exposure by the steady motion of all of them; None: that is not known.
+
+        A straight line through the window: its mean and its slope are uncorrelated.
+        """
+        if self.motion is None:
+            return None
+        at_s = self.motion.newest_s
+        return replace(
+            self,
+            px=self.px + at_s * self.motion.rate_px_per_s.reshape(-1, 2),
+            covariance_px2=self.covariance_px2 + at_s**2 * self.motion.rate_covariance,
+            t_ns=self.t_ns + round(at_s * 1e9),
+            motion=replace(self.motion, at_s=at_s),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -104,6 +104,7 @@ def beam_motions(
             onset=float(onset[row]),
             onset_s=motion.onset_s,
             spread_s2=motion.spread_s2,
+            at_s=motion.at_s,
         )
         for row, key in enumerate(_ROWS)
     }

@@ -148,6 +148,18 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "measuring.stale_after_s",
         "1 is over before the next value comes; possible: above 1",
     ),
+    (
+        "every = 1",
+        'every = 1\noutput = «"newest"',
+        "measuring.output",
+        '"newest" is not possible; possible: "mean" or "now"',
+    ),
+    (
+        "window = 20",
+        'output = "now"\nwindow = «7',
+        "measuring.window",
+        '7 exposures are too few for output = "now"; possible: from 8',
+    ),
     # [installation]
     ("sign_x = -1", "sign_x = «0", "installation.sign_x", "0 is not possible; possible: -1 or 1"),
     ("offset_x_mm = 12.5", "offset_x_mm = «1e6", "installation.offset_x_mm", "1000000.0 is too large"),
