@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 
 from altd.publish.modbus.checked_block import CheckedBlock
+from altd.publish.modbus.registers import WordOrder
 from altd.publish.modbus.values import Snapshot
 from altd.reasons import Reason
 from altd.records import Fault, Measurement
@@ -31,12 +32,13 @@ def block(
     session: int = SESSION,
     published: int | None = None,
     of: Measurement | None = MEASURED,
+    order: WordOrder = WordOrder.ABCD,
 ) -> bytes:
     """An answer of the unit; a message comes each 100 ms."""
     stamp = Stamp(Identity(unit, session), message, 7000 + 100 * message if clock_ms is None else clock_ms)
     count = message if published is None else published
     age_s = None if age_ms is None else age_ms / 1000
-    return struct.pack(">80H", *CheckedBlock().at(Snapshot(of, age_s, count, stamp)))
+    return struct.pack(">80H", *CheckedBlock(order).at(Snapshot(of, age_s, count, stamp)))
 
 
 def forged(data: bytes, words: dict[int, int]) -> bytes:

@@ -27,6 +27,7 @@ from support.scripted_unit import (
 from support.structured_text import Library
 
 from altd.instruments.beam.solver import Beam
+from altd.publish.modbus.registers import WordOrder
 from altd.publish.modbus.values import REASON_CODES
 from altd.reasons import Reason
 
@@ -34,6 +35,7 @@ VALUES = pytest.approx((10.012, 4.987, 1.1459, -1.7184), abs=1e-4)
 LIMIT_MS = 30_000.0
 """Of the table: no delay of a busy machine reaches it."""
 
+_, CDAB, BADC, DCBA = WordOrder
 OTHER = measured(Beam(99.0, 99.0, 9.0, 9.0, 0.004, 0.004, 0.0011, 0.0011))
 """What must never come through."""
 
@@ -49,6 +51,7 @@ TABLE: tuple[tuple[bytes | Wire, str, bool], ...] = (
     (b"\xff" * 160, "corrupt", True),
     (swapped(block(4, of=OTHER), 2), "corrupt", True),
     (swapped(block(4, of=OTHER), 4), "corrupt", True),
+    *((block(4, of=OTHER, order=order), "corrupt", True) for order in (CDAB, BADC, DCBA)),
     (forged(block(4, of=OTHER), {200: 2}), "corrupt", True),
     (block(5, unit=UNIT ^ 1, of=OTHER), "foreign", True),
     (block(6, age_ms=3_600_000, of=OTHER), "late", True),
