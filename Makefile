@@ -40,6 +40,7 @@ pages := \
     terminal:tools.pages.terminal \
     http:tools.pages.http \
     proof:tools.pages.proof \
+    clients:tools.pages.clients \
     tables:tools.pages.tables \
     config:tools.pages.config \
     decisions/README:tools.pages.decisions \
@@ -172,7 +173,7 @@ programs: # foreign programs that tests use
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \
 	    gcc /usr/include/linux/videodev2.h=libc6-dev pkg-config ip=iproute2 unshare=util-linux "$$header=python3-dev" \
-	    /usr/include/gobject-introspection-1.0/girepository.h=libgirepository1.0-dev /usr/include/cairo/cairo.h=libcairo2-dev
+	    /usr/include/gobject-introspection-1.0/girepository.h=libgirepository1.0-dev /usr/include/cairo/cairo.h=libcairo2-dev /usr/include/modbus/modbus.h=libmodbus-dev
 
 kernel: # the kernel that drivers are tested in
 	@.ci/kernel >/dev/null

@@ -171,10 +171,12 @@ floating point. Two requests fit together only if `sequence` is the same in both
 
 - Use a number only if bit 0 of `status` is 1 and `age` is below your limit. A value is the mean of one
   second, so its middle is about half a second old: an age of 500 to 600 ms is normal, and 1000 ms a good
-  limit.
+  limit. Wait 50 ms for an answer of Modbus TCP.
 - When `heartbeat` does not change for a second, or no answer comes, the unit has stopped: use no number.
 - In the tunnel, refuse a measurement with bit 12 or 13: it does not come from this unit's cameras.
 - A new measurement comes with every exposure, 20 a second. To poll faster than that gains nothing.
+
+[Client examples](clients.md) are complete programs in Python, C, Structured Text and Node-RED that do so.
 
 On a serial line a request and its answer take
 
