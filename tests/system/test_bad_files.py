@@ -131,7 +131,8 @@ def test_a_huge_picture_put_in_while_the_daemon_plays_is_degraded_and_over_when_
     frames = sorted((copy / "beams").glob("rear*.png"))
     good = {frame: frame.read_bytes() for frame in frames}
     process = subprocess.Popen(
-        [sys.executable, "-m", "altd.cli", "run", "--config", str(config)], stderr=subprocess.PIPE
+        [sys.executable, "-m", "altd.cli", "run", "--rehearsal", "--config", str(config)],
+        stderr=subprocess.PIPE,
     )
 
     def until(what: str, holds: Callable[[dict[str, Any]], object]) -> None:
