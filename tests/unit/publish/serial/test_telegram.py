@@ -16,7 +16,6 @@ from altd.instruments.beam.solver import Beam
 from altd.publish.serial.fields import Mode
 from altd.publish.serial.telegram import (
     MAX_SENTENCE_BYTES,
-    MAX_TELEGRAM_BYTES,
     SENTENCES,
     SIGMAS,
     Telegram,
@@ -153,7 +152,7 @@ def test_reasons_that_find_no_room_are_told_as_more() -> None:
     )
     telegram = parse(encode(crowd))
     assert telegram.reasons == ("stale", "target_0_spot_missing", "more")
-    assert len(encode(crowd)) <= MAX_TELEGRAM_BYTES
+    assert all(len(line) <= MAX_SENTENCE_BYTES for line in encode(crowd).splitlines(keepends=True))
 
 
 def test_the_sequence_wraps_at_32_bits() -> None:
