@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from support.clock import FakeClock
 from support.serving import GONE, lines, serving
-from support.telegram_reader import parse
 from support.wire import Wire
 
 from altd.config import TelegramPortSettings
@@ -22,7 +21,14 @@ from altd.records import Measurement
 from altd.serial_port.port import Port
 from altd.status.board import Board
 from altd.status.health import Component, State
+from altd.telegram import Reader, Reading
 from tools.pages.example import NAMEPLATE
+
+
+def parse(telegram: bytes) -> Reading:
+    [reading] = Reader().feed(telegram)
+    return reading
+
 
 Say = Callable[[bytes], Awaitable[None]]
 
