@@ -189,7 +189,8 @@ static int read_measurement(struct fields *fields, struct altd_reading *reading)
     reading->mode = mode.text[0];
     return take_count(fields, 0xFFFFFFFF, 10, &reading->sequence)
         && take_number(fields, 1, 4, 3, &reading->x_mm) && take_number(fields, 1, 4, 3, &reading->y_mm)
-        && take_number(fields, 1, 2, 4, &reading->yaw_deg) && take_number(fields, 1, 2, 4, &reading->pitch_deg)
+        && take_number(fields, 1, 2, 4, &reading->yaw_deg)
+        && take_number(fields, 1, 2, 4, &reading->pitch_deg)
         && take_number(fields, 1, 2, 4, &reading->roll_deg) && !fields->next;
 }
 

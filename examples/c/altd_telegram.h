@@ -7,8 +7,8 @@
  *     if (altd_telegram_feed(&telegram, byte, now_ms, &reading) && reading.valid)
  *         steer(reading.x_mm, reading.y_mm, reading.yaw_deg, reading.pitch_deg);
  *
- * A silent line gives no reading: the program needs a time-out of its own. Begin with an empty receive buffer,
- * because an old telegram that waited there looks fresh.
+ * A silent line gives no reading: the program needs a time-out of its own. Begin with an empty receive
+ * buffer, because an old telegram that waited there looks fresh.
  */
 #ifndef ALTD_TELEGRAM_H
 #define ALTD_TELEGRAM_H
@@ -61,12 +61,14 @@ struct altd_telegram {
     double delay_ms;
 };
 
-/* Begin. serial: the unit's serial number in UTF-8; its port must have checked = true. NULL: the third sentence
- * is ignored, so units, restarts and delays are not told apart; good for a display and not for a control. */
+/* Begin. serial: the unit's serial number in UTF-8; its port must have checked = true. NULL: the third
+ * sentence is ignored, and other units, restarts and delays are not found; enough for a display and not for a
+ * control. max_age_ms: age of the oldest valid measurement, with the delays that are found. */
 void altd_telegram_begin(struct altd_telegram *telegram, const char *serial, uint32_t max_age_ms);
 
-/* Accept the next telegram as the first one. Until this is called, a unit that was restarted is refused: an old
- * session that was recorded and is played again looks the same. Call it from the machine's start procedure. */
+/* Accept the next telegram as the first one. Until this is called, a unit that was restarted is refused: an
+ * old session that was recorded and is played again looks the same. Call it from the start procedure of the
+ * machine. */
 void altd_telegram_restart(struct altd_telegram *telegram);
 
 /* Take one byte. Returns 1 when it completes a reading. now_ms: a clock that is never set; it may wrap. */
