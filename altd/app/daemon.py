@@ -90,6 +90,7 @@ class Daemon:
             "calibration": _about(calibration),
         }
         self.health.targets = target_areas_of(config, calibration)
+        self._calibrated = calibration.created.date()
         self._calibration_files = ReadCalibrationFiles(config.unit.calibration, calibration.file)
         names = [target.name for target in config.targets]
         summary = summary_of(calibration, names, config.unit.calibration.name)
@@ -295,9 +296,16 @@ class Daemon:
 
             return ModbusRtuPublisher(port, self.board, component, self.health)
         from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
+        from altd.publish.serial.telegram import Nameplate
 
         if isinstance(port, TelegramPortSettings):
-            return TelegramPublisher(port, self.board, component, self.clock)
+            nameplate = Nameplate(
+                unit=self.board.identity.unit,
+                serial=self.config.unit.serial,
+                firmware=__version__,
+                calibrated=self._calibrated,
+            )
+            return TelegramPublisher(port, self.board, component, self.clock, nameplate)
         return ConsolePublisher(port, self.board, self.health, component, self.clock, self.past.for_console())
 
 

@@ -11,7 +11,7 @@ from altd.config import Config, LocalSettings, TelegramPortSettings, load_config
 from altd.config.draft import Draft
 from altd.config.table import shown
 from altd.config.wording import Fault
-from altd.publish.serial.telegram import MAX_CHECKED_BYTES, MAX_TELEGRAM_BYTES
+from altd.publish.serial.telegram import longest_bytes
 from altd.runtime.service_manager import runtime_folder
 from altd.serial_port.port import seconds_on_line
 
@@ -53,12 +53,17 @@ def telegrams_fit_their_lines(draft: Draft) -> Iterator[Fault]:
     for number, port in enumerate(draft.serial):
         if not isinstance(port, TelegramPortSettings):
             continue
-        takes_s = seconds_on_line(port, MAX_CHECKED_BYTES if port.checked else MAX_TELEGRAM_BYTES)
-        if port.rs485 is not None:
-            takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
-        if takes_s > port.interval_s:
+        if (takes_s := telegram_s(port)) > port.interval_s:
             least_s = math.ceil(takes_s * 100) / 100
             text = f"{port.interval_s:g} is too short at {port.baud} baud; possible: from {least_s:g}"
-            keys = ("baud", "parity", "stop_bits", "rs485", "checked")
+            keys = ("baud", "parity", "stop_bits", "rs485", "checked", "identify_every_s")
             about = tuple(("serial", number, key) for key in keys)
             yield Fault(("serial", number, "interval_s"), text, about=about)
+
+
+def telegram_s(port: TelegramPortSettings) -> float:
+    """How long the longest telegram of a port takes on its line; a shorter interval is refused."""
+    takes_s = seconds_on_line(port, longest_bytes(port))
+    if port.rs485 is not None:
+        takes_s += (port.rs485.delay_before_ms + port.rs485.delay_after_ms) * 1e-3
+    return takes_s

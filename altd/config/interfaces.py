@@ -160,13 +160,17 @@ class SerialPortSettings(Table):
 
 
 class TelegramPortSettings(SerialPortSettings):
-    """A serial port that sends the measurement as a telegram, again and again."""
+    """A serial port that sends the measurement as a telegram, at an interval or on request."""
 
     speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
-    """Time from one telegram to the next."""
+    """Time from one telegram to the next; the shortest one when they are sent on request."""
+    on_request: bool = False
+    """Send a telegram only when the line `?` is received."""
     checked: bool = False
     """Whether a third sentence lets the reader check the telegram: see `proof.md`."""
+    identify_every_s: Annotated[float, Field(ge=1, le=86400)] | None = None
+    """Time after which a telegram ends with `$PALTI`: serial number, versions and date. Without it: never."""
 
 
 class ConsolePortSettings(SerialPortSettings):

@@ -21,12 +21,13 @@ from altd.publish.http.publisher import HttpPublisher
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.publish.serial.publisher import TelegramPublisher
+from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import Publisher
 from altd.status.board import Board
 from altd.status.health import Health
-from altd.status.proof import Identity
+from altd.status.proof import Identity, unit_number
 
 SERIALS = ("ALT-0007", "ALT-0008")
 RATE_HZ = 40.0
@@ -54,6 +55,7 @@ class _Unit:
                 self.board,
                 component,
                 self.clock,
+                Nameplate(unit=unit_number(serial), serial=serial, firmware="", calibrated=None),
             )
             for device in ports["telegram"]
         ]

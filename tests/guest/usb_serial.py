@@ -29,6 +29,7 @@ from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.modbus.registers import SIZE
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
+from altd.publish.serial.telegram import Nameplate
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import Publisher, keep_running
 from altd.status.board import Board
@@ -162,7 +163,8 @@ class Unit:
         component = self.health.component(speaks)
         if speaks == "telegram":
             telegram = TelegramPortSettings(**line, interval_s=0.05)
-            return TelegramPublisher(telegram, self.board, component, self.clock)
+            nameplate = Nameplate(unit=None, serial="ALT-0007", firmware="", calibrated=None)
+            return TelegramPublisher(telegram, self.board, component, self.clock, nameplate)
         if speaks == "console":
             return ConsolePublisher(
                 ConsolePortSettings(**line), self.board, self.health, component, self.clock

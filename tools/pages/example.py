@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
 from altd.ports import Stop
+from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
 from altd.records.spots import Motion
 from altd.status.board import Board
@@ -41,6 +42,7 @@ AGE_S = 0.52
 """Since the middle of its exposures, when it is shown."""
 STAMP = Stamp(Identity(unit_number(SERIAL), 0x5C1E90A7), 4711, 345_678)
 """Of the message in which the pages show it."""
+NAMEPLATE = Nameplate(unit=STAMP.identity.unit, serial=SERIAL, firmware="0.1.0", calibrated=date(2026, 11, 2))
 
 
 class _Standing:

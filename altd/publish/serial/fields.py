@@ -53,6 +53,39 @@ def whole(largest: int) -> Form:
     )
 
 
+_CUT = "~"
+"""Ends a text that was longer than its field."""
+_RESERVED = r"$*,!\^~"
+
+
+def text(most: int) -> Form:
+    """A text of at most ``most`` characters, escaped as in NMEA 0183 and cut where it is longer.
+
+    A character that is reserved there or is no printable ASCII is ``^`` and two hexadecimal digits for each
+    of its bytes in UTF-8. ``~`` is reserved too, so at the end it can only be the mark of a cut.
+    """
+
+    def write(value: str) -> str:
+        parts = [_escaped(sign) for sign in value]
+        if sum(map(len, parts)) > most:
+            while sum(map(len, parts)) >= most:
+                parts.pop()
+            parts.append(_CUT)
+        return "".join(parts)
+
+    return Form(
+        widest="A" * most,
+        pattern=re.compile(rf"(?=.{{0,{most}}}$)((?![{re.escape(_RESERVED)}])[ -~]|\^[0-9A-F]{{2}})*~?"),
+        write=write,
+    )
+
+
+def _escaped(sign: str) -> str:
+    if " " <= sign <= "~" and sign not in _RESERVED:
+        return sign
+    return "".join(f"^{byte:02X}" for byte in sign.encode())
+
+
 def _write_time(value: time) -> str:
     return f"{value:%H%M%S}.{value.microsecond // 1000:03d}"
 

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 from collections.abc import Callable
 
 from altd.config import ConsolePortSettings, TelegramPortSettings
 from altd.ports import Clock
 from altd.publish.serial.console import Console
 from altd.publish.serial.parts_text import Past
-from altd.publish.serial.telegram import LINE_END, MAX_CHECKED_BYTES, encode, with_proof
-from altd.serial_port.port import Port, describe, opened, seconds_on_line
+from altd.publish.serial.telegram import (
+    LINE_END,
+    Nameplate,
+    encode,
+    identification,
+    longest_bytes,
+    with_proof,
+)
+from altd.serial_port.port import Port, describe, opened
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
 from altd.status.proof import Stamps
@@ -27,63 +35,93 @@ MAX_READ_BYTES = 128
 event loop about a millisecond, whatever comes in. 6,400 characters a second are more than anybody types."""
 
 
+_REQUEST = re.compile(rb"[^ -~]\?[\r\n]")
+"""A line of ``?`` alone. Any byte that is no printable ASCII counts as the end of the line before: some
+transceivers make one when the line changes its direction."""
+
+
 class TelegramPublisher:
-    """Sends the measurement of the moment at a fixed interval; what comes in is ignored."""
+    """Sends the measurement of the moment at a fixed interval, or when it is asked, but no more often."""
 
     def __init__(
-        self, settings: TelegramPortSettings, board: Board, component: Component, clock: Clock
+        self,
+        settings: TelegramPortSettings,
+        board: Board,
+        component: Component,
+        clock: Clock,
+        nameplate: Nameplate,
     ) -> None:
         self._settings = settings
         self._board = board
         self._component = component
         self._clock = clock
+        self._nameplate = nameplate
         self._stamps = Stamps(board)
+        self._heard = LINE_END
+        self._asked = False
+        """Whether a request waits; several get one answer."""
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the port cannot be opened or is gone."""
-        interval_ns = round(self._settings.interval_s * 1e9)
-        async with opened(self._settings, limit=len(LINE_END) + MAX_CHECKED_BYTES, fresh=True) as port:
+        settings, limit = self._settings, len(LINE_END) + longest_bytes(self._settings)
+        interval_ns = round(settings.interval_s * 1e9)
+        async with opened(settings, limit, fresh=True) as port:
             ready()
+            self._component.set_state(State.OK, telegram_message(settings))
+            self._heard, self._asked = LINE_END, False
             due_ns = self._clock.monotonic_ns()
+            identify_ns = math.inf if settings.identify_every_s is None else due_ns
             lead = LINE_END  # ends the line that an unplugged cable or a crash may have torn
             while True:
-                if self._send(port, lead):
-                    lead = b""
+                await self._until_due(port, due_ns)
                 now_ns = self._clock.monotonic_ns()
+                identifies = now_ns >= identify_ns
+                if self._send(port, lead, identifies):
+                    lead = b""
+                    if identifies:
+                        identify_ns = now_ns + (settings.identify_every_s or 0.0) * 1e9
+                self._asked = False
                 due_ns += interval_ns
-                if due_ns <= now_ns:  # time that was lost is not made up by a burst
+                if due_ns <= now_ns or settings.on_request:  # time that was lost is not made up by a burst
                     due_ns = now_ns + interval_ns
-                pause = asyncio.ensure_future(self._clock.sleep((due_ns - now_ns) * 1e-9))
-                try:
-                    while not pause.done():
-                        if await port.read(until=pause):
-                            await asyncio.sleep(READ_INTERVAL_S)
-                finally:
-                    pause.cancel()
 
-    def _send(self, port: Port, lead: bytes) -> bool:
-        settings = self._settings
+    async def _until_due(self, port: Port, due_ns: int) -> None:
+        """Return when the next telegram may be sent and, on request, was asked for."""
+        left_ns = due_ns - self._clock.monotonic_ns()
+        if left_ns > 0:
+            pause = asyncio.ensure_future(self._clock.sleep(left_ns * 1e-9))
+            try:
+                while not pause.done():
+                    await self._listen(port, pause)
+            finally:
+                pause.cancel()
+        while self._settings.on_request and not self._asked:
+            await self._listen(port)
+
+    async def _listen(self, port: Port, until: asyncio.Future[None] | None = None) -> None:
+        """Find a request in what comes in next, also where its bytes come one by one."""
+        heard = self._heard + await port.read(until=until)
+        if len(heard) > len(self._heard):
+            self._asked = self._asked or _REQUEST.search(heard) is not None
+            self._heard = heard[-2:]
+            await asyncio.sleep(READ_INTERVAL_S)
+
+    def _send(self, port: Port, lead: bytes, identifies: bool) -> bool:
         measurement = self._board.read()
         telegram = encode(measurement)
-        if settings.checked:
+        if self._settings.checked:
             telegram = with_proof(telegram, measurement, self._stamps.next(), self._board.age_s())
+        if identifies:
+            telegram += identification(self._nameplate, measurement)
         sent = port.write(lead + telegram)
         self._component.count("telegrams_sent" if sent else "telegrams_dropped")
         if sent:
             self._component.gave_data()
-        takes_s = seconds_on_line(settings, len(telegram))
-        if takes_s > settings.interval_s:
-            self._component.set_state(
-                State.DEGRADED,
-                f"a telegram of {len(telegram)} characters takes {takes_s:.2f} s at {settings.baud} baud "
-                f"but one is due every {settings.interval_s:g} s: some are left out",
-            )
-        elif not sent:
+            self._component.set_state(State.OK, telegram_message(self._settings))
+        else:
             self._component.set_state(
                 State.DEGRADED, "the line does not take the telegrams: they are left out"
             )
-        else:
-            self._component.set_state(State.OK, telegram_message(settings))
         return sent
 
 
@@ -162,7 +200,8 @@ class ConsolePublisher:
 
 def telegram_message(settings: TelegramPortSettings) -> str:
     """What health says of a port whose telegrams go out."""
-    return f"telegram every {settings.interval_s:g} s on {describe(settings)}"
+    when = "on request, at most every" if settings.on_request else "every"
+    return f"telegram {when} {settings.interval_s:g} s on {describe(settings)}"
 
 
 def console_message(settings: ConsolePortSettings) -> str:

@@ -1,5 +1,7 @@
 """The telegram: one measurement as two sentences with the framing of NMEA 0183, and a third to check both.
 
+A fourth identifies the unit; it is sent rarely.
+
 A sentence is ``$``, a name, fields after commas, ``*``, the exclusive or of all characters between ``$``
 and ``*`` as two hexadecimal digits, CR LF; 82 characters at most, all counted. ``$P`` marks a sentence of
 the maker's own. A value that is not known is an empty field. ``SENTENCES`` is the only definition of the
@@ -16,7 +18,8 @@ from functools import reduce
 from operator import xor
 from typing import Any
 
-from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, whole
+from altd.config import TelegramPortSettings
+from altd.publish.serial.fields import CODES, MODE, UTC_TIME, Form, Mode, number, text, whole
 from altd.reasons import Reason
 from altd.records import Measurement
 from altd.status.proof import Stamp, crc32
@@ -157,9 +160,6 @@ QUALITY = Sentence(
 )
 
 SENTENCES = (MEASUREMENT, QUALITY)
-MAX_TELEGRAM_BYTES = MAX_SENTENCE_BYTES * len(SENTENCES)
-MAX_CHECKED_BYTES = MAX_TELEGRAM_BYTES + MAX_SENTENCE_BYTES
-"""With the sentence by which a reader checks it."""
 
 
 def checksum(body: Iterable[int]) -> int:
@@ -196,6 +196,13 @@ def _ordered_codes(measurement: Measurement) -> tuple[str, ...]:
     """Reasons of the whole unit, of its targets, then warnings: the last give way where room is short."""
     ordered = sorted(measurement.status, key=lambda f: (f.reason.is_warning, f.target is not None))
     return tuple(dict.fromkeys(str(fault) for fault in ordered))
+
+
+def _date(measurement: Measurement | None) -> date | None:
+    """The UTC date of the measurement's time."""
+    if measurement is None or measurement.time is None:
+        return None
+    return measurement.time.astimezone(UTC).date()
 
 
 MAX_AGE_MS = 9_999_999
@@ -240,15 +247,50 @@ def with_proof(telegram: bytes, measurement: Measurement | None, stamp: Stamp, a
     The CRC is over all bytes from the first ``$`` of the telegram to the comma before the CRC, line ends and
     checksums too.
     """
-    time = measurement.time if measurement else None
     proof = Proof(
         unit=stamp.identity.unit,
         session=stamp.identity.session,
         message=stamp.message,
         clock_ms=stamp.clock_ms,
-        date=None if time is None else time.astimezone(UTC).date(),
+        date=_date(measurement),
         age_ms=None if age_s is None else min(max(round(1000 * age_s), 0), MAX_AGE_MS),
     )
     texts = [field.text(proof) for field in PROOF.fields[:-1]]
     begun = ",".join([f"${PROOF.name}", *texts, ""]).encode("ascii")
     return telegram + PROOF.encode(replace(proof, crc32=crc32(telegram + begun)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Nameplate:
+    """Which unit sends; None is an empty field."""
+
+    unit: int | None
+    serial: str
+    firmware: str
+    calibrated: date | None
+    date: date | None = None
+    """That of the measurement before it."""
+
+
+IDENTIFICATION = Sentence(
+    "PALTI",
+    "which unit sends",
+    (
+        Field("unit", _HEXADECIMAL, "", "CRC-32 of the whole serial number in UTF-8, as in `$PALTC`"),
+        Field("serial", text(26), "", "serial number, escaped as described below"),
+        Field("firmware", text(16), "", "version of altd, escaped as described below"),
+        Field("calibrated", _DATE, "yyyymmdd", "UTC date of the calibration"),
+        Field("date", _DATE, "yyyymmdd", "UTC, goes with `time` of `$PALTM`; empty when not known"),
+    ),
+)
+
+
+def identification(nameplate: Nameplate, measurement: Measurement | None) -> bytes:
+    """The sentence that identifies the unit; it follows the telegram of the measurement."""
+    return IDENTIFICATION.encode(replace(nameplate, date=_date(measurement)))
+
+
+def longest_bytes(settings: TelegramPortSettings) -> int:
+    """Characters of the longest telegram with the sentences that a port sends."""
+    sentences = len(SENTENCES) + settings.checked + (settings.identify_every_s is not None)
+    return MAX_SENTENCE_BYTES * sentences

@@ -289,6 +289,18 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "serial.0.interval_s",
         "0.2 is too short at 9600 baud; possible: from 0.26",
     ),
+    (
+        "interval_s = 1.0",
+        "interval_s = «0.3\nchecked = true\nidentify_every_s = 600",
+        "serial.0.interval_s",
+        "0.3 is too short at 9600 baud; possible: from 0.35",
+    ),
+    (
+        "interval_s = 1.0",
+        "interval_s = 1.0\nidentify_every_s = «0.5",
+        "serial.0.identify_every_s",
+        "0.5 is too small; possible: number from 1 to 86400",
+    ),
     ("delay_before_ms = 1", "delay_before_ms = «101", "serial.0.rs485.delay_before_ms", "101 is too large"),
     ('parity = "none"', 'parity = «"mark"', "serial.1.parity", 'possible: "none" or "even" or "odd"'),
     # [lamps], [indicators]

@@ -1,15 +1,15 @@
-"""The third sentence, read by plain string handling; the CRC is Python's own."""
+"""The sentences that check and identify, read by plain string handling; the CRC is Python's own."""
 
 from __future__ import annotations
 
 import zlib
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, date, datetime, timedelta, timezone
 
 import pynmea2
 import pytest
 
-from altd.publish.serial.telegram import PROOF, encode, with_proof
+from altd.publish.serial.telegram import PROOF, Nameplate, encode, identification, with_proof
 from altd.records import Measurement
 from altd.status.proof import Identity, Stamp
 
@@ -60,3 +60,41 @@ def test_the_longest_sentence_is_82_characters_at_most(measured: Measurement) ->
     assert len(longest) <= 82
     widest = sum(len(field.form.widest) + 1 for field in PROOF.fields)
     assert len(longest) == len("$PALTC*00\r\n") + widest
+
+
+NAMEPLATE = Nameplate(unit=0x1E4B2D8E, serial="ALT-0007", firmware="0.1.0", calibrated=date(2026, 11, 2))
+LONG = "A" * 64
+
+
+def test_a_unit_is_identified(measured: Measurement) -> None:
+    assert identification(NAMEPLATE, measured) == b"$PALTI,1E4B2D8E,ALT-0007,0.1.0,20261102,20261120*27\r\n"
+    assert identification(NAMEPLATE, None).startswith(b"$PALTI,1E4B2D8E,ALT-0007,0.1.0,20261102,*")
+
+
+@pytest.mark.parametrize(
+    ("serial", "text"),
+    [
+        ("A 1/2-3_4;5", "A 1/2-3_4;5"),
+        ("A,B*C$D!E\\F", "A^2CB^2AC^24D^21E^5CF"),
+        ("^^~", "^5E^5E^7E"),
+        ("Ü1", "^C3^9C1"),
+        ("机" * 2, "^E6^9C^BA^E6^9C^BA"),
+        ("机" * 3, "^E6^9C^BA^E6^9C^BA~"),
+        (LONG[:26], LONG[:26]),
+        (LONG[:27], LONG[:25] + "~"),
+        (LONG, LONG[:25] + "~"),
+        ("A" * 23 + ",B", "A" * 23 + "~"),
+    ],
+)
+def test_any_serial_number_finds_room_and_one_that_was_cut_is_marked(
+    measured: Measurement, serial: str, text: str
+) -> None:
+    sentence = identification(replace(NAMEPLATE, serial=serial), measured)
+    assert sentence.split(b",")[2].decode() == text
+    assert len(sentence) <= 82
+    message = pynmea2.parse(sentence.decode("ascii"), check=True)
+    assert message.data == ["I", "1E4B2D8E", text, "0.1.0", "20261102", "20261120"]
+
+
+def test_the_longest_identification_is_82_characters(measured: Measurement) -> None:
+    assert len(identification(replace(NAMEPLATE, serial=LONG, firmware=LONG), measured)) == 82
