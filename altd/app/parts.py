@@ -82,9 +82,9 @@ def _checks_of_http(settings: HttpSettings) -> Iterator[Callable[[], object]]:
 
         yield partial(load_credentials, settings.credentials)
     if settings.certificate is not None and settings.key is not None:
-        from altd.publish.http.tls import context_of
+        from altd.credentials.certificates import server_context
 
-        yield partial(context_of, settings.certificate, settings.key)
+        yield partial(server_context, settings.certificate, settings.key)
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:
