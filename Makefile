@@ -51,8 +51,8 @@ pages := \
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
 
-demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
-	@exec $(python) -m hw_sim demo
+demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it; MQTT=HOST[:PORT] publishes, too
+	@exec $(python) -m hw_sim demo $(if $(MQTT),--mqtt '$(MQTT)')
 
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige

@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from support.cli import altd_here
 from support.foreign import need_program
+from support.mqtt import mosquitto
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
 from support.played_unit import PlayingDaemon
@@ -215,9 +216,14 @@ def test_every_face_of_the_daemon_says_it(
     """Played: what is marked as simulated stays so, beside being played."""
     devices: list[str] = []
     http, modbus = free_port(), free_port()
-    with line_to(devices.append) as telegram, line_to(devices.append) as console:
+    with (
+        line_to(devices.append) as telegram,
+        line_to(devices.append) as console,
+        mosquitto(tmp_path, "allow_anonymous true") as (broker, _),
+    ):
         faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n'
         faces += f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+        faces += f'[mqtt]\nhost = "127.0.0.1"\nport = {broker}\nevery_measurement = true\n'
         for device, speaks in zip(devices, ("telegram", "console"), strict=True):
             faces += f'[[serial]]\ndevice = "{device}"\nspeaks = "{speaks}"\nbaud = 115200\n'
         fitted, beams = files.folder / f"{calibration}.json", files.beams(frames)
@@ -237,12 +243,21 @@ def test_every_face_of_the_daemon_says_it(
             with urllib.request.urlopen(f"http://127.0.0.1:{http}/api/status", timeout=20) as page:
                 fact = json.load(page)["calibration"]
             assert ("SIMULATED" in fact) == (calibration == "simulated")
+            for topic in ("measurement", "summary"):
+                assert {"playback", "simulated"} <= set(json.loads(_next_message(broker, topic))["status"])
             os.write(console, b"status\r")
             assert "simulated" in read_until(console, "simulated")
             assert _status_word(modbus) >> 12 & 0b11 == 0b11
         finally:
             daemon.kill()
             daemon.wait()
+
+
+def _next_message(port: int, topic: str) -> str:
+    command = [need_program("mosquitto_sub", "mosquitto-clients"), "-p", str(port), "-C", "1", "-W", "20"]
+    return subprocess.run(
+        [*command, "-t", f"altd/+/{topic}"], capture_output=True, text=True, check=True
+    ).stdout
 
 
 def _status_word(port: int) -> int:

@@ -161,6 +161,7 @@ class MqttPublisher:
         self._since_summary.clear()
         line = with_proof(summary, self._board, self._stamps.next())
         await broker.send(self._topics.summary, line, expiry_s=NUMBERS_EXPIRY_S)
+        self._component.count("messages_sent")
         self._component.gave_data()
 
     async def _send_next(self, broker: Broker, timeout_s: float) -> None:
@@ -180,6 +181,7 @@ class MqttPublisher:
         self._told = measurement
         line = checked_line(self._board, measurement, self._stamps.next())
         await broker.send(self._topics.measurement, line, expiry_s=NUMBERS_EXPIRY_S)
+        self._component.count("messages_sent")
         self._component.gave_data()
 
     async def _send_state(self, broker: Broker) -> None:
