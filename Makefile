@@ -30,27 +30,30 @@ core_system := $(addprefix tests/system/,answers/test_map.py answers/test_replay
     test_bad_files.py test_invalid_cases.py test_layers.py vision/test_bit_depths.py)
 core := tests/unit $(core_system) -m 'not real_time and not alone and not own_network'
 
-# Pages of docs/ and the modules that write them.
+# Pages and other files of docs/, and the modules that write them.
 pages := \
-    modbus:tools.pages.modbus \
-    reasons:tools.pages.reasons \
-    states:tools.pages.states \
-    telegram:tools.pages.telegram \
-    console:tools.pages.console \
-    terminal:tools.pages.terminal \
-    http:tools.pages.http \
-    proof:tools.pages.proof \
-    clients:tools.pages.clients \
-    tables:tools.pages.tables \
-    config:tools.pages.config \
-    decisions/README:tools.pages.decisions \
-    licences:tools.licences.licence_page
+    modbus.md:tools.pages.modbus \
+    reasons.md:tools.pages.reasons \
+    states.md:tools.pages.states \
+    states.svg:tools.pages.states_picture \
+    telegram.md:tools.pages.telegram \
+    console.md:tools.pages.console \
+    terminal.md:tools.pages.terminal \
+    http.md:tools.pages.http \
+    mqtt.md:tools.pages.mqtt \
+    mqtt.schema.json:tools.pages.mqtt_schema \
+    proof.md:tools.pages.proof \
+    clients.md:tools.pages.clients \
+    tables.md:tools.pages.tables \
+    config.md:tools.pages.config \
+    decisions/README.md:tools.pages.decisions \
+    licences.md:tools.licences.licence_page
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-15s %s\n", $$1, $$2 }' Makefile
 
-demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it
-	@exec $(python) -m hw_sim demo
+demo: venv ## a simulated unit, measured: values and truth in the terminal; Ctrl-C ends it; MQTT=HOST[:PORT] publishes, too
+	@exec $(python) -m hw_sim demo $(if $(MQTT),--mqtt '$(MQTT)')
 
 demo-gige: programs venv ## the same with its cameras on the network, by GigE Vision
 	@exec $(python) -m hw_sim demo --gige
@@ -91,10 +94,9 @@ check: venv ## style, types, layers, licences, generated pages, width of pages
 	$(VENV)/bin/lint-imports --no-logo
 	$(python) -m tools.licences
 	for page in $(pages); do
-		file=docs/$${page%:*}.md
+		file=docs/$${page%:*}
 		$(python) -m "$${page#*:}" | cmp -s - "$$file" || { echo "$$file is out of date: make docs" >&2; exit 1; }
 	done
-	$(python) -m tools.pages.states_picture | cmp -s - docs/states.svg || { echo "docs/states.svg is out of date: make docs" >&2; exit 1; }
 	echo "generated pages are up to date"
 	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
 
@@ -148,11 +150,10 @@ studies: venv ## the thesis' experiments on simulated parts: docs/studies/, take
 
 docs: venv ## write the generated pages and pictures of docs/
 	@for page in $(pages); do
-		file=docs/$${page%:*}.md
+		file=docs/$${page%:*}
 		$(python) -m "$${page#*:}" >"$$file.new" || { rm -f "$$file.new"; exit 1; }
 		mv "$$file.new" "$$file"
 	done
-	$(python) -m tools.pages.states_picture >docs/states.svg
 	.ci/programs must tmux chromium pdftoppm=poppler-utils
 	$(python) -m tools.pictures
 	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish -k "faults or night or checks_so_far"
@@ -168,7 +169,7 @@ venv:
 	@.ci/venv
 
 programs: # foreign programs that tests use
-	@.ci/programs may chromium curl ssh-keygen=openssh-client unzip mbpoll socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
+	@.ci/programs may chromium curl ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
 	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \

@@ -22,6 +22,7 @@ from altd.config import (
     HttpSettings,
     ModbusRtuPortSettings,
     ModbusTcpSettings,
+    MqttSettings,
     Target,
     TelegramPortSettings,
 )
@@ -68,6 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="end after so long (default: never)")
     parser.add_argument("--http-port", type=_port, default=0, metavar="PORT", help="default: a free one")
     parser.add_argument("--modbus-port", type=_port, default=0, metavar="PORT", help="default: a free one")
+    parser.add_argument(
+        "--mqtt", type=_broker, metavar="HOST[:PORT]", help="publish to this MQTT broker (default: to none)"
+    )
     parser.add_argument(
         "--gige",
         action="store_true",
@@ -129,6 +133,7 @@ async def _demo(arguments: argparse.Namespace, stop: Callable[[], None]) -> None
             console=console,
             modbus_rtu=modbus_rtu,
             folder=folder,
+            mqtt=arguments.mqtt,
         )
         config = _config(unit, calibration, faces)
         cameras: dict[str, Camera] = {camera.name: camera for camera in make_cameras(unit)}
@@ -244,6 +249,7 @@ def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
         ),
         modbus_tcp=ModbusTcpSettings(host=LOCALHOST, port=faces.modbus_port),
         http=HttpSettings(host=LOCALHOST, port=faces.http_port),
+        mqtt=faces.mqtt,
         local=faces.folder.local,
         history=faces.folder.history,
         kept_frames=faces.folder.kept_frames,
@@ -263,3 +269,11 @@ def _port(text: str) -> int:
     if not 0 <= port <= 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is no TCP port")
     return port
+
+
+def _broker(text: str) -> MqttSettings:
+    host, colon, port = text.rpartition(":")
+    try:
+        return MqttSettings(host=host or text, port=_port(port) if colon else None)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no broker; possible: HOST or HOST:PORT") from error

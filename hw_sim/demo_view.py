@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from altd.app.daemon import Daemon
+from altd.config import MqttSettings
 from altd.records import Measurement, counted
 from hw_sim.demo_figures import QUANTITIES, Figures, memory_mib, truth_of
 from hw_sim.demo_folder import DemoFolder
@@ -45,6 +46,7 @@ class Faces:
     console: Line
     modbus_rtu: Line
     folder: DemoFolder
+    mqtt: MqttSettings | None = None
 
     def commands(self) -> list[tuple[str, str]]:
         """What to type to try each, with its name. Flags and registers are those of docs/modbus.md."""
@@ -58,7 +60,14 @@ class Faces:
             ("Modbus RTU", f"mbpoll -m rtu {floats} {self.modbus_rtu.far_end}"),
             ("telegram", f"cat {self.telegram.far_end}"),
             ("console", f"picocom {self.console.far_end}    (then help; Ctrl-A Ctrl-X leaves)"),
+            *self._mqtt_commands(),
         ]
+
+    def _mqtt_commands(self) -> list[tuple[str, str]]:
+        if self.mqtt is None:
+            return []
+        where = f"-h {self.mqtt.host} -p {self.mqtt.port_or_default}"
+        return [("MQTT", f"mosquitto_sub -V 5 {where} -v -t '{self.mqtt.topic}/#'")]
 
     def components(self) -> dict[str, str]:
         """For people's names of the faces, the names of their components in the unit's health."""
@@ -68,7 +77,7 @@ class Faces:
             "RTU": f"serial {self.modbus_rtu.unit_end}",
             "telegram": f"serial {self.telegram.unit_end}",
             "console": f"serial {self.console.unit_end}",
-        }
+        } | ({} if self.mqtt is None else {"MQTT": f"mqtt {self.mqtt.host}:{self.mqtt.port_or_default}"})
 
 
 class View:
@@ -161,7 +170,8 @@ class View:
         for name, place in self._faces.components().items():
             component = self._daemon.health.component(place)
             count = component.counters.get
-            answered = count("requests", 0) + count("telegrams_sent", 0) + count("commands", 0)
+            sent = ("requests", "telegrams_sent", "commands", "messages_sent")
+            answered = sum(count(counter, 0) for counter in sent)
             skipped = count("events_skipped", 0) + count("telegrams_dropped", 0) + count("answers_dropped", 0)
             parts.append(
                 f"{name} {answered}"

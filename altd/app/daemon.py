@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
@@ -280,6 +281,11 @@ class Daemon:
             component = health.component(place)
             past = self.past
             yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
+        if config.mqtt is not None:
+            from altd.publish.mqtt.publisher import MqttPublisher
+
+            place = f"mqtt {config.mqtt.host}:{config.mqtt.port_or_default}"
+            yield place, MqttPublisher(config.mqtt, board, health, health.component(place), random.Random())  # noqa: S311  it spreads reconnections
         if (path := local_socket_of(config)) is not None:
             from altd.publish.http.publisher import LocalPublisher
 

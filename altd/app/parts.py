@@ -14,7 +14,6 @@ from altd.config import (
     AravisCameraSettings,
     CameraLampsSettings,
     Config,
-    HttpSettings,
     InclinometerSettings,
     LiveCameraSettings,
     RecordingCameraSettings,
@@ -66,25 +65,28 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
             calibration = calibration_of(config, cameras)
         except BadInputError as error:
             errors.setdefault(str(error), error)
-    if config.http is not None:
-        for check in _checks_of_http(config.http):
-            try:
-                check()
-            except BadInputError as error:
-                errors.setdefault(str(error), error)
+    for check in _checks_of_interfaces(config):
+        try:
+            check()
+        except BadInputError as error:
+            errors.setdefault(str(error), error)
     return calibration, list(errors.values())
 
 
-def _checks_of_http(settings: HttpSettings) -> Iterator[Callable[[], object]]:
-    """What reads the files of ``[http]``, as the interface itself will."""
-    if settings.credentials is not None:
-        from altd.credentials.file import load_credentials
+def _checks_of_interfaces(config: Config) -> Iterator[Callable[[], object]]:
+    """What reads the files of ``[http]`` and ``[mqtt]``, as the interfaces themselves will."""
+    from altd.credentials.certificates import client_context, server_context
+    from altd.credentials.file import load_credentials, load_login
 
-        yield partial(load_credentials, settings.credentials)
-    if settings.certificate is not None and settings.key is not None:
-        from altd.publish.http.tls import context_of
-
-        yield partial(context_of, settings.certificate, settings.key)
+    http, mqtt = config.http, config.mqtt
+    if http is not None and http.credentials is not None:
+        yield partial(load_credentials, http.credentials)
+    if http is not None and http.certificate is not None and http.key is not None:
+        yield partial(server_context, http.certificate, http.key)
+    if mqtt is not None and mqtt.credentials is not None:
+        yield partial(load_login, mqtt.credentials)
+    if mqtt is not None and mqtt.ca is not None:
+        yield partial(client_context, mqtt.ca, mqtt.certificate, mqtt.key)
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:

@@ -12,13 +12,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
 from altd.config.devices import AnyLampsSettings, GrblStageSettings, InclinometerSettings, IndicatorsSettings
-from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings
+from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings, MqttSettings
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
 from altd.config.unit import Target
 from altd.config.whole import Config
 
-_TABLES = ("measuring", "modbus_tcp", "http", "lamps", "indicators", "inclinometer", "stage")
+_TABLES = ("measuring", "modbus_tcp", "http", "mqtt", "lamps", "indicators", "inclinometer", "stage")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,7 @@ class Draft:
     measuring: Measuring | None
     modbus_tcp: ModbusTcpSettings | None
     http: HttpSettings | None
+    mqtt: MqttSettings | None
     serial: tuple[AnySerialPortSettings | None, ...]
     lamps: AnyLampsSettings | None
     indicators: IndicatorsSettings | None

@@ -1,4 +1,4 @@
-"""The interfaces: Modbus, HTTP, serial ports, and the local socket of the unit's own computer."""
+"""The interfaces: Modbus, HTTP, MQTT, serial ports, and the local socket of the unit's own computer."""
 
 from __future__ import annotations
 
@@ -130,6 +130,55 @@ class HttpSettings(Table):
     """The certificate chain, PEM: from then on TLS alone is spoken. With `key`."""
     key: Path | None = None
     """The certificate's private key, PEM, without a passphrase."""
+
+
+def _broker(host: str) -> str:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return _host_name(host)
+    return host
+
+
+_TOPIC = re.compile(r"[A-Za-z0-9_.:-]+(/[A-Za-z0-9_.:-]+)*", re.ASCII)
+
+
+def _topic(text: str) -> str:
+    if not _TOPIC.fullmatch(text):
+        possible = "possible: letters, digits and _ . : -, and / between levels"
+        raise complaint(((), f"{shown(text)} is no beginning of topics; {possible}"))
+    return text
+
+
+Topic = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_topic)]
+
+
+class MqttSettings(Table):
+    """Publishes to an MQTT 5 broker; the unit subscribes to nothing."""
+
+    host: Annotated[str, AfterValidator(_broker)]
+    """The broker's name or IP address; with TLS its certificate must have it."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """TCP port; without it 8883 with `ca`, else 1883."""
+    topic: Topic = "altd"
+    """What the unit's topics begin with; its serial number follows: `altd/ALT-0007/summary`."""
+    every_measurement: bool = False
+    """Publish every measurement beside the summary of each second."""
+    home_assistant: Topic | None = None
+    """Announce the unit to Home Assistant; the value is its discovery prefix, usually `homeassistant`."""
+    ca: Path | None = None
+    """The certificates of the authorities that may vouch for the broker, PEM: TLS alone is spoken with it."""
+    certificate: Path | None = None
+    """The unit's own certificate chain, PEM, where the broker asks for one. With `key` and `ca`."""
+    key: Path | None = None
+    """The certificate's private key, PEM, without a passphrase."""
+    credentials: Path | None = None
+    """A file with the user name in its first line and the password in its second, for its owner alone."""
+
+    @property
+    def port_or_default(self) -> int:
+        """The port that is connected to."""
+        return self.port or (1883 if self.ca is None else 8883)
 
 
 class Rs485Settings(Table):

@@ -165,14 +165,14 @@ def _listeners(draft: Draft) -> Iterator[Fault]:
         )
 
 
-def _certificate(draft: Draft) -> Iterator[Fault]:
-    """A certificate has its key, and a key its certificate."""
-    if draft.http is None:
-        return
-    for one, other in (("certificate", "key"), ("key", "certificate")):
-        if getattr(draft.http, one) is None and getattr(draft.http, other) is not None:
-            text = f"stands alone; possible: with {one} beside it"
-            yield Fault(("http", other), text, about=(("http", one),))
+def _certificates(draft: Draft) -> Iterator[Fault]:
+    """A certificate has its key, a key its certificate, and a broker that is shown one its own authority."""
+    pairs = [("certificate", "key"), ("key", "certificate")]
+    for name, table in (("http", draft.http), ("mqtt", draft.mqtt)):
+        for one, other in [*pairs, ("ca", "certificate")] if name == "mqtt" else pairs:
+            if table is not None and getattr(table, one) is None and getattr(table, other) is not None:
+                text = f"stands alone; possible: with {one} beside it"
+                yield Fault((name, other), text, about=((name, one),))
 
 
 def _serial_ports(draft: Draft) -> Iterator[Fault]:
@@ -282,7 +282,7 @@ RULES: tuple[Rule, ...] = (
     _output,
     _one_camera_twice,
     _listeners,
-    _certificate,
+    _certificates,
     _serial_ports,
     _inclinometer,
     _lamps_on_cameras,

@@ -14,7 +14,13 @@ from altd.config.devices import (
     IndicatorsSettings,
     Scan,
 )
-from altd.config.interfaces import AnySerialPortSettings, HttpSettings, LocalSettings, ModbusTcpSettings
+from altd.config.interfaces import (
+    AnySerialPortSettings,
+    HttpSettings,
+    LocalSettings,
+    ModbusTcpSettings,
+    MqttSettings,
+)
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
 from altd.config.table import Name, Table
@@ -31,6 +37,7 @@ class Config(Table):
     installation: Installation = Installation()
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None
+    mqtt: MqttSettings | None = None
     local: LocalSettings | None = None
     serial: tuple[AnySerialPortSettings, ...] = ()
     lamps: AnyLampsSettings | None = None

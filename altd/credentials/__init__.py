@@ -1,1 +1,1 @@
-"""Who may act on the unit: names with hashes of passwords and tokens, in a file of their own."""
+"""Who may act on the unit, and what it proves itself with: passwords, tokens, certificates, in files."""

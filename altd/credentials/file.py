@@ -103,6 +103,19 @@ def load_credentials(path: Path) -> Credentials:
     return credentials
 
 
+def load_login(path: Path) -> tuple[str, str]:
+    """User name and password at a broker, a line each; raises BadInputError that names the file."""
+    content = read_file(path, MAX_BYTES)
+    _check_permissions(path)
+    try:
+        lines = content.decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise BadInputError(path, "is not UTF-8") from error
+    if len(lines) != 2 or not all(lines):
+        raise BadInputError(path, "must have two lines: the user name and the password")
+    return lines[0], lines[1]
+
+
 def save_credentials(path: Path, credentials: Credentials) -> None:
     """Write the file whole; a new one is for its owner alone if the umask says so. Raises BadInputError."""
     if len(credentials.passwords) + len(credentials.tokens) > MAX_ENTRIES:

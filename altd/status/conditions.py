@@ -57,7 +57,7 @@ class Condition(StrEnum):
         "face_failed", _MAINTENANCE_REQUIRED,
         "a connection to the outside has failed",
         "check the port or address that the component names",
-        "Modbus, HTTP or a serial port does not serve; the numbers on the others are true",
+        "Modbus, HTTP, MQTT or a serial port does not serve; the numbers on the others are true",
     )  # fmt: skip
     LAMPS_FAILED = (
         "lamps_failed", _MAINTENANCE_REQUIRED,

@@ -141,11 +141,16 @@ def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:
 
 
 def checked_line(board: Board, measurement: Measurement, stamp: Stamp) -> str:
-    """What the board reads now, as one line of JSON without the line end.
+    """What the board reads now, as one line of JSON without the line end, with its proof."""
+    return with_proof(as_object_now(measurement, board.age_s()), board, stamp)
+
+
+def with_proof(document: Mapping[str, Any], board: Board, stamp: Stamp) -> str:
+    """A document as one line of JSON, behind its keys those of the proof.
 
     The last member is ``crc32``: of all bytes before ``, "crc32":``, as they are sent.
     """
-    line = line_of(as_object_now(measurement, board.age_s()) | proof_of(board, stamp)).removesuffix("}")
+    line = line_of({**document, **proof_of(board, stamp)}).removesuffix("}")
     return f'{line}, "crc32": "{_hexadecimal(crc32(line.encode("ascii")))}"}}'
 
 

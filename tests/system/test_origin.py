@@ -26,6 +26,7 @@ import numpy as np
 import pytest
 from support.cli import altd_here
 from support.foreign import need_program
+from support.mqtt import mosquitto
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
 from support.played_unit import PlayingDaemon
@@ -219,9 +220,14 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
     said = {"playback", "simulated"} | ({"rehearsal"} if rehearsal else {"not_live"})
     devices: list[str] = []
     http, modbus = free_port(), free_port()
-    with line_to(devices.append) as telegram, line_to(devices.append) as console:
+    with (
+        line_to(devices.append) as telegram,
+        line_to(devices.append) as console,
+        mosquitto(tmp_path, "allow_anonymous true") as (broker, _),
+    ):
         faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n'
         faces += f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+        faces += f'[mqtt]\nhost = "127.0.0.1"\nport = {broker}\nevery_measurement = true\n'
         for device, speaks in zip(devices, ("telegram", "console"), strict=True):
             faces += f'[[serial]]\ndevice = "{device}"\nspeaks = "{speaks}"\nbaud = 115200\n'
         fitted, beams = files.folder / f"{calibration}.json", files.beams(frames)
@@ -249,6 +255,11 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
                 status = json.load(page)
             assert ("SIMULATED" in status["calibration"]) == (calibration == "simulated")
             assert said <= {cause["code"] for cause in status["state"]["causes"]}
+            for topic in ("measurement", "summary"):
+                published = json.loads(_next_message(broker, topic))
+                assert said <= set(published["status"])
+                x_mm = published["x_mm"]["mean"] if topic == "summary" else published["x_mm"]
+                assert (x_mm is not None) == rehearsal
             os.write(console, b"status\r")
             assert "simulated" in read_until(console, "simulated")
             played, not_trusted = 0b11 << 12, 1 << 15
@@ -256,6 +267,13 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
         finally:
             daemon.kill()
             daemon.wait()
+
+
+def _next_message(port: int, topic: str) -> str:
+    command = [need_program("mosquitto_sub", "mosquitto-clients"), "-p", str(port), "-C", "1", "-W", "20"]
+    return subprocess.run(
+        [*command, "-t", f"altd/+/{topic}"], capture_output=True, text=True, check=True
+    ).stdout
 
 
 def _status_word(port: int) -> int:

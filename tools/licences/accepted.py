@@ -80,6 +80,7 @@ class Part:
 
 
 PURPOSES = {
+    "aiomqtt": "MQTT",
     "gpiod": "lamps on GPIO lines",
     "numpy": "arrays and linear algebra",
     "opencv-python-headless": "pictures: reading, filters, camera models",
@@ -97,6 +98,7 @@ PURPOSES = {
 """What altd itself needs each package of ``pyproject.toml`` for."""
 
 STATED = {
+    "aiomqtt": Stated("BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"),
     "contourpy": Stated(
         "BSD 3-Clause License …; BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"
     ),

@@ -28,6 +28,7 @@ from altd.config import (
     Measuring,
     ModbusRtuPortSettings,
     ModbusTcpSettings,
+    MqttSettings,
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
@@ -66,6 +67,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         "Leave the table out and the interface is off. Registers: `modbus.md`.",
     ),
     ("[http]", HttpSettings, "Leave the table out and the interface is off. Routes: `http.md`."),
+    ("[mqtt]", MqttSettings, "Leave the table out and the interface is off. Topics: `mqtt.md`."),
     (
         "[local]",
         LocalSettings,
@@ -168,10 +170,10 @@ def _lines() -> Iterator[str]:
     yield "`altd run` refuses the same: keys that nobody knows, and what can come to nothing on any"
     yield "computer, such as two interfaces on one port, a telegram that its line cannot take, one camera or"
     yield "GPIO line twice, a camera that no target has, live cameras of different rates. What depends on"
-    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]` and"
-    yield "`[http]` are relative to the file; a calibration or a recording that is not there yet is named and"
-    yield "is no fault of the config, one that is there and does not fit is. Exit status: 0 the file is good,"
-    yield "2 it is not."
+    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]`, `[http]`"
+    yield "and `[mqtt]` are relative to the file; a calibration or a recording that is not there yet is named"
+    yield "and is no fault of the config, one that is there and does not fit is. Exit status: 0 the file is"
+    yield "good, 2 it is not."
     for heading, model, note in TABLES:
         yield ""
         yield f"## {heading}"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 
 from altd.instruments.beam.instrument import QUANTITIES, values_of
 from altd.instruments.beam.solver import Beam
-from altd.ports import Stop
+from altd.ports import Clock, Stop
 from altd.publish.serial.telegram import Nameplate
 from altd.records import Measurement, Value
 from altd.records.spots import Motion
@@ -52,7 +52,11 @@ class _Standing:
         return MEASURED.t_ns + round(AGE_S * 1e9)
 
     def utc(self, t_ns: int) -> datetime | None:
-        return None
+        return (
+            None
+            if MEASURED.time is None
+            else MEASURED.time + timedelta(microseconds=(t_ns - MEASURED.t_ns) / 1000)
+        )
 
     async def sleep(self, seconds: float) -> None:
         return None
@@ -61,8 +65,13 @@ class _Standing:
         return None
 
 
+def clock() -> Clock:
+    """The clock of that moment."""
+    return _Standing()
+
+
 def board() -> Board:
     """A board with the measurement on it."""
-    board = Board(_Standing(), 1.0, QUANTITIES, STAMP.identity)
+    board = Board(clock(), 1.0, QUANTITIES, STAMP.identity)
     board.publish(MEASURED)
     return board

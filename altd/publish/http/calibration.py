@@ -11,8 +11,8 @@ from starlette.responses import JSONResponse, Response
 
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import Guard, Refused
-from altd.publish.http.models import Answer
 from altd.publish.http.recordings import Downloads, saved_as, sent_whole
+from altd.status.models import Answer
 from altd.status.services import (
     CalibrationFiles,
     CalibrationService,

@@ -9,14 +9,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from altd.reasons import Signal
 from altd.status.health import State
-
-
-class Answer(BaseModel):
-    """An object whose keys are all named here."""
-
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+from altd.status.models import Answer, UnitState
 
 
 class Error(Answer):
@@ -26,33 +20,6 @@ class Error(Answer):
     """One sentence for people."""
     status: list[str] = Field(default=[])
     """Only where a measurement was asked for and there is none: the codes of the reasons."""
-
-
-class Cause(Answer):
-    """Something that is wrong, with what to do about it."""
-
-    code: str
-    signal: Signal
-    of: str | None
-    """The target or component; null: the whole unit."""
-    active: bool
-    """Whether it is true just now; else it is shown for a while after."""
-    for_s: float
-    times: int
-    brief: str
-    remedy: str
-    detail: str
-
-
-class UnitState(Answer):
-    """The unit's state in the signals of NAMUR NE 107."""
-
-    signal: Signal
-    number: int
-    """That of OPC 10000-100, table 22."""
-    for_s: float
-    causes: list[Cause]
-    """The worst first."""
 
 
 class Span(Answer):

@@ -69,6 +69,8 @@ def test_a_wrong_argument_is_one_line(
         (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is no number"),
         (("gige", "--fps", "0"), "--fps: '0' is no number from 1 to 200"),
         (("demo", "--http-prt", "1"), "--http-prt: there is no such argument"),
+        (("demo", "--mqtt", "a b"), "--mqtt: 'a b' is no broker; possible: HOST or HOST:PORT"),
+        (("demo", "--mqtt", "plant:0"), "'plant:0' is no broker"),
     ],
 )
 def test_so_it_is_with_the_simulator(

@@ -210,6 +210,27 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "with key beside it",
     ),
     ('credentials = "credentials"', "credentials = «7", "http.credentials", "is no path"),
+    # [mqtt]
+    ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is no name of a computer"),
+    ('host = "broker.plant', '«hsot = "broker.plant', "mqtt.hsot", "no such key; "),
+    ("port = 8884", "port = «0", "mqtt.port", "0 is too small; possible: whole number from 1 to 65535"),
+    (
+        'topic = "plant/line-4"',
+        'topic = «"plant/#"',
+        "mqtt.topic",
+        "is no beginning of topics; possible: letters",
+    ),
+    ('topic = "plant/line-4"', 'topic = «"/plant"', "mqtt.topic", "is no beginning of topics"),
+    ('topic = "plant/line-4"', 'topic = «"$SYS"', "mqtt.topic", "is no beginning of topics"),
+    ('= "homeassistant"', "= «true", "mqtt.home_assistant", "true is no text"),
+    ('ca = "plant-ca.pem"\n', "", "mqtt.certificate", "stands alone; possible: with ca beside it"),
+    ('key = "broker-unit.key"\n', "", "mqtt.certificate", "stands alone; possible: with key beside it"),
+    (
+        "every_measurement = true",
+        'every_measurement = «"each"',
+        "mqtt.every_measurement",
+        '"each" is neither true nor false',
+    ),
     ("port = 8080", "port = «502", "http.port", "502 is the port of [modbus_tcp] too"),
     (
         "port = 8080",

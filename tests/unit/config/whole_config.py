@@ -57,6 +57,17 @@ credentials = "credentials"
 certificate = "unit.pem"
 key = "unit.key"
 
+[mqtt]
+host = "broker.plant.example"
+port = 8884
+topic = "plant/line-4"
+every_measurement = true
+home_assistant = "homeassistant"
+ca = "plant-ca.pem"
+certificate = "broker-unit.pem"
+key = "broker-unit.key"
+credentials = "mqtt-login"
+
 [local]
 socket = "/run/altd/altd.sock"
 

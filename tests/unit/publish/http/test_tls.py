@@ -18,9 +18,9 @@ from pathlib import Path
 import pytest
 from support.foreign import need_program
 
+from altd.credentials.certificates import server_context
 from altd.errors import BadInputError
 from altd.publish.http import server
-from altd.publish.http.tls import context_of
 from altd.records import Measurement
 from altd.status.board import Board
 from altd.status.health import Component, State
@@ -110,7 +110,7 @@ async def test_it_speaks_no_older_version(served: Served, files: Files) -> None:
     with pytest.raises(
         ssl.SSLError, match=r"(?i)unsupported|no protocols|version"
     ):  # and not the client itself
-        _handshake(context_of(*files), context)
+        _handshake(server_context(*files), context)
 
 
 def _handshake(ours: ssl.SSLContext, theirs: ssl.SSLContext) -> None:
@@ -301,7 +301,7 @@ def test_files_that_cannot_be_used_are_one_clear_line(
     copies["key"].chmod(0o600)
     spoil(copies["cert"], copies["key"])
     with pytest.raises(BadInputError) as caught:
-        context_of(copies["cert"], copies["key"])
+        server_context(copies["cert"], copies["key"])
     assert str(caught.value).startswith(f"{copies[named]}: ")
     assert said in str(caught.value)
 
@@ -310,10 +310,10 @@ def test_a_key_of_another_certificate_and_one_with_a_passphrase_are_told_apart(
     tmp_path: Path, files: Files, others: Files
 ) -> None:
     with pytest.raises(BadInputError, match="is not the key of the certificate"):
-        context_of(files[0], others[1])
+        server_context(files[0], others[1])
     locked = tmp_path / "locked.key"
     line = ["openssl", "ec", "-in", files[1], "-aes256", "-passout", "pass:secret", "-out", locked]
     subprocess.run(line, check=True, capture_output=True)
     locked.chmod(0o600)
     with pytest.raises(BadInputError, match="passphrase, and nobody is there"):
-        context_of(files[0], locked)
+        server_context(files[0], locked)

@@ -1,0 +1,1 @@
+"""MQTT: summaries or measurements, the unit's state and identity, published to a broker."""

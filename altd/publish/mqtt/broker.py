@@ -1,0 +1,245 @@
+"""One connection to a broker: what aiomqtt leaves open at its end, and what a broker may send."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import socket
+import ssl
+import struct
+from types import TracebackType
+from typing import Any, Self
+
+import aiomqtt
+from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.client import Client as PahoClient
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from altd.errors import one_line
+
+KEEP_ALIVE_S = 10
+"""A broker that hears nothing for half as long again sends the will."""
+
+CONNECT_TIMEOUT_S = 10.0
+"""From the name of the broker to its greeting."""
+
+ACK_TIMEOUT_S = 5.0
+"""A message that is not acknowledged within this time ends the connection."""
+
+GOODBYE_TIMEOUT_S = 1.0
+"""For ``offline`` and the end of the connection."""
+
+MAX_RECEIVED_BYTES = 64 << 10
+MAX_RECEIVED_BYTES_PER_MESSAGE = 256
+"""What a broker may send: handshake and greeting, and an acknowledgement of each message."""
+
+_TCP_INFO_BYTES = 136
+_BYTES_RECEIVED = struct.Struct("=128xQ")
+"""``tcpi_bytes_received`` in ``struct tcp_info`` of linux/tcp.h."""
+
+_log = logging.getLogger("altd.mqtt")
+_log.disabled = True
+"""aiomqtt and paho log what a broker sends, line by line; what matters of it is in the errors."""
+
+
+_NO_MQTT = "the broker sent what is not MQTT"
+_LOST = {130: _NO_MQTT, 141: "the broker is silent"}
+"""What paho says of a connection that was lost, by its reason code of MQTT 5."""
+
+
+class BrokerError(OSError):
+    """The connection could not be made, or was lost; the sentence says why."""
+
+
+class Broker(aiomqtt.Client):
+    """A connection of MQTT 5. ``will`` is sent by the unit itself when it leaves in order.
+
+    aiomqtt 2.5 has no place for three things, so this class reaches into it: a socket that is closed in any
+    case (aiomqtt leaves it open when the broker is silent at the end, or sends malformed packets), a limit
+    for what is received, and the broker's refusal of a message. Its timeouts are not used: those of Python
+    3.11's ``wait_for`` lose a cancellation that comes with an acknowledgement.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        identifier: str,
+        will: aiomqtt.Will,
+        login: tuple[str, str] | None = None,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        user, password = login or (None, None)
+        super().__init__(
+            host,
+            port,
+            identifier=identifier,
+            username=user,
+            password=password,
+            protocol=aiomqtt.ProtocolVersion.V5,
+            will=will,
+            keepalive=KEEP_ALIVE_S,
+            tls_context=tls,
+            timeout=math.inf,
+            logger=_log,
+        )
+        self._will = will
+        self._is_left = False
+        self._sent = 0
+
+    async def __aenter__(self) -> Self:
+        """Connect; raises BrokerError."""
+        try:
+            async with asyncio.timeout(CONNECT_TIMEOUT_S):
+                return await super().__aenter__()
+        except TimeoutError as error:
+            self._close()
+            raise BrokerError(f"no answer within {CONNECT_TIMEOUT_S:g} s") from error
+        except aiomqtt.MqttError as error:
+            self._close()
+            raise BrokerError(_why_refused(error)) from error
+        except BaseException:
+            # the thread that connects cannot be stopped: what it brings is closed in _on_socket_open
+            self._close()
+            raise
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Send the will and leave. Where that is not acknowledged, break off: then the broker sends it."""
+        try:
+            will = self._will
+            async with asyncio.timeout(GOODBYE_TIMEOUT_S):
+                await self.publish(will.topic, will.payload, will.qos, will.retain)
+                await super().__aexit__(kind, error, trace)
+        except (TimeoutError, aiomqtt.MqttError):
+            pass
+        finally:
+            self._close()
+
+    async def send(self, topic: str, payload: str, *, expiry_s: int | None, retain: bool = False) -> None:
+        """Publish with QoS 1 and wait for the acknowledgement; raises BrokerError.
+
+        A broker that has kept the message for ``expiry_s`` forgets it; None: it never does.
+        """
+        properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+        if expiry_s is not None:
+            properties.MessageExpiryInterval = expiry_s
+        self._sent += 1
+        try:
+            async with asyncio.timeout(ACK_TIMEOUT_S):
+                await self.publish(topic, payload, 1, retain, properties)
+        except TimeoutError as error:
+            text = f"the broker has not acknowledged a message for {ACK_TIMEOUT_S:g} s"
+            raise BrokerError(text) from error
+        except aiomqtt.MqttError as error:
+            raise BrokerError(str(error.__cause__ or error)) from error
+
+    async def lost(self) -> None:
+        """Wait until the connection is lost; raises BrokerError then."""
+        await asyncio.shield(self._disconnected)
+
+    def _close(self) -> None:
+        """Leave nothing of this connection in the event loop."""
+        self._is_left = True
+        self._loop.call_soon(self._close_socket)  # after what paho has asked the loop to do with the socket
+        for state in (self._connected, self._disconnected):
+            if state.done() and not state.cancelled():
+                state.exception()  # or asyncio logs that it was never retrieved
+
+    def _close_socket(self) -> None:
+        if self._client.socket() is not None:
+            self._client.reinitialise()  # the only public call that closes at once
+
+    def _fail(self, error: Exception) -> None:
+        for state in (self._connected, self._disconnected):
+            if not (state.done() or self._is_left):
+                state.set_exception(error)
+                return
+
+    def _on_socket_open(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        """In the thread that connects, as may be what paho does until it returns."""
+        if self._is_left:
+            sock.close()
+            raise ConnectionAbortedError
+        self._loop.call_soon_threadsafe(self._watch_for_read, sock)
+
+    def _watch_for_read(self, sock: socket.socket) -> None:
+        if self._client.socket() is sock:  # it may be closed by now, and its number be that of another file
+            self._loop.add_reader(sock.fileno(), self._read, sock)
+            self._misc_task = self._loop.create_task(self._misc_loop())
+
+    def _on_socket_register_write(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        self._loop.call_soon_threadsafe(self._watch_for_write, sock)
+
+    def _watch_for_write(self, sock: socket.socket) -> None:
+        if self._client.socket() is sock:
+            self._loop.add_writer(sock.fileno(), self._client.loop_write)
+
+    def _read(self, sock: socket.socket) -> None:
+        """Read a packet; of TLS, all of those that were decrypted with it."""
+        try:
+            self._check_received(sock)
+            self._client.loop_read()
+            while isinstance(sock, ssl.SSLSocket) and sock.fileno() >= 0 and sock.pending():
+                self._client.loop_read()
+        except BrokerError as error:
+            self._stop_reading(sock, error)
+        except Exception as error:  # paho raises many kinds for malformed packets
+            text = one_line(f"{_NO_MQTT} ({type(error).__name__}: {error})")
+            self._stop_reading(sock, BrokerError(text))
+
+    def _stop_reading(self, sock: socket.socket, error: BrokerError) -> None:
+        if sock.fileno() >= 0:
+            self._loop.remove_reader(sock.fileno())
+        self._fail(error)
+
+    def _check_received(self, sock: socket.socket) -> None:
+        """Nothing may come but acknowledgements: paho would keep 256 MB of one packet, and many packets."""
+        info = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
+        received: int = _BYTES_RECEIVED.unpack(info)[0]
+        if received > MAX_RECEIVED_BYTES + MAX_RECEIVED_BYTES_PER_MESSAGE * self._sent:
+            raise BrokerError("the broker sends more than acknowledgements")
+
+    def _on_message(self, client: PahoClient, userdata: Any, message: Any) -> None:
+        self._fail(BrokerError("the broker sent a message, and the unit subscribes to nothing"))
+
+    def _on_publish(
+        self, client: PahoClient, userdata: Any, mid: int, reason_code: ReasonCode, properties: Properties
+    ) -> None:
+        if reason_code.is_failure:
+            self._fail(BrokerError(f"the broker refuses a message: {reason_code}"))
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+    def _on_disconnect(
+        self,
+        client: PahoClient,
+        userdata: Any,
+        flags: Any,
+        reason_code: ReasonCode,
+        properties: Properties | None = None,
+    ) -> None:
+        if not reason_code.is_failure:
+            super()._on_disconnect(client, userdata, flags, reason_code, properties)
+            return
+        text = _LOST.get(reason_code.value, "the broker closed the connection")
+        if flags.is_disconnect_packet_from_server:
+            text = f"the broker ended the connection: {reason_code}"
+        self._loop.call_soon_threadsafe(self._fail, BrokerError(text))
+
+
+def _why_refused(error: aiomqtt.MqttError) -> str:
+    """Why there is no connection. aiomqtt keeps the error of the socket as the context of its own."""
+    if isinstance(error, MqttConnectError):
+        return f"the broker refuses the unit: {error.rc}; see user name, password and certificate"
+    origin = error.__context__
+    if isinstance(origin, ssl.SSLCertVerificationError):
+        return f"the broker's certificate is refused: {origin.verify_message}"
+    if isinstance(origin, ssl.SSLError):
+        return f"no TLS with the broker: {(origin.reason or str(origin)).replace('_', ' ').lower()}"
+    if isinstance(origin, OSError):
+        return origin.strerror or str(origin)
+    return f"no answer of an MQTT 5 broker: {error}"

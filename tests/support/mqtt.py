@@ -1,0 +1,228 @@
+"""A broker whose answers a test chooses, Debian's mosquitto, and a unit that publishes to either."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from altd.config import MqttSettings
+from altd.instruments.beam.instrument import QUANTITIES
+from altd.ports import Clock
+from altd.publish.mqtt.publisher import MqttPublisher
+from altd.runtime.clock import SystemClock
+from altd.runtime.supervision import keep_running
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+from altd.status.proof import Identity
+from altd.status.state import UnitState
+from support.foreign import need_program
+from support.ports import free_port
+from tools.pages.example import MEASURED, SERIAL
+
+CONNECTED = bytes.fromhex("20 03 00 00 00")
+CONNECT, PUBLISH, DISCONNECT = 1, 3, 14
+
+
+class Published(NamedTuple):
+    """A message as a broker takes it."""
+
+    topic: str
+    payload: str
+    qos: int
+    retain: bool
+    expiry_s: int | None
+
+
+@dataclass
+class ChosenBroker:
+    """A broker on a free port. ``greeting`` answers CONNECT, ``answer`` each message by its number."""
+
+    greeting: bytes = CONNECTED
+    answer: Callable[[int], bytes] = lambda number: b"\x40\x02" + number.to_bytes(2)
+    port: int = 0
+    published: asyncio.Queue[Published] = field(default_factory=asyncio.Queue)
+    begins: asyncio.Queue[None] = field(default_factory=asyncio.Queue)
+    """One entry for each connection."""
+    ends: asyncio.Queue[int] = field(default_factory=asyncio.Queue)
+    """The last packet of each connection that has ended, by its type."""
+    _open: set[asyncio.Task[None]] = field(default_factory=set)
+
+    async def __aenter__(self) -> Self:
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._server.close()
+        for task in self._open:
+            task.cancel()
+        await asyncio.gather(*self._open, return_exceptions=True)
+
+    async def until(self, topic: str) -> Published:
+        """The next message on a topic that ends so."""
+        while not (message := await asyncio.wait_for(self.published.get(), 10.0)).topic.endswith(topic):
+            pass
+        return message
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._open.add(task)
+        self.begins.put_nowait(None)
+        kind = 0
+        try:
+            while True:
+                kind, flags, body = await _packet(reader)
+                if kind == CONNECT:
+                    writer.write(self.greeting)
+                elif kind == PUBLISH:
+                    number, message = _published(flags, body)
+                    self.published.put_nowait(message)
+                    writer.write(self.answer(number))
+        except (asyncio.CancelledError, asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self._open.discard(task)
+            self.ends.put_nowait(kind)
+            writer.close()
+
+
+async def _packet(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
+    first = (await reader.readexactly(1))[0]
+    length, shift = 0, 0
+    while True:
+        byte = (await reader.readexactly(1))[0]
+        length |= (byte & 127) << shift
+        shift += 7
+        if byte < 128:
+            return first >> 4, first & 15, await reader.readexactly(length)
+
+
+def _published(flags: int, body: bytes) -> tuple[int, Published]:
+    end = 2 + int.from_bytes(body[:2])
+    number, properties = int.from_bytes(body[end : end + 2]), body[end + 3 : end + 3 + body[end + 2]]
+    expiry_s = int.from_bytes(properties[1:5]) if properties[:1] == b"\x02" else None
+    payload = body[end + 3 + len(properties) :].decode()
+    return number, Published(body[2:end].decode(), payload, flags >> 1 & 3, bool(flags & 1), expiry_s)
+
+
+@dataclass
+class PublishingUnit:
+    """A unit's board, and what publishes it."""
+
+    board: Board
+    health: Health
+    component: Component
+    publisher: MqttPublisher
+    clock: Clock
+
+    @classmethod
+    def made(cls, port: int, clock: Clock | None = None, **settings: Any) -> Self:
+        clock = clock or SystemClock()
+        health, board = Health(clock), Board(clock, 10.0, QUANTITIES, Identity.drawn(SERIAL))
+        health.facts |= {"serial": SERIAL, "version": "0.1.0"}
+        health.state = UnitState(board, health, clock).read
+        component = health.component("mqtt")
+        mqtt = MqttSettings(**{"host": "127.0.0.1", "port": port} | settings)
+        return cls(
+            board, health, component, MqttPublisher(mqtt, board, health, component, random.Random(1)), clock
+        )
+
+    def measure(self, sequence: int, **changes: Any) -> None:
+        """Put a measurement of half a second ago on the board."""
+        now_ns = self.clock.monotonic_ns()
+        made = replace(MEASURED, sequence=sequence, t_ns=now_ns - 500_000_000, last_exposure_ns=now_ns)
+        self.board.publish(replace(made, **changes))
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator[asyncio.Task[None]]:
+        """Under supervision, as in the daemon."""
+        task = asyncio.create_task(keep_running("mqtt", self.publisher, self.component, self.clock))
+        try:
+            yield task
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    async def until(self, state: State, words: str = "", within_s: float = 20.0) -> str:
+        """Wait until the component is so; returns its sentence."""
+        deadline_s = time.monotonic() + within_s
+        while self.component.state is not state or words not in self.component.message:
+            assert time.monotonic() < deadline_s, f"{self.component.state}: {self.component.message}"
+            await asyncio.sleep(0.005)
+        return self.component.message
+
+
+@contextlib.contextmanager
+def mosquitto(folder: Path, *lines: str, port: int = 0) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """Debian's mosquitto with these lines in its configuration; its port and its process."""
+    port = port or free_port()
+    config = folder / f"mosquitto-{port}.conf"
+    user = ["user root"] if os.getuid() == 0 else []  # who may read the test's files
+    config.write_text("\n".join([*user, f"listener {port} 127.0.0.1", *lines]) + "\n")
+    program = need_program("mosquitto")
+    with (folder / "mosquitto.log").open("ab") as log:
+        broker = subprocess.Popen([program, "-c", str(config)], stdout=log, stderr=log)
+    while not _listens(port):
+        assert broker.poll() is None, (folder / "mosquitto.log").read_text()
+        time.sleep(0.005)
+    try:
+        yield port, broker
+    finally:
+        broker.send_signal(signal.SIGTERM)
+        broker.wait()
+
+
+def _listens(port: int) -> bool:
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1.0):
+        return True
+    return False
+
+
+class Subscriber:
+    """mosquitto_sub, a foreign client; each message as a line: topic, QoS, retained, payload."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+
+    async def next(self, topic: str = "", timeout_s: float = 20.0) -> tuple[str, int, bool, str]:
+        """The next message whose topic ends so."""
+        assert self._process.stdout is not None
+        async with asyncio.timeout(timeout_s):
+            while line := (await self._process.stdout.readline()).decode():
+                name, qos, retained, payload = line.rstrip("\n").split(" ", 3)
+                if name.endswith(topic):
+                    return name, int(qos), retained == "1", payload
+        raise AssertionError("mosquitto_sub has ended")
+
+    async def all(self) -> list[tuple[str, int, bool, str]]:
+        """All messages until it ends by itself."""
+        messages = []
+        with contextlib.suppress(AssertionError):
+            while True:
+                messages.append(await self.next())
+        return messages
+
+
+@contextlib.asynccontextmanager
+async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> AsyncIterator[Subscriber]:
+    """mosquitto_sub at a broker; further ``arguments`` as it takes them."""
+    program = need_program("mosquitto_sub", "mosquitto-clients")
+    line = ["-V", "5", "-p", str(port), "-q", "1", "-t", topic, "-F", "%t %q %r %p", *arguments]
+    process = await asyncio.create_subprocess_exec(program, *line, stdout=asyncio.subprocess.PIPE)
+    try:
+        yield Subscriber(process)
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.communicate()

@@ -1,0 +1,93 @@
+"""Topics and payloads, by hand and by formula."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from dataclasses import replace
+
+import pytest
+from support.clock import FakeClock
+from support.measurements import BEAM, changed, measurement
+
+from altd.publish.mqtt.messages import Topics, birth_of, summary_of
+from altd.reasons import Reason
+from altd.records import Measurement
+from altd.status.board import Board
+from altd.status.health import Health
+
+
+@pytest.mark.parametrize(
+    ("serial", "level"),
+    [
+        ("ALT-0007", "ALT-0007"),
+        ("A/1 +#", "A%2F1%20%2B%23"),
+        ("ä\u2028", "%C3%A4%E2%80%A8"),
+        ("A%2F1", "A%252F1"),
+    ],
+)
+def test_a_serial_number_is_one_level_of_a_topic_whatever_is_in_it(serial: str, level: str) -> None:
+    assert Topics.of("plant/altd", serial).state == f"plant/altd/{level}/state"
+
+
+def measured(*x_mm: float) -> list[Measurement]:
+    beams = [replace(BEAM, x_mm=x, sigma_x_mm=0.001 * n) for n, x in enumerate(x_mm, 1)]
+    return [changed(measurement(100 + n), beam) for n, beam in enumerate(beams)]
+
+
+def test_a_summary_has_mean_extremes_and_sigma_of_the_valid_measurements(
+    board: Board, clock: FakeClock
+) -> None:
+    x_mm = (1.0, 4.0, 2.5)
+    summary = summary_of([*measured(*x_mm), measurement(103, 1, Reason.STALE)], board, clock)
+    assert summary["x_mm"] == {
+        "mean": statistics.mean(x_mm),
+        "min": 1.0,
+        "max": 4.0,
+        "sigma": round(math.sqrt((1 + 4 + 9) / 3) * 1e-3, 4),
+    }
+    assert (summary["count"], summary["valid_share"], summary["status"]) == (4, 0.75, ["stale"])
+    assert (summary["first"]["sequence"], summary["last"]["sequence"]) == (100, 103)
+    assert [key for key in summary if isinstance(summary[key], dict)][2:] == [
+        "x_mm",
+        "y_mm",
+        "yaw_deg",
+        "pitch_deg",
+    ]
+
+
+NOTHING = dict.fromkeys(("mean", "min", "max", "sigma"))
+
+
+def test_a_summary_without_a_valid_measurement_has_no_number(board: Board, clock: FakeClock) -> None:
+    board.publish(measurement())  # that of before is still on the board
+    reasons = (Reason.STALE, Reason.SIMULATED)
+    summary = summary_of([measurement(161, 1, *reasons)] * 2, board, clock)
+    assert summary["x_mm"] == summary["pitch_deg"] == NOTHING
+    assert (summary["valid_share"], summary["status"]) == (0.0, ["stale", "simulated"])
+
+
+def test_a_second_without_a_measurement_has_no_number_of_an_earlier_one(
+    board: Board, clock: FakeClock
+) -> None:
+    assert summary_of([], board, clock)["status"] == ["warming_up"]
+    board.publish(measurement(160, clock.now_ns))
+    clock.now_ns += 2_000_000_000
+    summary = summary_of([], board, clock)
+    assert summary["x_mm"] == NOTHING
+    assert (summary["count"], summary["valid_share"], summary["first"]) == (0, None, None)
+    assert summary["status"] == ["stale"]
+
+
+def test_a_birth_names_unit_calibration_and_quantities(
+    board: Board, health: Health, clock: FakeClock
+) -> None:
+    health.calibration.summary = {
+        "created": "2026-11-02",
+        "simulated": True,
+        "file": {"checksum": "sha256:1"},
+    }
+    birth = birth_of(board, health, clock)
+    assert (birth["serial"], birth["version"]) == ("ALT-0007", "0.1.0")
+    assert birth["calibration"] == {"created": "2026-11-02", "checksum": "sha256:1", "simulated": True}
+    assert birth["quantities"]["yaw_deg"]["unit"] == "°"

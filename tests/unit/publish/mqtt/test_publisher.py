@@ -1,0 +1,263 @@
+"""The publisher at a broker that answers as a test chooses: late, never, with refusals, with nonsense."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.clock import settle
+from support.mqtt import CONNECTED, DISCONNECT, PUBLISH, ChosenBroker, Published, PublishingUnit
+
+from altd.errors import BadInputError
+from altd.publish.mqtt import broker as connection
+from altd.publish.mqtt import publisher
+from altd.reasons import Reason
+from altd.records import Fault
+from altd.runtime import supervision
+from altd.status.health import State
+
+PUBLISH_TO_UNIT = bytes.fromhex("30 06 00 01 61 00 78 79")
+
+
+@pytest.fixture(autouse=True)
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    for place, name, value in (
+        (publisher, "SUMMARY_INTERVAL_S", 0.02),
+        (publisher, "MAX_JITTER_S", 0.0),
+        (supervision, "MIN_BACKOFF_S", 0.01),
+        (supervision, "MAX_BACKOFF_S", 0.01),
+    ):
+        monkeypatch.setattr(place, name, value)
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_logged(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """But for supervision's own line: no broker makes the unit log what it sends."""
+    with caplog.at_level(logging.DEBUG):
+        yield
+    lines = [record for record in caplog.records if record.name not in ("altd", "asyncio")]
+    lines += [
+        record for record in caplog.records if record.name == "asyncio" and record.levelno > logging.DEBUG
+    ]
+    assert lines == []
+
+
+def crc_holds(line: str) -> bool:
+    body, _, crc = line.rpartition(', "crc32": "')
+    return f"{zlib.crc32(body.encode()):08X}" == crc.removesuffix('"}')
+
+
+async def test_who_it_is_comes_first_and_online_when_all_the_rest_is_there() -> None:
+    async with ChosenBroker() as broker:
+        unit = PublishingUnit.made(broker.port, home_assistant="homeassistant")
+        async with unit.running():
+            first = [await asyncio.wait_for(broker.published.get(), 10.0) for _ in range(5)]
+            assert await unit.until(State.OK) == "connected, without TLS"
+    assert [message.topic.rpartition("/")[2] for message in first] == [
+        "birth",
+        "config",
+        "state",
+        "availability",
+        "summary",
+    ]
+    assert [message.qos for message in first] == [1] * 5
+    assert [message.retain for message in first] == [True] * 4 + [False], "no number is retained"
+    assert [message.expiry_s for message in first] == [None, None, 30, 30, 2]
+    assert crc_holds(first[0].payload)
+    assert crc_holds(first[2].payload)
+    assert [json.loads(first[n].payload)["message"] for n in (0, 2, 4)] == [1, 2, 3]
+
+
+async def test_it_says_offline_itself_when_it_ends_in_order() -> None:
+    async with ChosenBroker() as broker:
+        async with PublishingUnit.made(broker.port).running():
+            await broker.until("summary")
+        last = await broker.until("availability")
+        while not broker.published.empty():
+            last = broker.published.get_nowait()
+        assert (last.payload, last.retain, last.expiry_s) == ("offline", True, None)
+        assert await broker.ends.get() == DISCONNECT
+
+
+async def test_it_leaves_the_will_to_a_broker_that_does_not_take_offline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """DISCONNECT would make the broker forget the will, and `online` would stay."""
+    monkeypatch.setattr(connection, "GOODBYE_TIMEOUT_S", 0.05)
+    async with ChosenBroker() as broker:
+        async with PublishingUnit.made(broker.port).running():
+            await broker.until("summary")
+            broker.answer = lambda number: b""
+        assert await broker.ends.get() == PUBLISH
+
+
+async def test_every_measurement_is_sent_once_and_then_that_it_is_stale() -> None:
+    async with ChosenBroker() as broker:
+        unit = PublishingUnit.made(broker.port, every_measurement=True)
+        async with unit.running():
+            await broker.until("availability")
+            seen = []
+            for sequence in range(3):
+                unit.measure(sequence)
+                seen.append(json.loads((await broker.until("measurement")).payload))
+            unit.measure(3, t_ns=0, last_exposure_ns=0)
+            stale = await broker.until("measurement")
+            for _ in range(3):
+                assert (await broker.until("")).topic.endswith(("summary", "state")), "it was sent again"
+    assert [told["sequence"] for told in seen] == [0, 1, 2]
+    assert all(told["valid"] for told in seen)
+    assert json.loads(stale.payload)["status"] == ["stale"]
+    assert crc_holds(stale.payload)
+    assert json.loads(stale.payload)["x_mm"] is None
+
+
+async def test_a_message_is_made_when_the_one_before_is_acknowledged_and_what_it_skips_is_counted() -> None:
+    async with ChosenBroker() as broker:
+        unit = PublishingUnit.made(broker.port, every_measurement=True)
+        held: list[int] = []
+        async with unit.running():
+            await broker.until("availability")
+            broker.answer = lambda number: held.append(number) or b""  # type: ignore[func-returns-value]
+            unit.measure(0)
+            await broker.until("")
+            for sequence in range(1, 101):
+                unit.measure(sequence)
+                await settle()
+            assert broker.published.empty(), "more than one message is on its way"
+            assert len(held) == 1
+
+
+async def test_a_broker_that_acknowledges_nothing_is_left_and_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(connection, "ACK_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(connection, "GOODBYE_TIMEOUT_S", 0.01)
+    async with ChosenBroker(answer=lambda number: b"") as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            await unit.until(State.FAILED, "the broker has not acknowledged a message for 0.05 s")
+            for _ in range(5):
+                await asyncio.wait_for(broker.ends.get(), 10.0)
+            broker.answer = ChosenBroker.answer
+            await unit.until(State.OK)
+            session = json.loads((await broker.until("summary")).payload)["session"]
+    assert session == f"{unit.board.identity.session:08X}", (
+        "the session is the daemon's, not the connection's"
+    )
+
+
+@pytest.mark.parametrize(
+    ("greeting", "sentence"),
+    [
+        (bytes.fromhex("20 03 00 86 00"), "the broker refuses the unit: Bad user name or password; see"),
+        (bytes.fromhex("20 03 00 84 00"), "the broker refuses the unit: Unsupported protocol version"),
+        (bytes.fromhex("20 02 00 01"), "the broker refuses the unit: Unsupported protocol version"),
+        (b"HTTP/1.1 400 Bad Request\r\n" + bytes(100), "the broker sent what is not MQTT"),
+        (CONNECTED + PUBLISH_TO_UNIT, "the unit subscribes to nothing"),
+        (CONNECTED + bytes.fromhex("e0 02 8e 00"), "the broker ended the connection: Session taken over"),
+        (CONNECTED + b"\x30\xff\xff\xff\x7f" + bytes(300_000), "the broker sends more than acknowledgements"),
+        (CONNECTED + bytes.fromhex("3408 000161 0001 00 7879") * 10_000, "more than acknowledgements"),
+        (CONNECTED + bytes.fromhex("3605 0001 61 00 78"), "the broker sent what is not MQTT"),
+        (CONNECTED + bytes.fromhex("4006 0001 00 ff ff ff"), "the broker sent what is not MQTT"),
+        (CONNECTED + b"\xd0\xff\xff\xff\xff\xff", "the broker sent what is not MQTT"),
+    ],
+)
+async def test_what_a_broker_may_not_send_ends_the_connection_with_a_sentence(
+    greeting: bytes, sentence: str
+) -> None:
+    async with ChosenBroker(greeting) as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            await unit.until(State.FAILED, sentence)
+            broker.greeting = CONNECTED
+            await unit.until(State.OK)
+
+
+async def test_a_message_that_the_broker_refuses_is_a_failure_though_it_is_acknowledged() -> None:
+    async with ChosenBroker(answer=lambda number: b"\x40\x03" + number.to_bytes(2) + b"\x87") as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            await unit.until(State.FAILED, "the broker refuses a message: Not authorized")
+
+
+async def test_an_acknowledgement_of_another_message_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "ACK_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(connection, "GOODBYE_TIMEOUT_S", 0.01)
+    async with ChosenBroker(answer=lambda number: b"\x40\x02" + (number ^ 1).to_bytes(2)) as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            await unit.until(State.FAILED, "has not acknowledged")
+            assert broker.published.qsize() <= broker.begins.qsize() * 2
+
+
+async def test_nothing_is_queued_while_there_is_no_broker() -> None:
+    async with ChosenBroker() as broker:
+        port = broker.port
+    unit = PublishingUnit.made(port, every_measurement=True)
+    async with unit.running():
+        await unit.until(State.FAILED, "Connection refused")
+        for sequence in range(50):
+            unit.measure(sequence)
+        unit.measure(50, status=(Fault(Reason.PLAYBACK),))
+        async with ChosenBroker(port=port) as broker:
+            told = [json.loads((await broker.until("measurement")).payload)["sequence"]]
+            summary = json.loads((await broker.until("summary")).payload)
+            await unit.until(State.OK)
+            unit.measure(51)
+            told.append(json.loads((await broker.until("measurement")).payload)["sequence"])
+    assert told == [50, 51], "the newest alone"
+    assert (summary["count"], summary["status"]) == (1, ["playback"])
+    assert unit.component.counters["measurements_skipped"] == 50
+
+
+async def test_a_cancelled_connection_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At any point of it: before the greeting, and before the first acknowledgement."""
+    async with ChosenBroker(greeting=b"") as broker:
+        async with PublishingUnit.made(broker.port).running():
+            await asyncio.wait_for(broker.begins.get(), 5.0)
+        await asyncio.wait_for(broker.ends.get(), 5.0)
+        for steps in range(12):
+            async with PublishingUnit.made(broker.port).running():
+                for _ in range(steps):
+                    await asyncio.sleep(0)
+        for _ in range(broker.begins.qsize()):
+            await asyncio.wait_for(broker.ends.get(), 5.0)
+
+
+async def test_the_state_is_sent_when_it_changes_and_again_before_it_expires(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(publisher, "REFRESH_INTERVAL_S", 1000.0)
+    async with ChosenBroker() as broker:
+        unit = PublishingUnit.made(broker.port)
+        async with unit.running():
+            assert json.loads((await broker.until("state")).payload)["signal"] == "check_function"
+            unit.health.component("camera front").set_state(State.FAILED, "no cable")
+            states: list[Published] = []
+            while not any('"camera_failed"' in state.payload for state in states):
+                states.append(await broker.until("state"))
+            assert "no cable" in states[-1].payload
+            monkeypatch.setattr(publisher, "REFRESH_INTERVAL_S", 0.0)
+            unit.publisher._refresh_ns = 0  # noqa: SLF001
+            again = await broker.until("availability")
+            assert (again.payload, again.expiry_s) == ("online", 30)
+
+
+def test_files_that_cannot_be_used_are_named_at_the_start(tmp_path: Path) -> None:
+    login = tmp_path / "login"
+    for content, mode, sentence in (
+        ("unit\nsecret\n", 0o644, "others than its owner may read or write it"),
+        ("unit\n", 0o600, "must have two lines: the user name and the password"),
+        ("\nsecret\n", 0o600, "must have two lines"),
+    ):
+        login.write_text(content)
+        login.chmod(mode)
+        with pytest.raises(BadInputError, match=sentence):
+            PublishingUnit.made(1, credentials=login)
+    with pytest.raises(BadInputError, match=r"ca\.pem: No such file"):
+        PublishingUnit.made(1, ca=tmp_path / "ca.pem")

@@ -1,0 +1,18 @@
+"""``docs/mqtt.schema.json`` from the payloads' models: ``python -m tools.pages.mqtt_schema``."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+from altd.instruments.beam.instrument import QUANTITIES
+from altd.publish.mqtt.messages import schema_of
+
+
+def page() -> str:
+    """The JSON Schema of all payloads."""
+    return json.dumps(schema_of(QUANTITIES), indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
