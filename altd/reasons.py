@@ -244,14 +244,14 @@ class Reason(StrEnum):
     )  # fmt: skip
     SIMULATED = (
         "simulated", _WARNING, 0, StatusGroup.SIMULATED, _CHECK_FUNCTION,
-        "frames or calibration are simulated, this is NOT LIVE",
+        "simulated frames or calibration, NOT LIVE",
         _NOT_LIVE,
         "a simulator made the frames, or those of the calibration",
     )  # fmt: skip
     REHEARSAL = (
         "rehearsal", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
         "started to rehearse",
-        "restart the daemon without `--rehearsal` before a machine is steered",
+        _NOT_LIVE,
         "the daemon was started with `--rehearsal`: played and simulated frames give valid values",
     )  # fmt: skip
     ROLL_MISSING = (

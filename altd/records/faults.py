@@ -24,15 +24,6 @@ class Fault:
 
 def origin_faults(origins: Mapping[str, Origin], played: Iterable[str] = ()) -> tuple[Fault, ...]:
     """The warnings that frames of these cameras bring into each measurement; ``played`` play a recording."""
-    by_reason = {
-        Reason.PLAYBACK: ("a recording is played", sorted(played)),
-        Reason.SIMULATED: (
-            "simulated frames",
-            sorted(name for name, origin in origins.items() if origin is Origin.SIMULATED),
-        ),
-    }
-    return tuple(
-        Fault(reason, detail=f"{what}: {', '.join(names)}")
-        for reason, (what, names) in by_reason.items()
-        if names
-    )
+    simulated = (name for name, origin in origins.items() if origin is Origin.SIMULATED)
+    by_reason = {Reason.PLAYBACK: sorted(played), Reason.SIMULATED: sorted(simulated)}
+    return tuple(Fault(reason, detail=", ".join(names)) for reason, names in by_reason.items() if names)

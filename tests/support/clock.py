@@ -185,7 +185,8 @@ async def stop(task: asyncio.Task[None]) -> None:
     """Cancel a task and wait until it is gone."""
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
-    assert task.cancelled()
+    if not task.cancelled():
+        raise AssertionError("it ended before it was stopped") from task.exception()
 
 
 async def settle() -> None:

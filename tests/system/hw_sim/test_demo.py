@@ -124,7 +124,7 @@ def over_telegram(device: str) -> tuple[int, list[float]]:
         assert int(checksum, 16) == functools.reduce(operator.xor, body.encode("ascii"))
     name, _, mode, sequence, *values = sentences[0].split("*")[0].split(",")
     assert (name, mode) == ("$PALTM", "S")
-    assert sentences[1].endswith(",simulated*" + sentences[1][-2:])
+    assert sentences[1].endswith(",simulated+rehearsal*" + sentences[1][-2:])
     return int(sequence), [float(value) for value in values[:4]]
 
 

@@ -198,9 +198,9 @@ def all_published(running: LedUnit, monkeypatch: pytest.MonkeyPatch) -> dict[str
     board, published = running.daemon.board, dict[str, Measurement]()
     publish = board.publish
 
-    def keep(measurement: Measurement) -> None:
-        published[str(measurement.sequence)] = measurement
-        publish(measurement)
+    def keep(measurement: Measurement) -> Measurement:
+        published[str(measurement.sequence)] = shown = publish(measurement)
+        return shown
 
     monkeypatch.setattr(board, "publish", keep)
     return published
