@@ -38,6 +38,7 @@ from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.proof import Identity
 from altd.status.state import UnitState
+from tools.pages.example import NAMEPLATE
 
 MEASUREMENTS = 10_000
 KEYS = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -111,7 +112,7 @@ class Unit:
         nmea_line = TelegramPortSettings(
             device=wires[1].device, speaks="telegram", interval_s=INTERVAL_S, checked=True, **line
         )
-        telegram = TelegramPublisher(nmea_line, self.board, component("serial b"), self.clock)
+        telegram = TelegramPublisher(nmea_line, self.board, component("serial b"), self.clock, NAMEPLATE)
         try:
             async with serving(tcp), serving(http), serving(rtu), serving(telegram):
                 on_tcp = await asyncio.open_connection("127.0.0.1", tcp.port)
