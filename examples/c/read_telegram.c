@@ -12,8 +12,8 @@
 
 enum { MAX_AGE_MS = 1000, TIMEOUT_MS = 3000 }; /* an age of 500 to 600 ms is normal; three times interval_s */
 
-static const char *const faults[] = {"", "it is of another unit", "the unit was restarted: start again",
-    "it is not newer", "it is late", "the port of the unit has not checked = true"};
+static const char *const faults[] = {"", "of another unit", "the unit was restarted: start this program again",
+    "not newer", "late", "without the third sentence"};
 
 static uint32_t now_ms(void)
 {
@@ -44,7 +44,7 @@ static void use(const struct altd_reading *r)
         printf("x %.3f mm, y %.3f mm, yaw %.4f deg, pitch %.4f deg, %.2f s old\n", r->x_mm, r->y_mm,
                r->yaw_deg, r->pitch_deg, (double)r->age_ms / 1000);
     else if (r->fault)
-        printf("STOP: a telegram was refused: %s\n", faults[r->fault]);
+        printf("%s: %s\n", r->fault == ALTD_RESTARTED ? "STOP" : "refused", faults[r->fault]);
     else if (r->mode == 'V')
         printf("STOP: the unit says %s\n", r->reasons);
     else /* 'P' and 'S' */

@@ -26,9 +26,9 @@ import pynmea2
 
 from altd.telegram import Reader, Reading
 from support.foreign import need_program
-from support.places import ROOT
+from support.places import EXAMPLES
 
-EXAMPLES = ROOT / "examples" / "c"
+C = EXAMPLES / "c"
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 TABLE: dict[str, Any] = json.loads(Path(__file__).with_suffix(".json").read_text(encoding="utf-8"))
 COUNTS = ("sequence", "frames", "session", "message", "clock_ms", "date", "age_ms")
@@ -163,7 +163,7 @@ class ReaderInC:
     """A process of ``telegram_driver.c`` and the parser in C, compiled with sanitizers."""
 
     def __init__(self, folder: Path) -> None:
-        sources = (Path(__file__).with_name("telegram_driver.c"), EXAMPLES / "altd_telegram.c")
+        sources = (Path(__file__).with_name("telegram_driver.c"), C / "altd_telegram.c")
         sanitizers = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
         compile_c(*sanitizers, *sources, "-o", folder / "driver")
         self._process = subprocess.Popen(
@@ -192,7 +192,7 @@ class ReaderInC:
 
 def compile_c(*arguments: str | Path) -> None:
     """Compile with all warnings as errors; examples/c is where headers are looked for."""
-    command = [need_program("gcc"), *WARNINGS, f"-I{EXAMPLES}", *arguments]
+    command = [need_program("gcc"), *WARNINGS, f"-I{C}", *arguments]
     subprocess.run(command, check=True, timeout=120)
 
 

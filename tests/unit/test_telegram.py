@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -10,16 +11,18 @@ from collections import defaultdict
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from typing import Self
 
 import pytest
 from support import telegram_cases
 from support.measurements import measurement
-from support.telegram_cases import Variant, check, read_by_python, sentence
+from support.telegram_cases import Variant, check, read_by_python, sentence, wire
 
 from altd import telegram
 from altd.publish.serial.telegram import Nameplate, identification
 from altd.status.proof import unit_number
 from altd.telegram import Identity, Reader
+from tools.pages.telegram import PYTHON
 
 PIECES_BYTES = (1, 7, 1000)
 VARIANTS: dict[str, list[Variant]] = defaultdict(list)
@@ -97,3 +100,41 @@ def test_a_reader_keeps_no_more_than_a_sentence_of_what_never_ends() -> None:
     for _ in range(100):
         reader.feed(b"$PALTM," * 1000)
     assert max(len(kept) for kept in vars(reader).values() if isinstance(kept, bytes)) <= 82
+
+
+class _Port:
+    """What pyserial opens: three telegrams, then silence."""
+
+    def __init__(self, *_: object, **named: object) -> None:
+        assert named == {"timeout": 0.1}
+        self.waiting = [wire("live 160"), wire("blocked 180"), wire("restarted 5"), *[b""] * 10]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def reset_input_buffer(self) -> None:
+        self.waiting.insert(0, wire("live 161")[:100])
+
+    def read(self, size: int) -> bytes:
+        return self.waiting.pop(0)
+
+
+def test_the_program_on_the_page_uses_what_is_valid_and_stops_for_all_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    done: list[tuple[object, ...]] = []
+    ticks = itertools.count(0.0, 0.5)
+    monkeypatch.setattr("serial.Serial", _Port)
+    monkeypatch.setattr("time.monotonic", lambda: next(ticks))
+    names = {"use": lambda *values: done.append(values), "stop": lambda why: done.append((why,))}
+    with pytest.raises(IndexError):  # the port has no more
+        exec(PYTHON, names)
+    assert done[:3] == [
+        (10.012, 4.987, 1.1459, -1.7184),
+        ("front_spot_missing rear_spot_missing",),
+        ("restarted",),
+    ]
+    assert {why for why, *_ in done[3:]} == {"no valid telegram"}

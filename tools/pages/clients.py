@@ -106,6 +106,9 @@ torn, forged or from another unit; all must give the same verdicts.
 | Structured Text | [altd_target.st](../examples/structured_text/altd_target.st) | a Modbus master |
 | Node-RED | [flow.json](../examples/node_red/flow.json) | node-red-contrib-modbus |
 
+For the serial telegram: [read_telegram.c](../examples/c/read_telegram.c) and a program in Python, see
+[telegram](telegram.md#latency-and-time-outs).
+
 ## Rules over Modbus
 
 All four follow these rules, in this order. The word in italics is the fault that they report. They read

@@ -108,6 +108,8 @@ The CRC is over every character from the `$` of `$PALTM` to the comma before the
 the line ends (CR LF) of the first two sentences. `age_ms` and `clock_ms` are those of the first character:
 the telegram's own time on the line comes on top, {len(telegram) + 3} characters here, 0.18 s at 9600 baud.
 
+[telegram](telegram.md#latency-and-time-outs) shows readers in Python and C that make all of these checks.
+
 ### JSON by HTTP
 
 `/api/measurement` and `/api/stream` ([http](http.md)) have these members behind the measurement:

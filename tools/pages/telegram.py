@@ -61,7 +61,7 @@ Nothing was measured since the unit started:
 {chr(10).join(map(sentence_table, SENTENCES))}
 {sentence_table(IDENTIFICATION)}
 With `identify_every_s` in the port's table the first telegram, and one each time that so many seconds have
-passed, ends with this sentence. Other telegrams are as before:
+passed, ends with this sentence; the others stay as they are:
 
 ```
 {identification(NAMEPLATE, MEASURED).decode("ascii").strip()}
@@ -100,11 +100,61 @@ its age are those of the moment of sending. Without `on_request` the port ignore
    trying out a reader and never for steering a machine.
 3. An empty field means *not known*. It is never zero and never the last good value.
 4. When the sequence stays the same, nothing new was measured; the unit itself says `V` with `{Reason.STALE}`
-   after `stale_after_s`. When no telegram comes for three intervals, the unit or the line is dead.
+   after `stale_after_s`.
+5. When no valid telegram is received for three intervals, do not use the last values any longer.
 
-The date is not sent, unless the port has `checked = true`: a third sentence then lets the reader check the
-telegram ([proof](proof.md)). A telegram that does not fit on the line in time is left out whole, never cut
-or late.
+With `checked = true` a third sentence, `$PALTC`, follows. With it a reader also finds telegrams of another
+unit, old ones, restarts and delays ([proof](proof.md)): set it for every control. A telegram that does not
+fit on the line in time is left out whole, never cut or late.
+
+Two readers follow all of these rules. They share one table of test cases, and a program may use them as
+they are: [altd/telegram.py](../altd/telegram.py) for Python and
+[altd_telegram.c](../examples/c/altd_telegram.c) for C99.
+
+## Latency and time-outs
+
+A new value is the mean of one second and so about 0.5 s old; until the unit sends it, at most one interval
+more passes on this line, and then the time that the telegram takes, as in the table above. `age_ms` of
+`$PALTC` is the age when the unit sends the first character: 500 to 600 ms are normal. With `[measuring]
+output = "now"` a new value has the age 0 instead ([accuracy](accuracy.md#output-without-lag)).
+
+| limit | recommended |
+|---|---|
+| age of a value that is accepted, `max_age_s` | 1 s |
+| time without a valid telegram after which the machine stops | three times `interval_s` |
+
+A value that is in use is then at most as old as both limits together, and the telegram's time on the line.
+Choose them from how far the machine may move by an old value.
+
+| found | action |
+|---|---|
+| mode `V`, `P` or `S` | stop at once; `reasons` says why |
+| *restarted*: another session | stop; the machine's own start procedure calls `restart` |
+| *foreign*, *not newer*, *late*, *unchecked*, damaged | do not use the telegram; the time-out decides |
+| silence | stop after the time-out |
+
+### Python
+
+`altd.telegram` needs the standard library alone; the file may be copied. The port is opened by pyserial
+here:
+
+```python
+{PYTHON}```
+
+`reading.valid` is true for a live measurement of this unit that is intact, new and not late. The numbers of
+a telegram with a `fault` are None. `reader.damaged` and `reader.lost` count what the line spoils. Without
+`unit` the reader takes the telegrams of any unit and needs no third sentence; use that for displays only.
+
+### C
+
+[altd_telegram.h](../examples/c/altd_telegram.h) and [altd_telegram.c](../examples/c/altd_telegram.c) have
+no globals and allocate nothing: all state is in one struct, which gets the bytes of the line one by one.
+[read_telegram.c](../examples/c/read_telegram.c) is a complete program:
+
+    $ cc -std=c99 read_telegram.c altd_telegram.c -o read_telegram
+    $ ./read_telegram /dev/ttyUSB0 ALT-0007 9600
+    x 10.012 mm, y 4.987 mm, yaw 1.1459 deg, pitch -1.7184 deg, 0.52 s old
+    STOP: the unit says front_spot_missing+rear_spot_missing
 
 ## Reasons
 
@@ -120,6 +170,27 @@ Every other code makes it invalid. Those of the inclinometer, {of_sensors}, say 
 numbers, and only here and on HTTP: they have no bit on [Modbus](modbus.md#bits-of-status).
 """)
 
+
+PYTHON = """\
+import time
+
+import serial
+from altd.telegram import Reader
+
+reader, valid_s = Reader(unit="ALT-0007", max_age_s=1.0), time.monotonic()
+with serial.Serial("/dev/ttyUSB0", 9600, timeout=0.1) as port:
+    port.reset_input_buffer()
+    while True:
+        for reading in reader.feed(port.read(256)):
+            if reading.valid:
+                valid_s = time.monotonic()
+                use(reading.x_mm, reading.y_mm, reading.yaw_deg, reading.pitch_deg)
+            elif reading.fault in ("", "restarted"):  # invalid, not live, or of another session
+                stop(reading.fault or " ".join(reading.reasons))
+        if time.monotonic() - valid_s > 3.0:  # three intervals
+            stop("no valid telegram")
+"""
+"""A program that uses the reader; ``use`` and ``stop`` are the machine's."""
 
 _CONTENTS: dict[str, dict[str, Any]] = {
     "two sentences": {},

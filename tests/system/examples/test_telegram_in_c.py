@@ -12,18 +12,18 @@ from pathlib import Path
 
 import pytest
 from support.played_unit import PlayedUnit, playing
-from support.telegram_cases import EXAMPLES, ReaderInC, check, compile_c, read_by_python, variants, wire
+from support.telegram_cases import C, ReaderInC, check, compile_c, read_by_python, variants, wire
 from support.wire import socat_line
 
-FOREIGN = "STOP: a telegram was refused: it is of another unit"
+FOREIGN = "refused: of another unit"
 SHOWN = {
     "live 160": "x 10.012 mm, y 4.987 mm, yaw 1.1459 deg, pitch -1.7184 deg, 0.52 s old",
-    "live 160:MQC": "STOP: a telegram was refused: it is not newer",
+    "live 160:MQC": "refused: not newer",
     "simulated": "STOP: not live, but played or simulated",
     "live 162": "x 10.014 mm, y 4.987 mm, yaw 1.1459 deg, pitch -1.7184 deg, 0.52 s old",
-    "live 163:MQ": "STOP: a telegram was refused: the port of the unit has not checked = true",
+    "live 163:MQ": "refused: without the third sentence",
     "blocked 180": "STOP: the unit says front_spot_missing+rear_spot_missing",
-    "restarted 5": "STOP: a telegram was refused: the unit was restarted: start again",
+    "restarted 5": "STOP: the unit was restarted: start this program again",
 }
 """What the program shows of each telegram."""
 
@@ -64,7 +64,7 @@ class Program:
 @contextmanager
 def running(folder: Path, device: str | Path, serial: str) -> Iterator[Program]:
     program = folder / "read_telegram"
-    compile_c(EXAMPLES / "read_telegram.c", EXAMPLES / "altd_telegram.c", "-o", program)
+    compile_c(C / "read_telegram.c", C / "altd_telegram.c", "-o", program)
     with subprocess.Popen([program, device, serial, "115200"], stdout=subprocess.PIPE) as process:
         try:
             yield Program(process)
@@ -74,7 +74,7 @@ def running(folder: Path, device: str | Path, serial: str) -> Iterator[Program]:
 
 @pytest.mark.real_time
 def test_the_program_shows_values_and_stops_for_each_reason(tmp_path: Path) -> None:
-    assert (EXAMPLES / "read_telegram.c").read_text().count("\n") < 80
+    assert (C / "read_telegram.c").read_text().count("\n") < 80
     far, near = os.openpty()
     tty.setraw(near)
     with running(tmp_path, os.ttyname(near), "ALT-0007") as program:
