@@ -163,7 +163,7 @@ def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary:
             assert values == pytest.approx(quantities(told[sequence]), abs=6e-4)
         now = json.load(get(http_port, "/api/measurement"))
         assert now["sequence"] >= max(sequence for sequence, _ in answers)
-        assert (now["valid"], now["status"]) == (True, ["simulated"])
+        assert (now["valid"], now["status"]) == (True, ["simulated", "rehearsal"])
         with opened(console) as ask:
             assert b"simulated" in ask(b"measure\r", lambda data: b"NOT LIVE" in data)
 
@@ -176,7 +176,7 @@ def test_every_face_answers_with_the_measurements_that_the_lines_show(temporary:
     assert errors == b""
     lines = [line for line in text.splitlines() if "s  valid" in line]
     assert len(lines) >= 2
-    assert all(line.endswith("simulated") for line in lines)
+    assert all(line.endswith("simulated rehearsal") for line in lines)
     for line in lines:
         shown = VALUE.findall(line)
         assert [name for name, *_ in shown] == ["x", "y", "yaw", "pitch"]
