@@ -57,10 +57,10 @@ class BrokerError(OSError):
 class Broker(aiomqtt.Client):
     """A connection of MQTT 5. ``will`` is sent by the unit itself when it leaves in order.
 
-    aiomqtt 2.5 has no place for three things, so this class reaches into it: a socket that is closed in any
-    case (aiomqtt leaves it open when the broker is silent at the end, or sends malformed packets), a limit
-    for what is received, and the broker's refusal of a message. Its timeouts are not used: those of Python
-    3.11's ``wait_for`` lose a cancellation that comes with an acknowledgement.
+    aiomqtt 2.5 has no place for four things, so this class reaches into it: a socket that is closed in any
+    case (aiomqtt leaves it open when the broker is silent at the end, or sends malformed packets) and never
+    watched from two threads, a limit for what is received, and the broker's refusal of a message. Its
+    timeouts are not used: Python 3.11's ``wait_for`` loses a cancellation that comes with an acknowledgement.
     """
 
     def __init__(
@@ -88,13 +88,15 @@ class Broker(aiomqtt.Client):
         )
         self._will = will
         self._is_left = False
+        self._watched: socket.socket | None = None
         self._sent = 0
 
     async def __aenter__(self) -> Self:
         """Connect; raises BrokerError."""
+        lost = self._disconnected
         try:
             async with asyncio.timeout(CONNECT_TIMEOUT_S):
-                return await super().__aenter__()
+                await super().__aenter__()
         except TimeoutError as error:
             self._close()
             raise BrokerError(f"no answer within {CONNECT_TIMEOUT_S:g} s") from error
@@ -102,9 +104,11 @@ class Broker(aiomqtt.Client):
             self._close()
             raise BrokerError(_why_refused(error)) from error
         except BaseException:
-            # the thread that connects cannot be stopped: what it brings is closed in _on_socket_open
-            self._close()
+            self._close()  # the thread that connects cannot be stopped: what it brings is closed in _watch
             raise
+        if lost.done():  # aiomqtt forgets a connection that was lost right behind the greeting
+            self._disconnected = lost
+        return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -112,7 +116,7 @@ class Broker(aiomqtt.Client):
         """Send the will and leave. Where that is not acknowledged, break off: then the broker sends it."""
         try:
             will = self._will
-            async with asyncio.timeout(GOODBYE_TIMEOUT_S):
+            async with asyncio.timeout(0.0 if self._disconnected.done() else GOODBYE_TIMEOUT_S):
                 await self.publish(will.topic, will.payload, will.qos, will.retain)
                 await super().__aexit__(kind, error, trace)
         except (TimeoutError, aiomqtt.MqttError):
@@ -145,14 +149,11 @@ class Broker(aiomqtt.Client):
     def _close(self) -> None:
         """Leave nothing of this connection in the event loop."""
         self._is_left = True
-        self._loop.call_soon(self._close_socket)  # after what paho has asked the loop to do with the socket
+        if self._watched is not None:
+            self._client.reinitialise()  # the only public call that closes at once
         for state in (self._connected, self._disconnected):
             if state.done() and not state.cancelled():
                 state.exception()  # or asyncio logs that it was never retrieved
-
-    def _close_socket(self) -> None:
-        if self._client.socket() is not None:
-            self._client.reinitialise()  # the only public call that closes at once
 
     def _fail(self, error: Exception) -> None:
         for state in (self._connected, self._disconnected):
@@ -160,24 +161,37 @@ class Broker(aiomqtt.Client):
                 state.set_exception(error)
                 return
 
-    def _on_socket_open(self, client: PahoClient, userdata: Any, sock: Any) -> None:
-        """In the thread that connects, as may be what paho does until it returns."""
-        if self._is_left:
-            sock.close()
-            raise ConnectionAbortedError
-        self._loop.call_soon_threadsafe(self._watch_for_read, sock)
+    def _client_connect(self) -> None:
+        """Connect, in a thread; from then on the socket is touched in the event loop alone."""
+        super()._client_connect()
+        self._loop.call_soon_threadsafe(self._watch)
 
-    def _watch_for_read(self, sock: socket.socket) -> None:
-        if self._client.socket() is sock:  # it may be closed by now, and its number be that of another file
+    def _watch(self) -> None:
+        sock = self._client.socket()
+        if self._is_left:
+            self._client.reinitialise()
+        elif isinstance(sock, socket.socket):
+            self._watched = sock
             self._loop.add_reader(sock.fileno(), self._read, sock)
+            if self._client.want_write():
+                self._loop.add_writer(sock.fileno(), self._client.loop_write)
             self._misc_task = self._loop.create_task(self._misc_loop())
 
-    def _on_socket_register_write(self, client: PahoClient, userdata: Any, sock: Any) -> None:
-        self._loop.call_soon_threadsafe(self._watch_for_write, sock)
+    def _on_socket_open(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        pass
 
-    def _watch_for_write(self, sock: socket.socket) -> None:
-        if self._client.socket() is sock:
+    def _on_socket_register_write(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        if self._watched is not None and sock is self._watched:
             self._loop.add_writer(sock.fileno(), self._client.loop_write)
+
+    def _on_socket_unregister_write(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        if self._watched is not None and sock is self._watched:
+            self._loop.remove_writer(sock.fileno())
+
+    def _on_socket_close(self, client: PahoClient, userdata: Any, sock: Any) -> None:
+        if sock is self._watched:
+            self._watched = None
+            super()._on_socket_close(client, userdata, sock)
 
     def _read(self, sock: socket.socket) -> None:
         """Read a packet; of TLS, all of those that were decrypted with it."""
@@ -222,12 +236,13 @@ class Broker(aiomqtt.Client):
         reason_code: ReasonCode,
         properties: Properties | None = None,
     ) -> None:
-        if not reason_code.is_failure:
-            super()._on_disconnect(client, userdata, flags, reason_code, properties)
-            return
-        text = _LOST.get(reason_code.value, "the broker closed the connection")
         if flags.is_disconnect_packet_from_server:
             text = f"the broker ended the connection: {reason_code}"
+        elif reason_code.is_failure:
+            text = _LOST.get(reason_code.value, "the broker closed the connection")
+        else:  # at the end, by the unit
+            super()._on_disconnect(client, userdata, flags, reason_code, properties)
+            return
         self._loop.call_soon_threadsafe(self._fail, BrokerError(text))
 
 
