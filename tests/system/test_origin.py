@@ -11,6 +11,7 @@ import json
 import os
 import re
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ import tty
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,7 @@ from support.unit_toml import write_config
 
 from altd.app.record import scanner_of
 from altd.config import Config, Scan
+from altd.reasons import Signal
 from benchmarks.live.parts import FRONT, REAR, both_cameras
 from benchmarks.live.parts import write_config as write_live_config
 from benchmarks.live.watch import Ports
@@ -263,7 +266,17 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
             os.write(console, b"status\r")
             assert "simulated" in read_until(console, "simulated")
             played, not_trusted = 0b11 << 12, 1 << 15
-            assert _status_word(modbus) == played | (1 if rehearsal else not_trusted)
+            assert int.from_bytes(_registers(modbus, 0, 1)) == played | (1 if rehearsal else not_trusted)
+            unit = _registers(modbus, 300, 50)
+            checksum = json.loads(fitted.read_text())["checksum"].removeprefix("sha256:")
+            assert (unit[24:28].hex(), unit[48:54]) == (checksum[:8], b"TEST-1")
+            assert unit[2:4] == bytes([0, rehearsal])
+            assert unit[28:32].hex() == sha256(config.read_bytes()).hexdigest()[:8]
+            condition = _registers(modbus, 400, 60)
+            assert condition[:4] == bytes([0, 1, 0, Signal.CHECK_FUNCTION.number])
+            diameter_px, peak = struct.unpack(">2f", condition[36:44])
+            assert diameter_px > 10
+            assert peak > 10
         finally:
             daemon.kill()
             daemon.wait()
@@ -276,13 +289,16 @@ def _next_message(port: int, topic: str) -> str:
     ).stdout
 
 
-def _status_word(port: int) -> int:
-    """Input register 0 of unit 1, asked by hand (Modbus TCP, function 4)."""
+def _registers(port: int, address: int, count: int) -> bytes:
+    """Input registers of unit 1, asked by hand (Modbus TCP, function 4)."""
     with socket.create_connection(("127.0.0.1", port), timeout=20) as line:
-        line.sendall(bytes.fromhex("0001 0000 0006 01 04 0000 0001"))
-        answer = line.recv(256)
+        line.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, address, count))
+        answer = b""
+        while len(answer) < 9 + 2 * count:
+            answer += (more := line.recv(512))
+            assert more, "closed"
     assert answer[7] == 4, answer.hex()
-    return int.from_bytes(answer[9:11], "big")
+    return answer[9:]
 
 
 class TestRecord:

@@ -6,6 +6,7 @@ says why pymodbus does not answer.
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -28,6 +29,8 @@ from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.proof import Stamps
 from altd.status.services import NoSelfCheckError, SelfCheckService
+
+log = logging.getLogger("altd")
 
 WRITE_SINGLE_REGISTER = 6
 """6.6: function, address, value; the response is the request again."""
@@ -157,7 +160,11 @@ class Responder:
 
     def answer(self, request: bytes) -> bytes:
         """The response to a request, both from the function code on and not empty."""
-        response = self._response(request)
+        try:
+            response = self._response(request)
+        except Exception:  # a defect costs the request that meets it, never the other clients
+            log.exception("modbus: a defect, at request %s", request.hex())
+            response = ExcCodes.DEVICE_FAILURE
         self._component.count("requests")
         if isinstance(response, ExcCodes):
             self._component.count("exceptions")

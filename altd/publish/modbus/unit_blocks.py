@@ -51,8 +51,10 @@ def _calibration_age_days(health: Health) -> float | None:
     return None if created is None or now is None else (now - created).total_seconds() // _DAY_S
 
 
-def _first_32_bits(hexadecimal: str | None) -> int | None:
-    return int(hexadecimal[:8], 16) if hexadecimal else None
+def _first_32_bits(digest: str | None) -> int | None:
+    """Of hexadecimal digits, before which the name of the algorithm may stand: ``sha256:89ab…``."""
+    digits = (digest or "").rpartition(":")[2][:8]
+    return int(digits, 16) if digits else None
 
 
 def _calibration_checksum(health: Health) -> int | None:

@@ -37,7 +37,8 @@ from altd.status.services import SelfCheckReport
 from altd.status.target_area import TargetArea
 
 CREATED = "2026-11-02T09:30:00.000Z"
-CHECKSUM = "89abcdef" + 56 * "0"
+CHECKSUM = "sha256:89abcdef" + 56 * "0"
+"""As a calibration file has it."""
 
 
 class NoFiles:
@@ -373,3 +374,13 @@ class TestSerialLine:
 
 def test_the_measurement_table_is_the_first() -> None:
     assert TABLES[0] is MEASUREMENT
+
+
+async def test_a_defect_costs_the_request_that_meets_it_and_no_client_its_connection(
+    client: Client, health: Health, caplog: pytest.LogCaptureFixture
+) -> None:
+    health.facts["config_sha256"] = "no digits"
+    for _ in range(3):
+        assert await client.ask(bytes.fromhex("03 012c 0032")) == bytes.fromhex("83 04")
+    assert await client.ask(bytes.fromhex("04 0066 0002")) == bytes.fromhex("04 04 12345678")
+    assert "a defect, at request 03012c0032" in caplog.text
