@@ -226,3 +226,43 @@ async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> Async
         if process.returncode is None:
             process.kill()
         await process.communicate()
+
+
+class Valve:
+    """A way to a broker that can stop reading what the unit sends."""
+
+    def __init__(self, port: int) -> None:
+        self.port, self._to = 0, port
+        self.open = asyncio.Event()
+        self.open.set()
+        self._flows: set[asyncio.Task[None]] = set()
+
+    async def __aenter__(self) -> Self:
+        self._server = await asyncio.start_server(self._join, "127.0.0.1", 0, limit=1024)
+        self.port = self._server.sockets[0].getsockname()[1]
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._server.close()
+        for flow in self._flows:
+            flow.cancel()
+        await asyncio.gather(*self._flows, return_exceptions=True)
+
+    async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._flows.add(task)
+        try:
+            back, forth = await asyncio.open_connection("127.0.0.1", self._to)
+            await asyncio.gather(self._flow(reader, forth), self._flow(back, writer))
+        except (OSError, asyncio.CancelledError):
+            pass
+        finally:
+            writer.close()
+
+    async def _flow(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while piece := await reader.read(1024):
+            await self.open.wait()
+            writer.write(piece)
+            await writer.drain()
+        writer.close()

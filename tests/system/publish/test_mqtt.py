@@ -14,7 +14,7 @@ from typing import Any
 import jsonschema
 import pytest
 from support.foreign import need_program
-from support.mqtt import PublishingUnit, Subscriber, mosquitto, subscribed
+from support.mqtt import PublishingUnit, Valve, mosquitto, subscribed
 from support.places import DOCS
 from support.played_unit import PlayedUnit, playing
 from support.ports import free_port
@@ -262,46 +262,6 @@ async def test_over_tls_the_broker_has_to_be_vouched_for_and_is_shown_the_units_
         assert await unit.until(State.OK) == "connected"
 
 
-class Valve:
-    """A way to a broker that can stop reading what the unit sends."""
-
-    def __init__(self, port: int) -> None:
-        self.port, self._to = 0, port
-        self.open = asyncio.Event()
-        self.open.set()
-        self._flows: set[asyncio.Task[None]] = set()
-
-    async def __aenter__(self) -> Valve:
-        self._server = await asyncio.start_server(self._join, "127.0.0.1", 0, limit=1024)
-        self.port = self._server.sockets[0].getsockname()[1]
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._server.close()
-        for flow in self._flows:
-            flow.cancel()
-        await asyncio.gather(*self._flows, return_exceptions=True)
-
-    async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        self._flows.add(task)
-        try:
-            back, forth = await asyncio.open_connection("127.0.0.1", self._to)
-            await asyncio.gather(self._flow(reader, forth), self._flow(back, writer))
-        except (OSError, asyncio.CancelledError):
-            pass
-        finally:
-            writer.close()
-
-    async def _flow(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while piece := await reader.read(1024):
-            await self.open.wait()
-            writer.write(piece)
-            await writer.drain()
-        writer.close()
-
-
 async def test_a_broker_that_stops_reading_costs_messages_and_no_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -328,19 +288,3 @@ async def test_a_broker_that_stops_reading_costs_messages_and_no_memory(
                     sequences.append(json.loads((await client.next("/measurement"))[3])["sequence"])
     assert len(sequences) <= 24, "what waited was sent"
     assert unit.component.counters["measurements_skipped"] >= 1900
-
-
-async def test_only_who_it_is_is_left_when_a_client_looks_for_what_the_unit_takes(tmp_path: Path) -> None:
-    """The unit subscribes to nothing: a message to any of its topics changes nothing."""
-    with mosquitto(tmp_path, OPEN) as (port, _):
-        unit = PublishingUnit.made(port, home_assistant="homeassistant")
-        async with unit.running():
-            await unit.until(State.OK)
-            async with subscribed(port, topic="$SYS/broker/subscriptions/count") as client:
-                _: Subscriber = client
-                assert (await client.next("count"))[3] in ("0", "1")
-            publish = [need_program("mosquitto_pub", "mosquitto-clients"), "-p", str(port), "-m", "x"]
-            for topic in ("altd/ALT-0007/state", "homeassistant/status", "altd/ALT-0007/set"):
-                done = await asyncio.create_subprocess_exec(*publish, "-t", topic)
-                assert await done.wait() == 0
-            assert unit.component.state is State.OK
