@@ -117,8 +117,8 @@ def run(progress: Progress) -> Result:
         ),
         rows=tuple(rows),
         headline=(
-            f"At 1 mm/s a new mean is {mean:.2f} mm behind the beam, a value of now {now:.4f} mm; at rest "
-            f"under vibration they err by {rest_mean:.3f} and {rest_now:.3f} mm."
+            f"At 1 mm/s a new mean is {mean:.2f} mm behind the beam, the output `now` is {now:.4f} mm off; "
+            f"at rest under vibration they err by {rest_mean:.3f} and {rest_now:.3f} mm."
         ),
         text=(
             "x of three simulated units, from pictures; rms over all places. *When new* is at the newest "

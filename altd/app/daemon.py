@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -28,19 +27,16 @@ from altd.acquisition.self_check.service import SelfChecks
 from altd.app.calibration_files import ReadCalibrationFiles
 from altd.app.calibration_summary import summary_of, target_areas_of
 from altd.app.diagnostics import diagnostic_parts
+from altd.app.interfaces import interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.maintenance import MaintenanceWatches
 from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
-from altd.app.settings import local_socket_of
 from altd.config import (
     AnyCameraSettings,
-    AnySerialPortSettings,
     CameraLampsSettings,
     Config,
     LiveCameraSettings,
-    ModbusRtuPortSettings,
-    TelegramPortSettings,
 )
 from altd.errors import BadInputError, one_line, unwrap_group
 from altd.instruments.beam.instrument import BeamInstrument
@@ -51,7 +47,7 @@ from altd.records import CameraIdentity, Fault, Quantities, origin_faults
 from altd.runtime.clock import SystemClock
 from altd.runtime.real_time import real_time_interpreter
 from altd.runtime.service_manager import ServiceManager, state_folder
-from altd.runtime.supervision import Publisher, keep_running
+from altd.runtime.supervision import keep_running
 from altd.status.board import Board
 from altd.status.health import MEASURING, Health, State
 from altd.status.proof import Identity, unit_number
@@ -174,7 +170,10 @@ class Daemon:
 
     async def _run(self) -> None:
         cv2.setNumThreads(1)  # a frame is small: more threads cost more than they bring
-        interfaces = dict(self._publishers())
+        of_config = interfaces_of(
+            self.config, self.board, self.health, self.past, self._calibrated, self.clock
+        )
+        interfaces = dict(of_config)
         manager = ServiceManager(self.board, self.clock, f"unit {self.config.unit.serial}", list(interfaces))
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -265,54 +264,6 @@ class Daemon:
         cameras = self._cameras.values()
         played = [camera.name for camera in cameras if camera.playback]
         return origin_faults({camera.name: camera.origin for camera in cameras}, played)
-
-    def _publishers(self) -> Iterator[tuple[str, Publisher]]:
-        """The interfaces that the config asks for, with their places in it. Imported only when wanted."""
-        config, board, health = self.config, self.board, self.health
-        if config.modbus_tcp is not None:
-            from altd.publish.modbus.tcp import ModbusTcpPublisher
-
-            place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
-            yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place), health)
-        if config.http is not None:
-            from altd.publish.http.publisher import HttpPublisher
-
-            place = f"http {config.http.host}:{config.http.port}"
-            component = health.component(place)
-            past = self.past
-            yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
-        if config.mqtt is not None:
-            from altd.publish.mqtt.publisher import MqttPublisher
-
-            place = f"mqtt {config.mqtt.host}:{config.mqtt.port_or_default}"
-            yield place, MqttPublisher(config.mqtt, board, health, health.component(place), random.Random())  # noqa: S311  it spreads reconnections
-        if (path := local_socket_of(config)) is not None:
-            from altd.publish.http.publisher import LocalPublisher
-
-            place = f"local {path}"
-            yield place, LocalPublisher(path, board, health, health.component(place), self.past.history)
-        for port in config.serial:
-            place = f"serial {port.device}"
-            yield place, self._serial_publisher(port, place)
-
-    def _serial_publisher(self, port: AnySerialPortSettings, place: str) -> Publisher:
-        component = self.health.component(place)
-        if isinstance(port, ModbusRtuPortSettings):
-            from altd.publish.modbus.rtu import ModbusRtuPublisher
-
-            return ModbusRtuPublisher(port, self.board, component, self.health)
-        from altd.publish.serial.publisher import ConsolePublisher, TelegramPublisher
-        from altd.publish.serial.telegram import Nameplate
-
-        if isinstance(port, TelegramPortSettings):
-            nameplate = Nameplate(
-                unit=self.board.identity.unit,
-                serial=self.config.unit.serial,
-                firmware=__version__,
-                calibrated=self._calibrated,
-            )
-            return TelegramPublisher(port, self.board, component, self.clock, nameplate)
-        return ConsolePublisher(port, self.board, self.health, component, self.clock, self.past.for_console())
 
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:

@@ -36,7 +36,7 @@ def _rows() -> Iterator[dict[str, Any]]:
     """Every register; a number is worth ``scale`` of its unit."""
     from altd.publish.modbus import checked_block
     from altd.publish.modbus.registers import FLOAT_BLOCK, HEADER, PER_UNIT, SCALED_BLOCK, TEST_BLOCK
-    from altd.publish.modbus.unit_blocks import CONDITION_BLOCK, UNIT_BLOCK
+    from altd.publish.modbus.unit_blocks import CONDITION, UNIT
 
     blocks = {
         "header": HEADER,
@@ -44,8 +44,8 @@ def _rows() -> Iterator[dict[str, Any]]:
         "scaled": SCALED_BLOCK,
         "test": TEST_BLOCK,
         "checked": checked_block.ROWS,
-        "unit": UNIT_BLOCK,
-        "condition": CONDITION_BLOCK,
+        "unit": UNIT.rows,
+        "condition": CONDITION.rows,
     }
     for block, rows in blocks.items():
         for row in rows:

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rehearsal",
         action="store_true",
         help="give valid values of played and simulated frames too, to try out what reads them; "
-        "every interface says so, and a service refuses it",
+        "every interface reports it; a service refuses it",
     )
     parser.add_argument(
         "--trace-frames", action="store_true", help="log the way of each frame, with times, on standard error"

@@ -169,15 +169,11 @@ class MeasuringChain:
         skew_ns = None if self._silent() else self._last_skew_ns
         return {"skew_ms": None if skew_ns is None else round(skew_ns * 1e-6, 2), **lags}
 
-    def spots(self) -> dict[str, float | None]:
-        """Diameter (1/e², px) and peak (counts) of each target's newest spot; None: no spot."""
-        figures: dict[str, float | None] = {}
-        for target in self._targets:
-            spot = self._last_spots.get(target)
-            known = spot if isinstance(spot, Spot) else None
-            figures[f"diameter_{target}_px"] = None if known is None else round(known.diameter_px, 1)
-            figures[f"peak_{target}"] = None if known is None else round(known.peak, 1)
-        return figures
+    def spots(self) -> dict[str, float]:
+        """Diameter (1/e², px) and peak (counts) of each target's newest spot, where there is one."""
+        known = {target: spot for target, spot in self._last_spots.items() if isinstance(spot, Spot)}
+        diameters = {f"diameter_{target}_px": round(spot.diameter_px, 1) for target, spot in known.items()}
+        return diameters | {f"peak_{target}": round(spot.peak, 1) for target, spot in known.items()}
 
     def views(self) -> dict[str, float | str]:
         """Whether the cameras are those that were calibrated, for health."""

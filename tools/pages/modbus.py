@@ -32,14 +32,7 @@ from altd.publish.modbus.responder import (
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
 from altd.publish.modbus.serial_functions import RUNNING, SERVER_ID
 from altd.publish.modbus.tcp import FIRST_REQUEST_S, KEPT_SHARE, MAX_CLIENTS, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
-from altd.publish.modbus.unit_blocks import (
-    CONDITION_BLOCK,
-    CONDITION_FIRST,
-    CONDITION_SIZE,
-    UNIT_BLOCK,
-    UNIT_FIRST,
-    UNIT_SIZE,
-)
+from altd.publish.modbus.unit_blocks import CONDITION, UNIT
 from altd.publish.modbus.values import (
     DISCRETE_INPUTS,
     REASON_CODES,
@@ -80,8 +73,8 @@ BLOCKS = (
         "[the checked block](proof.md): the measurement with all that proves it",
         "with each poll, instead",
     ),
-    (_span(UNIT_FIRST, UNIT_SIZE), "[which unit this is](#the-unit)", "when the controller connects"),
-    (_span(CONDITION_FIRST, CONDITION_SIZE), "[its condition](#the-condition)", "every few seconds"),
+    (_span(UNIT.first, UNIT.size), "[which unit this is](#the-unit)", "when the controller connects"),
+    (_span(CONDITION.first, CONDITION.size), "[its condition](#the-condition)", "every few seconds"),
 )
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
@@ -243,13 +236,13 @@ at address {SCALED} it is {_hex(words[SCALED : SCALED + 2])}, the integer 100120
 
 ## The unit
 
-{register_table(UNIT_BLOCK)}
+{register_table(UNIT.rows)}
 
 Text is ASCII, two characters a register, the first in the high byte; zeros follow it.
 
 ## The condition
 
-{register_table(CONDITION_BLOCK)}
+{register_table(CONDITION.rows)}
 
 What was not observed for {FIGURE_AGE_S:g} s is *not known*. The shares of time are counted again every ten
 seconds.

@@ -13,7 +13,11 @@ _WHOSE = {
         "Published behind the target's name, such as `front_spot_missing`. The measurement is invalid.",
     ),
     Scope.UNIT: ("Of the whole unit", "The measurement is invalid."),
-    Scope.WARNING: ("Warnings", "The numbers of a measurement that says no more than these may be used."),
+    Scope.WARNING: (
+        "Warnings",
+        "A measurement with no other reason than these has numbers. Do not steer by one that is `playback` "
+        "or `simulated`.",
+    ),
 }
 
 

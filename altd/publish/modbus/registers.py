@@ -139,9 +139,7 @@ def _scaled(value: Reading) -> Reading:
 
 
 HEADER = (
-    Register(
-        0, "status", Type.U16, "", "status word, see below; bit 0: the numbers may be used", values.status
-    ),
+    Register(0, "status", Type.U16, "", "status word, see below; bit 0: valid", values.status),
     Register(2, "reason_unit", Type.U16, "", "reason code of the whole unit, 0 none", values.reason(None)),
     Register(
         3, "reason_front", Type.U16, "", "reason code of the front target, 0 none", values.reason("front")

@@ -15,15 +15,8 @@ from pymodbus.constants import ExcCodes
 
 from altd import __version__
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
-from altd.publish.modbus.registers import MEASUREMENT, RegisterImage, Table, WordOrder, image
-from altd.publish.modbus.unit_blocks import (
-    CONDITION_BLOCK,
-    CONDITION_FIRST,
-    CONDITION_SIZE,
-    UNIT_BLOCK,
-    UNIT_FIRST,
-    UNIT_SIZE,
-)
+from altd.publish.modbus.registers import MEASUREMENT, RegisterImage, WordOrder, image
+from altd.publish.modbus.unit_blocks import CONDITION, UNIT
 from altd.publish.modbus.values import DISCRETE_INPUTS, Snapshot
 from altd.status.board import Board
 from altd.status.health import Component, Health
@@ -128,9 +121,6 @@ READ_HOLDING_REGISTERS, READ_INPUT_REGISTERS = 3, 4
 MAX_READ = 125
 """Registers in one response (6.3)."""
 
-
-UNIT = Table(UNIT_BLOCK, UNIT_FIRST, UNIT_SIZE)
-CONDITION = Table(CONDITION_BLOCK, CONDITION_FIRST, CONDITION_SIZE)
 
 TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION)
 """All that functions 3 and 4 read; a read stays within one of them."""

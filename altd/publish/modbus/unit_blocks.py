@@ -1,7 +1,4 @@
-"""Two blocks beside the measurement: which unit this is, and in which condition. Each fits into one request.
-
-Their values change slowly: they are made again at most once a second, whatever is asked.
-"""
+"""Two blocks beside the measurement, one request each: which unit this is, and in which condition."""
 
 from __future__ import annotations
 
@@ -10,14 +7,11 @@ from datetime import datetime
 from typing import Any
 
 from altd.publish.modbus import values
-from altd.publish.modbus.registers import Register, Type
+from altd.publish.modbus.registers import Register, Table, Type
 from altd.publish.modbus.values import Reading, Snapshot
 from altd.reasons import Reason
 from altd.status.availability import SPANS
 from altd.status.health import MEASURING, Component, Health
-
-UNIT_FIRST, UNIT_SIZE = 300, 50
-CONDITION_FIRST, CONDITION_SIZE = 400, 60
 
 BLOCK_VERSION = 1
 """Counts up when a register of these blocks changes its meaning or place."""
@@ -62,12 +56,12 @@ def _calibration_checksum(health: Health) -> int | None:
 
 
 def _is_rehearsal(snapshot: Snapshot) -> int | None:
-    """None before the first measurement: it is the measurement that says so."""
+    """None before the first measurement, which carries the reason."""
     measurement = snapshot.measurement
     return None if measurement is None else values.has(measurement, Reason.REHEARSAL)
 
 
-UNIT_BLOCK = (
+_UNIT_ROWS = (
     Register(300, "block_version", Type.U16, "", "version of this block", values.constant(BLOCK_VERSION)),
     Register(301, "rehearsal", Type.U16, "", "1: started with `--rehearsal`; 0: not", _is_rehearsal),
     Register(302, "unit", Type.U32, "", "as at address 202", values.of_identity("unit")),
@@ -227,4 +221,5 @@ def _condition_rows() -> Iterator[Register]:
     yield Register(row + 4, "roll_age", Type.U16, "ms", "of roll", _roll_age_ms)
 
 
-CONDITION_BLOCK = tuple(_condition_rows())
+UNIT = Table(_UNIT_ROWS, 300, 50)
+CONDITION = Table(tuple(_condition_rows()), 400, 60)

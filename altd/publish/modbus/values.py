@@ -43,7 +43,7 @@ def _of(group: StatusGroup) -> frozenset[Reason]:
 
 
 STATUS_BITS = (
-    StatusBit(VALID, "valid", "the numbers may be used"),
+    StatusBit(VALID, "valid", "the numbers are known; steer by them only while bits 12 and 13 are 0"),
     StatusBit(NOTHING_YET, "nothing yet", "no measurement since the daemon started"),
     StatusBit(2, "stale", "nothing new for too long; the numbers are gone", _of(StatusGroup.STALE)),
     StatusBit(3, "warming up", "not enough exposures yet, or no self-check", _of(StatusGroup.WARMING_UP)),
@@ -256,7 +256,7 @@ def _shows(signal: Signal) -> Callable[[Snapshot], bool]:
 
 
 DISCRETE_INPUTS = (
-    DiscreteInput("valid", "the numbers may be used, as bit 0 of `status`", _is_valid),
+    DiscreteInput("valid", "as bit 0 of `status`; steer only while `not_live` is 0", _is_valid),
     DiscreteInput("failure", "NAMUR NE 107: failure", _shows(Signal.FAILURE)),
     DiscreteInput("check_function", "check function", _shows(Signal.CHECK_FUNCTION)),
     DiscreteInput("out_of_specification", "out of specification", _shows(Signal.OUT_OF_SPECIFICATION)),

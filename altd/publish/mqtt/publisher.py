@@ -1,4 +1,4 @@
-"""Publishes to one broker: a message is made when the one before it was acknowledged, and is of now."""
+"""Publishes to one broker. Each message is made after the one before it was acknowledged."""
 
 from __future__ import annotations
 
