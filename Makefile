@@ -42,6 +42,8 @@ pages := \
     http.md:tools.pages.http \
     mqtt.md:tools.pages.mqtt \
     mqtt.schema.json:tools.pages.mqtt_schema \
+    sparkplug.md:tools.pages.sparkplug \
+    opcua.md:tools.pages.opcua \
     proof.md:tools.pages.proof \
     clients.md:tools.pages.clients \
     tables.md:tools.pages.tables \
@@ -109,7 +111,7 @@ bench-area: venv ## beams anywhere on 140 × 110 mm against their truth; takes m
 bench-guest: venv kernel ## a minute with two cameras of the kernel's test drivers: what is lost, jitter, errors
 	@ALTD_BENCH_GUEST_S=60 exec $(python) -m pytest -q tests/system/test_guest_unit.py -k "pair or truth or figures"
 
-bench-hostile: venv ## hostile inputs at HTTP, WebSocket, local socket and consoles beside who reads; HOSTILE=1000000 for a million each
+bench-hostile: venv ## hostile inputs at every network interface and console beside a reader; HOSTILE=1000000 for a million each
 	@PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 exec $(python) -m fuzz.hostile --inputs $(HOSTILE)
 
 bench-history: programs venv kernel ## a year of history: its size and its trends; 200 kills, 50 power cuts
@@ -117,8 +119,9 @@ bench-history: programs venv kernel ## a year of history: its size and its trend
 	PYTHONPATH=tests $(python) -m support.history_crash --times 200
 	ALTD_BENCH_POWER_CUTS=50 exec $(python) -m pytest -q -s tests/system/history/test_power_cut.py
 
-bench-load: venv ## ten minutes of 10 controllers and 5 browsers with pictures: what they cost, what is lost; LOAD_S=60, BROWSERS=chromium
-	@exec $(python) -m benchmarks.load --seconds $(LOAD_S) --browsers $(BROWSERS)
+bench-load: venv ## ten minutes of clients at Modbus TCP and RTU, MQTT and HTTP: CPU of each, answers, ages, exposures lost; LOAD_S=60, BROWSERS=chromium
+	@.ci/programs must mosquitto
+	exec $(python) -m benchmarks.load --seconds $(LOAD_S) --browsers $(BROWSERS)
 
 bench-live: programs venv ## the whole unit on GigE Vision, well and ill; LIVE_S=600 for ten minutes
 	@exec unshare -rn $(python) -m benchmarks.live.measure --seconds $(LIVE_S)
@@ -162,7 +165,7 @@ lock: ## write the three locks with today's newest packages
 	@.ci/lock
 
 clean: ## remove .venv and all that tools leave behind
-	@rm -rf .venv .venv-* build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	@rm -rf .venv .venv-* build dist node_modules .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find altd hw_sim studies tests benchmarks tools -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
 
 venv:
@@ -170,7 +173,8 @@ venv:
 
 programs: # foreign programs that tests use
 	@.ci/programs may chromium curl ssh-keygen=openssh-client unzip mbpoll mosquitto mosquitto_sub=mosquitto-clients socat node=nodejs picocom tmux systemd-analyze=systemd /usr/sbin/mkfs.ext4=e2fsprogs pdftotext=poppler-utils v4l2-ctl=v4l-utils
-	@header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
+	@.ci/npm node-opcua-client@2.186.0 sparkplug-payload@1.0.3
+	header=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))')/Python.h
 	.ci/programs may arv-fake-gv-camera-0.8=aravis-tools arv-tool-0.8=aravis-tools-cli \
 	    '/usr/lib/*/girepository-1.0/Aravis-0.8.typelib=gir1.2-aravis-0.8' \
 	    gcc /usr/include/linux/videodev2.h=libc6-dev pkg-config ip=iproute2 unshare=util-linux "$$header=python3-dev" \

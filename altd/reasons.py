@@ -74,7 +74,7 @@ class Signal(StrEnum):
 
 _TARGET, _UNIT, _WARNING = Scope
 _, _FAILURE, _CHECK_FUNCTION, _OUT_OF_SPECIFICATION, _MAINTENANCE_REQUIRED = Signal
-_CLEAN_AND_LOOK = "clean the window, look for reflections and for what stands in the beam"
+_CLEAN_AND_LOOK = "clean the window, look for reflections and for objects in the beam"
 _NOT_LIVE = "do not steer by it"
 
 LEDS_LIT = "the frame LEDs are lit"
@@ -92,7 +92,7 @@ class Reason(StrEnum):
         "spot_missing", _TARGET, 1, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "no laser spot",
         "switch the laser on and check that its beam enters the window",
-        "nothing stands out of background and noise, or it is too dim to be located",
+        "nothing rises above background and noise, or it is too dim to be located",
     )  # fmt: skip
     AMBIGUOUS = (
         "ambiguous", _TARGET, 2, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
@@ -179,7 +179,7 @@ class Reason(StrEnum):
     UNSTEADY = (
         "unsteady", _UNIT, 22, StatusGroup.UNSTEADY, _OUT_OF_SPECIFICATION,
         "the spot moves too much",
-        "wait until the machine stands, look for vibration",
+        "wait until the machine is at rest, look for vibration",
         "the beam jumped while it was averaged, or scatters more than `max_sigma_mm` allows",
     )  # fmt: skip
     WARMING_UP = (
@@ -192,11 +192,11 @@ class Reason(StrEnum):
         "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,
         "nothing new is measured",
         "look in `status` for the component that has stopped",
-        "the last exposure is older than `stale_after_s`, or nothing new was put on the board for so long",
+        "the last exposure is older than `stale_after_s`, or no measurement was published for so long",
     )  # fmt: skip
     CHECK_FAILED = (
         "check_failed", _UNIT, 25, StatusGroup.NOT_TRUSTED, _FAILURE,
-        "numbers that cannot be",
+        "impossible values",
         "restart the unit, check its config and calibration",
         "the numbers did not pass the last check before publishing: finite, ordered, within what the unit "
         "can measure",
@@ -258,7 +258,7 @@ class Reason(StrEnum):
         "roll_missing", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "no roll from the inclinometer",
         "check the inclinometer's cable, supply and table in the config",
-        "an inclinometer is fitted and gives nothing that can be used; the beam's numbers stand",
+        "an inclinometer is fitted and gives no usable value; the beam's numbers are not affected",
     )  # fmt: skip
     PITCH_DIVERGES = (
         "pitch_diverges", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,

@@ -1,4 +1,4 @@
-"""TCP ports: accepting connections so that a flood of them costs little, and the addresses of clients.
+"""TCP ports: accepting connections so that a flood of them costs little; limits for clients by address.
 
 asyncio's own servers accept as many connections in a row as wait, and where descriptors have run out
 (EMFILE) they log a traceback for each and try all of them again: 60 connections at 32 descriptors made
@@ -14,9 +14,12 @@ import logging
 import os
 import resource
 import socket
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
 from typing import NoReturn
 
+from altd.ports import Clock
 from altd.status.health import Component
 
 log = logging.getLogger("altd")
@@ -25,6 +28,13 @@ BACKLOG = 128
 """Connections that the kernel keeps until they are accepted."""
 
 RETRY_INTERVAL_S = 1.0
+
+HANDSHAKE_TIMEOUT_S = 5.0
+"""A client that has not done its part of a TLS handshake by then is cut off."""
+
+SHUTDOWN_TIMEOUT_S = 1.0
+MAX_HANDSHAKES = 16
+"""TLS handshakes of an interface at a time."""
 
 _NO_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _NO_LISTENER = frozenset({errno.EBADF, errno.EINVAL, errno.ENOTSOCK})
@@ -119,3 +129,51 @@ class Networks:
 
     def __contains__(self, address: Address | None) -> bool:
         return address is not None and any(address in network for network in self._networks)
+
+
+MAX_KEYS = 1024
+"""Of so many the last asking is remembered; who was longest silent is forgotten, which is to be forgiven."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """So many at once, and so many a second for ever."""
+
+    burst: int
+    per_s: float
+
+
+CONNECTIONS = Rate(burst=200, per_s=100.0)
+"""Of one address, where a connection costs a TLS handshake, before a byte of it is read."""
+
+
+class Buckets:
+    """A bucket of tokens for each key, filled by the monotonic clock."""
+
+    def __init__(self, rate: Rate, clock: Clock) -> None:
+        self._rate = rate
+        self._clock = clock
+        self._full_ns: OrderedDict[str, int] = OrderedDict()
+        """When each bucket will be full again; the one that was used last comes last."""
+
+    def wait_s(self, key: str) -> float:
+        """Seconds until there is a token again; 0: there is one."""
+        lacking_ns = self._full_ns.get(key, 0) - self._clock.monotonic_ns()
+        room_ns = round((self._rate.burst - 1) / self._rate.per_s * 1e9)
+        return max(lacking_ns - room_ns, 0) * 1e-9
+
+    def take(self, key: str) -> float:
+        """Take a token; returns the seconds until there is one again, where there is none: 0, it is taken."""
+        if wait_s := self.wait_s(key):
+            return wait_s
+        now_ns = self._clock.monotonic_ns()
+        self._full_ns[key] = max(self._full_ns.get(key, 0), now_ns) + round(1e9 / self._rate.per_s)
+        self._full_ns.move_to_end(key)
+        if len(self._full_ns) > MAX_KEYS:
+            self._full_ns.popitem(last=False)
+        return 0.0
+
+    def give_back(self, key: str) -> None:
+        """What was taken was not used."""
+        if key in self._full_ns:
+            self._full_ns[key] -= round(1e9 / self._rate.per_s)

@@ -9,8 +9,7 @@ import os
 import subprocess
 import sys
 import time
-import tty
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +17,13 @@ import numpy as np
 
 from altd.app.daemon import Daemon
 from altd.app.keeping import FILE_NAME, history_about
-from altd.config import Config, KeptFrames
+from altd.config import Config
 from altd.ports import Lamps
 from altd.records import FloatArray
 from altd.status.health import State
+from benchmarks.interfaces import Interfaces, broker, interfaces
 from benchmarks.material import CAMERAS, FPS, WINDOW, Material, Source, make_config
 from benchmarks.stages import pure_rate
-from hw_sim.ports import free_port
 
 POLLS_PER_S = 10
 SETTLE_S = 1.2
@@ -73,29 +72,37 @@ class RateFigures:
     """What other processes took of that core meanwhile: while they run, frames of this one are replaced."""
 
 
-def measure_load(
-    material: Material, name: str, pairs_per_s: float, seconds: float, faces: bool
+def measure_load(material: Material, name: str, pairs_per_s: float, seconds: float) -> LoadFigures:
+    """Run the daemon without interfaces and watch it."""
+    return asyncio.run(_load(material, name, pairs_per_s, seconds, make_config(), dict))
+
+
+def measure_served(
+    material: Material, name: str, seconds: float, has_broker: bool, has_clients: bool
 ) -> LoadFigures:
-    """Run the daemon and watch it; with ``faces`` its publishers have clients, in another process."""
-    if not faces:
-        return asyncio.run(_load(material, name, pairs_per_s, seconds, make_config(), dict))
-    modbus_port, http_port = free_port(), free_port()
-    with _terminal() as (far, device):
-        config = make_config(modbus_port, http_port, device)
-        command = [sys.executable, "-m", "benchmarks.poller", str(modbus_port), "--rate", str(POLLS_PER_S)]
-        command += ["--http", str(http_port), "--line", str(far)]
+    """The same with all interfaces, and with clients of Modbus TCP, HTTP and telegram in another process.
+
+    Without them the telegrams go to the null device. Without a broker the unit tries to reach one.
+    """
+    with interfaces() as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
+        command = [sys.executable, "-m", "benchmarks.poller", str(unit.modbus_port)]
+        command += ["--rate", str(POLLS_PER_S), "--http", str(unit.http_port), "--line", str(unit.telegram)]
         with subprocess.Popen(  # noqa: S603  our own interpreter and module
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=[far],
+            command if has_clients else ["/bin/cat"],
+            stdin=subprocess.PIPE if has_clients else unit.telegram,
+            stdout=subprocess.PIPE if has_clients else subprocess.DEVNULL,
+            pass_fds=[unit.telegram],
         ) as clients:
 
             def dismiss() -> dict[str, int]:
+                if not has_clients:
+                    clients.kill()
+                    return {}
                 told = json.loads(clients.communicate()[0])
                 return {"modbus answers": len(told.pop("polls")), **told}
 
-            return asyncio.run(_load(material, name, pairs_per_s, seconds, config, dismiss))
+            config = make_config(**unit.tables)
+            return asyncio.run(_load(material, name, FPS, seconds, config, dismiss))
 
 
 def measure_rate(material: Material, probe_s: float, probes: int, seconds: float) -> RateFigures:
@@ -226,46 +233,41 @@ def _pin(cores: set[int]) -> None:
             os.sched_setaffinity(int(thread.name), cores)
 
 
-@contextlib.contextmanager
-def _terminal() -> Iterator[tuple[int, Path]]:
-    """A pseudo terminal: the far end's descriptor and the device for the daemon."""
-    far, near = os.openpty()
-    tty.setraw(near)
-    try:
-        yield far, Path(os.ttyname(near))
-    finally:
-        os.close(far)
-        os.close(near)
-
-
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
     """The daemon in this process, its cameras, and where it is read."""
 
     daemon: Daemon
     source: Source
-    modbus_port: int
-    http_port: int
+    interfaces: Interfaces
 
 
 @contextlib.asynccontextmanager
-async def served_unit(material: Material, folder: Path) -> AsyncIterator[ServedUnit]:
-    """It runs for as long as the block lasts, and measures; a history that lies in ``folder`` goes on."""
-    modbus_port, http_port = free_port(), free_port()
-    config = make_config(modbus_port, http_port).model_copy(
-        update={"kept_frames": KeptFrames(folder=folder / "kept")}
-    )
-    source = Source(material, FPS)
-    async with running(source, config, history=folder / FILE_NAME) as daemon:
-        async with asyncio.timeout(_PATIENCE_S):
-            while not _is_serving(daemon):  # noqa: ASYNC110  there is no event
-                await asyncio.sleep(0.05)
-        yield ServedUnit(daemon, source, modbus_port, http_port)
+async def served_unit(
+    material: Material, folder: Path, rtu_lines: int = 0, more: Collection[str] = ()
+) -> AsyncIterator[ServedUnit]:
+    """It measures and serves for as long as the block lasts; a history that lies in ``folder`` goes on.
+
+    Modbus TCP and HTTP, so many lines of Modbus RTU, and ``more``: ``mqtt`` with a broker, ``opcua``.
+    """
+    has_broker = "mqtt" in more
+    with interfaces(rtu_lines) as unit, broker(unit.mqtt_port) if has_broker else contextlib.nullcontext():
+        _, *unit.tables["serial"] = unit.tables["serial"]
+        for table in {"mqtt", "opcua"}.difference(more):
+            del unit.tables[table]
+        config = make_config(**unit.tables, kept_frames={"folder": folder / "kept"})
+        source = Source(material, FPS)
+        async with running(source, config, history=folder / FILE_NAME) as daemon:
+            async with asyncio.timeout(_PATIENCE_S):
+                while not _is_serving(daemon, 2 + rtu_lines + len(more)):  # noqa: ASYNC110  there is no event
+                    await asyncio.sleep(0.05)
+            yield ServedUnit(daemon, source, unit)
 
 
-def _is_serving(daemon: Daemon) -> bool:
-    """Whether there is a valid measurement, and who can be asked for it."""
+def _is_serving(daemon: Daemon, interfaces_count: int) -> bool:
+    """Whether there is a valid measurement, and every interface serves it."""
     measurement = daemon.board.read()
-    faces = [part for part in daemon.health if part.name.startswith(("http ", "modbus_tcp "))]
-    is_listening = len(faces) == 2 and all(part.state is State.OK for part in faces)
-    return is_listening and measurement is not None and measurement.valid
+    names = ("http ", "modbus_tcp ", "mqtt ", "opcua ", "serial ")
+    states = [part.state for part in daemon.health if part.name.startswith(names)]
+    is_served = states == [State.OK] * interfaces_count
+    return is_served and measurement is not None and measurement.valid

@@ -108,7 +108,7 @@ def measure_size(material: Material, seconds: float) -> SizeFigures:
 
 async def _measured(material: Material, seconds: float) -> SizeFigures:
     source, port = Source(material, FPS), free_port()
-    async with running(source, make_config(modbus_port=port)) as daemon:
+    async with running(source, make_config(modbus_tcp={"host": "127.0.0.1", "port": port})) as daemon:
         waits_ns: list[int] = []
         watching = asyncio.create_task(watch(daemon, source, waits_ns))
         await asyncio.sleep(SETTLE_S)

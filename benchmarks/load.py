@@ -1,7 +1,17 @@
-"""``python -m benchmarks.load`` (``make bench-load``): controllers and browsers at the real daemon.
+"""``python -m benchmarks.load`` (``make bench-load``): clients of all interfaces at the real daemon.
 
-With history and kept frames, as on a unit: what each kind of reader costs, how soon controllers are answered,
-how old pictures are, and whether an exposure is lost. The cameras deliver from memory.
+With history and kept frames, as on a unit; the cameras deliver from memory. The clients run in processes of
+their own, in the idle scheduling class. Printed are, for the daemon without clients, with those of each
+interface alone, and with all of them: exposures lost, and the CPU of the daemon's process. The difference
+from the daemon without clients ("more") is the CPU of an interface, that of the process of OPC UA included.
+MQTT and OPC UA are configured where they have a client; the broker's CPU is not counted.
+
+Of each interface beside all others: how soon requests are answered, and how old messages are. A message has
+its capture time, and its age when it was sent. The clients know the age at arrival, for their clock is the
+unit's: now less the capture time. "behind" is the age at arrival less the age in the message: by so much is
+a value older than its message says. It is the time in the unit's buffers, a broker and the client, with an
+error of 1 ms from rounding. A value that waits in the unit before its message is made shows in "age" alone.
+Pictures have no age in their message; theirs counts from the exposure.
 """
 
 from __future__ import annotations
@@ -9,111 +19,130 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import os
 import sys
 import tempfile
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.daemon import SETTLE_S, lost, served_unit
+from benchmarks.daemon import SETTLE_S, ServedUnit, lost, served_unit
+from benchmarks.load_readers import Seen
 from benchmarks.material import FPS, Material, make_material
 from benchmarks.process_memory import resident_mb
 
-CONTROLLERS, BROWSERS = 10, 5
 _PAIRS = 200
-
-
-@dataclass(frozen=True, slots=True)
-class Readers:
-    """Who reads, in a process of their own."""
-
-    name: str
-    controllers: int
-    browsers: int
-
-
-READERS = (
-    Readers("nobody", 0, 0),
-    Readers("controllers", CONTROLLERS, 0),
-    Readers("browsers", 0, BROWSERS),
-    Readers("both", CONTROLLERS, BROWSERS),
-)
+CLIENTS = {"modbus_tcp": 10, "modbus_rtu": 3, "mqtt": 1, "opcua": 1, "browser": 2}
+"""How many of each kind; ``browser`` emulates the page, or is Chromium."""
+ANSWER_AIM_MS, BEHIND_AIM_MS = 5.0, 150.0
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedFigures:
-    """The daemon's process beside its readers; ``cpu_share`` is of one core, ``memory_mb`` at the end."""
+    """The daemon's process beside its clients; ``cpu_share`` is of one core, ``memory_mb`` at the end."""
 
-    readers: Readers
     seconds: float
     pairs: int
     lost: int
     cpu_share: float
     memory_mb: float
-    polls_ms: list[float]
+    seen: dict[str, Seen]
     picture_ages_ms: list[float]
-    """Since the light, when it was there or, by Chromium, when it was drawn."""
-    chromium_cores: float | None
-    chromium_mb: float | None
+    """Since the light, when it came or, by Chromium, when it was drawn."""
 
 
 async def measure(
-    material: Material, readers: Readers, seconds: float, folder: Path, real: bool
+    material: Material, kinds: list[str], seconds: float, folder: Path, chromium: bool
 ) -> LoadedFigures:
-    """Run a daemon and its readers; ``real``: the browsers are Chromium, else they only read as it does."""
-    async with served_unit(material, folder) as unit:
-        daemon, browsers = unit.daemon, readers.browsers if real else 0
-        showing = await _started("show", unit.http_port, browsers, seconds) if browsers else None
-        if showing is not None and showing.stdout is not None:
-            await showing.stdout.readline()
-        await asyncio.sleep(2 * SETTLE_S)
-        counters = daemon.health.component("measuring").counters
-        before, lost_before = counters.get("measurements", 0), lost(daemon)
-        begun_s, cpu_s = time.monotonic(), time.process_time()
-        ports = unit.modbus_port, unit.http_port
-        clients = await _started("read", *ports, readers.controllers, readers.browsers - browsers, seconds)
-        printed, _ = await clients.communicate()
-        wall_s, cpu_s = time.monotonic() - begun_s, time.process_time() - cpu_s
-        measured, lost_now = counters["measurements"] - before, lost(daemon) - lost_before
-        seen = json.loads(printed)
-        shown = json.loads((await showing.communicate())[0]) if showing is not None else {}
+    """Run a daemon and these clients; ``chromium``: it shows the page, and no browser is emulated."""
+    more = [kind for kind in ("mqtt", "opcua") if kind in kinds]
+    async with served_unit(material, folder, CLIENTS["modbus_rtu"], more) as unit:
+        clients = {kind: await _started(kind, unit, chromium) for kind in kinds}
+        for kind, client in clients.items():
+            assert client.stdout is not None  # noqa: S101  it was asked for
+            if not await client.stdout.readline():
+                raise RuntimeError(f"{kind} does not read")
+        await asyncio.sleep(SETTLE_S)
+        counters = unit.daemon.health.component("measuring").counters
+        before, lost_before = counters.get("measurements", 0), lost(unit.daemon)
+        begun_s, cpu_s = time.monotonic(), _cpu_s()
+        await asyncio.sleep(seconds)
+        wall_s, cpu_s = time.monotonic() - begun_s, _cpu_s() - cpu_s
+        measured, lost_now = counters["measurements"] - before, lost(unit.daemon) - lost_before
+        printed = {kind: (await client.communicate(b""))[0] for kind, client in clients.items()}
+        seen = {kind: Seen(**json.loads(text)) for kind, text in printed.items()}
         light_ms = (time.time_ns() - time.monotonic_ns() + unit.source.start_ns()) * 1e-6
-        return LoadedFigures(
-            readers,
-            wall_s,
-            measured,
-            lost_now,
-            cpu_s / wall_s,
-            resident_mb(),
-            seen["polls_ms"],
-            [
-                came_ms - light_ms - number * unit.source.period_ns * 1e-6
-                for number, came_ms in shown.get("pictures", seen["pictures"])
-            ],
-            shown.get("cores"),
-            shown.get("memory_mb"),
-        )
+        picture_ages_ms = [
+            came_ms - light_ms - number * unit.source.period_ns * 1e-6
+            for each in seen.values()
+            for number, came_ms in each.pictures
+        ]
+        return LoadedFigures(wall_s, measured, lost_now, cpu_s / wall_s, resident_mb(), seen, picture_ages_ms)
 
 
-async def _started(what: str, *arguments: float) -> asyncio.subprocess.Process:
+async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subprocess.Process:
+    found = unit.interfaces
+    port = {
+        "modbus_tcp": found.modbus_port,
+        "mqtt": found.mqtt_port,
+        "opcua": found.opcua_port,
+        "browser": found.http_port,
+    }
+    places = found.rtu if kind == "modbus_rtu" else [port[kind]] * CLIENTS[kind]
+    program = "chromium" if chromium and kind == "browser" else kind
     return await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "benchmarks.load_readers", what, *map(str, arguments)),
+        *(sys.executable, "-m", "benchmarks.load_readers", program, *map(str, places)),
+        stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
+        pass_fds=found.rtu,
     )
 
 
-def _spread(values: list[float], *shares: int) -> str:
-    if not values:
-        return "      –" * len(shares)
-    return "".join(f"{value:7.1f}" for value in np.percentile(values, shares))
+def _cpu_s() -> float:
+    """What the daemon's process has used so far, and the process that serves OPC UA."""
+    own_s, ticks = time.process_time(), 0
+    for children in Path("/proc/self/task").glob("*/children"):
+        for pid in children.read_text().split():
+            process = Path("/proc", pid)
+            if b"altd.publish.opcua" in (process / "cmdline").read_bytes():
+                user, system = (process / "stat").read_text().rpartition(")")[2].split()[11:13]
+                ticks += int(user) + int(system)
+    return own_s + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _percentiles(values_ms: Sequence[float]) -> str:
+    if not len(values_ms):
+        return " " * 24
+    return "".join(f"{value:8.1f}" for value in np.percentile(values_ms, (50, 99, 100)))
+
+
+def lines(figures: LoadedFigures) -> Iterator[str]:
+    """The answers and ages of each interface."""
+    spread = f"{'p50':>8}{'p99':>8}{'max':>8}"
+    yield f"{'with all, ms':>14}{'answers':>10}{spread}{'behind':>10}{spread}{'age':>6}{spread}"
+    for kind, seen in figures.seen.items():
+        yield (
+            f"{CLIENTS[kind]:>3} {kind:<10}{len(seen.answers_ms):>10}{_percentiles(seen.answers_ms)}"
+            f"{len(seen.ages_ms):>10}{_percentiles([behind_ms for _, behind_ms in seen.ages_ms])}"
+            f"{'':6}{_percentiles([age_ms for age_ms, _ in seen.ages_ms])}"
+        )
+    ages_ms = figures.picture_ages_ms
+    yield f"{'pictures':>14}{'':34}{len(ages_ms):>10}{'':30}{_percentiles(ages_ms)}"
+    yield f"{'aim':>14}{ANSWER_AIM_MS:>26g}{BEHIND_AIM_MS:>34g}"
+    for seen in figures.seen.values():
+        if seen.cores:
+            yield f"Chromium: {seen.cores:.2f} cores, {seen.memory_mb:.0f} MB"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print a row for each kind of readers."""
+    """Print a row for each set of clients, then what each interface did beside all others."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=600.0, help="with all readers; a twentieth without")
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="with all clients; a twentieth without and alone"
+    )
     parser.add_argument(
         "--browsers",
         choices=("emulated", "chromium"),
@@ -122,26 +151,21 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     material = make_material(_PAIRS, 1)
-    print(
-        f"{FPS:g} pairs/s of 752 × 480; {CONTROLLERS} controllers, {BROWSERS} browsers ({options.browsers}) "
-        "with pictures\n"
-        "    readers      s  pairs  lost  core    MB   polls  p50 p99 max, ms       pictures  p50 p95 max, ms"
-        "  Chromium: cores, MB"
-    )
-    for readers in READERS:
-        seconds = options.seconds if readers.name == "both" else max(options.seconds / 20, 5.0)
+    print(f"{FPS:g} pairs/s of 752 × 480, browsers {options.browsers}")
+    print(f"{'clients':>14}{'s':>7}{'pairs':>8}{'lost':>6}{'core':>8}{'more':>8}{'MB':>6}")
+    unread_share = None
+    for name, kinds in ("none", []), *((kind, [kind]) for kind in CLIENTS), ("all", list(CLIENTS)):
+        seconds = options.seconds if name == "all" else options.seconds / 20
         with tempfile.TemporaryDirectory(prefix="altd-load-") as folder:
-            real = options.browsers == "chromium"
-            figures = asyncio.run(measure(material, readers, seconds, Path(folder), real))
-        chromium = ""
-        if figures.chromium_cores is not None:
-            chromium = f"{figures.chromium_cores:10.2f}{figures.chromium_mb:8.0f}"
+            is_real = options.browsers == "chromium"
+            figures = asyncio.run(measure(material, kinds, seconds, Path(folder), is_real))
+        unread_share = figures.cpu_share if unread_share is None else unread_share
         print(
-            f"{readers.name:>11}{figures.seconds:7.0f}{figures.pairs:7}{figures.lost:6}{figures.cpu_share:6.2f}"
-            f"{figures.memory_mb:6.0f}{len(figures.polls_ms):8}{_spread(figures.polls_ms, 50, 99, 100)}"
-            f"{len(figures.picture_ages_ms):9}{_spread(figures.picture_ages_ms, 50, 95, 100)}{chromium}",
+            f"{name:>14}{figures.seconds:7.0f}{figures.pairs:8}{figures.lost:6}{figures.cpu_share:8.3f}"
+            f"{figures.cpu_share - unread_share:+8.3f}{figures.memory_mb:6.0f}",
             flush=True,
         )
+    print("\n".join(lines(figures)))
     return 0
 
 

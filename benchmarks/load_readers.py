@@ -1,29 +1,36 @@
-"""``python -m benchmarks.load_readers``: all who read a unit, in a process of their own.
+"""``python -m benchmarks.load_readers KIND PLACE...``: clients of one kind, one for each place, in a process.
 
-``read MODBUS HTTP CONTROLLERS BROWSERS SECONDS``: a controller polls over Modbus TCP 20 times a second. A
-browser does over the network what the page does: the stream, the status twice a second, and pictures, the
-next when it has the last. What it shows costs its own computer, so none is drawn here. Prints as JSON how
-long each poll took, ms, which pictures came when (the frame's number, Unix time in ms), and what else came.
+``modbus_tcp`` and ``modbus_rtu`` poll 20 times a second, at a TCP port or at a descriptor of a serial line;
+``mqtt`` subscribes to every measurement at a broker's port, ``opcua`` to ``x_mm`` each 50 ms. ``browser``
+does over the network what the page does: the stream, the status twice a second, and pictures, the next when
+it has the last; it draws none, for that costs its own computer. ``chromium`` shows the page itself.
 
-``show HTTP BROWSERS SECONDS``: the page in Chromium, so many times at once. Prints a line when all of them
-show pictures; after so many seconds, as JSON, which pictures were shown when, and what all of Chromium took:
-cores, MB.
+Prints a line when all clients read, and, when its standard input ends, what they got since then, as JSON.
+All of it runs in the idle scheduling class: clients have computers of their own, and must not take the
+daemon's time.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
+import logging
 import os
+import struct
 import sys
 import time
+from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from typing import Any
 
+import aiomqtt
+from asyncua import Client
 from websockets.asyncio.client import connect
 
 from benchmarks.chromium import chromium, processes, until_pictures
 from benchmarks.poller import ANSWER_BYTES, READ
+from hw_sim.inclinometer import crc
 
 _SIZE = 1280, 900
 
@@ -49,20 +56,48 @@ _NOTE = """(() => {
 })()"""
 
 
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """What all pages showed, and what their browser took meanwhile."""
-
-    pictures: list[tuple[int, float]]
-    cores: float
-    memory_mb: float
+_HOST = "127.0.0.1"
+_POLLS_PER_S = 20.0
+_STATUS_INTERVAL_S = 0.5
+_OPCUA_INTERVAL_MS = 50.0
+_SETTLE_S = 1.0
 
 
-async def _show(port: int, browsers: int, seconds: float) -> Shown:
+@dataclass
+class Seen:
+    """What all clients of a process got. Without ``chromium`` they draw nothing."""
+
+    answers_ms: list[float] = field(default_factory=list)
+    """From each request to its answer."""
+    ages_ms: list[tuple[float, float]] = field(default_factory=list)
+    """Of each message: its age at arrival, and by how much that is more than the age that it states."""
+    pictures: list[tuple[int, float]] = field(default_factory=list)
+    """The numbers of the frames, and when they came or were drawn, Unix time in ms."""
+    cores: float = 0.0
+    memory_mb: float = 0.0
+    """What all of Chromium took."""
+
+    def note_age(self, captured_ms: float, age_ms: float) -> None:
+        """Of a message with this capture time, Unix time in ms, and this age, both rounded to 1 ms."""
+        arrived_ms = 1e3 * time.time() - captured_ms
+        self.ages_ms.append((arrived_ms, arrived_ms - age_ms))
+
+    def note_registers(self, registers: bytes) -> None:
+        """Of a Modbus answer from address 0: age at 6, UTC at 10, its milliseconds at 12."""
+        age_ms, utc_s, utc_ms = struct.unpack_from(">H6xIH", registers, 12)
+        self.note_age(1e3 * utc_s + utc_ms, age_ms)
+
+    def note_json(self, line: bytes) -> None:
+        """Of a measurement in JSON."""
+        told = json.loads(line)
+        self.note_age(1e3 * datetime.fromisoformat(told["time"]).timestamp(), 1e3 * told["age_s"])
+
+
+async def _show(ports: list[int]) -> Seen:
     async with chromium() as browser:
         session = await browser.new_browser_cdp_session()
         pages = []
-        for _ in range(browsers):
+        for port in ports:
             page = await browser.new_page(viewport={"width": _SIZE[0], "height": _SIZE[1]})
             await page.add_init_script(_NOTE)
             await page.goto(f"http://127.0.0.1:{port}/")
@@ -72,65 +107,93 @@ async def _show(port: int, browsers: int, seconds: float) -> Shown:
             await page.evaluate("() => { shownPictures.length = 0; }")
         print("all show pictures", flush=True)
         begun_s, cpu_s = time.monotonic(), sum(each.cpu_s for each in await processes(session))
-        await asyncio.sleep(seconds)
+        await asyncio.to_thread(sys.stdin.read)
         alive = await processes(session)
         cores = (sum(each.cpu_s for each in alive) - cpu_s) / (time.monotonic() - begun_s)
         memory_mb = sum(each.pss_mb() for each in alive)
         pictures = [each for page in pages for each in await page.evaluate("() => shownPictures")]
-    return Shown(pictures, cores, memory_mb)
+    return Seen(pictures=pictures, cores=cores, memory_mb=memory_mb)
 
 
-_HOST = "127.0.0.1"
-_POLLS_PER_S = 20.0
-_LOOK_S = 0.5
-
-
-@dataclass
-class Seen:
-    """What all of them got."""
-
-    polls_ms: list[float] = field(default_factory=list)
-    pictures: list[tuple[int, float]] = field(default_factory=list)
-    events: int = 0
-    answers: int = 0
-
-
-async def control(port: int, number: int, controllers: int, seen: Seen) -> None:
-    """Poll for ever; the controllers are spread over a period."""
-    reader, writer = await asyncio.open_connection(_HOST, port)
-    due_s = time.monotonic() + number / controllers / _POLLS_PER_S
+async def _poll(ask: Callable[[], Awaitable[bytes]], first_s: float, seen: Seen) -> None:
+    """Poll until cancelled; ``ask`` returns the registers, ``first_s`` spreads clients over a period."""
+    due_s = time.monotonic() + first_s
     while True:
         await asyncio.sleep(max(due_s - time.monotonic(), 0.0))
         due_s += 1 / _POLLS_PER_S
         begun_ns = time.monotonic_ns()
+        registers = await ask()
+        seen.answers_ms.append((time.monotonic_ns() - begun_ns) * 1e-6)
+        seen.note_registers(registers)
+
+
+async def modbus_tcp(port: int, first_s: float, seen: Seen) -> None:
+    """Poll over Modbus TCP."""
+    reader, writer = await asyncio.open_connection(_HOST, port)
+
+    async def ask() -> bytes:
         writer.write(READ)
         answer = await reader.readexactly(ANSWER_BYTES)
         if answer[7] != 4:
             raise ConnectionError(answer.hex())
-        seen.polls_ms.append((time.monotonic_ns() - begun_ns) * 1e-6)
+        return answer[9:]
+
+    await _poll(ask, first_s, seen)
 
 
-async def stream(port: int, seen: Seen) -> None:
-    """Read events for ever."""
+async def modbus_rtu(descriptor: int, first_s: float, seen: Seen) -> None:
+    """Poll over Modbus RTU; a pseudo terminal hands bytes on at once, whatever its baud rate."""
+    reader = asyncio.StreamReader()
+    pipe = os.fdopen(descriptor, "rb", buffering=0, closefd=False)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), pipe)
+    request = b"\1" + READ[7:]
+
+    async def ask() -> bytes:
+        os.write(descriptor, request + crc(request))
+        answer = await reader.readexactly(ANSWER_BYTES - 4)
+        if answer[1] != 4 or crc(answer[:-2]) != answer[-2:]:
+            raise ConnectionError(answer.hex())
+        return answer[3:-2]
+
+    await _poll(ask, first_s, seen)
+
+
+async def mqtt(port: int, _: float, seen: Seen) -> None:
+    """Take every measurement from a broker."""
+    async with aiomqtt.Client(_HOST, port, protocol=aiomqtt.ProtocolVersion.V5) as client:
+        await client.subscribe("altd/+/measurement", qos=1)
+        async for message in client.messages:
+            assert isinstance(message.payload, bytes)  # noqa: S101  MQTT knows no other payload
+            seen.note_json(message.payload)
+
+
+async def browser(port: int, _: float, seen: Seen) -> None:
+    """Read as a browser does that shows the page."""
+    async with asyncio.TaskGroup() as tasks:
+        for part in (_stream, _status, _pictures):
+            tasks.create_task(part(port, seen))
+
+
+async def _stream(port: int, seen: Seen) -> None:
     reader, writer = await asyncio.open_connection(_HOST, port)
     writer.write(b"GET /api/v1/stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    while data := await reader.read(1 << 16):
-        seen.events += data.count(b"\ndata: ")
+    while line := await reader.readline():
+        if line.startswith(b"data: "):
+            seen.note_json(line[6:])
 
 
-async def look(port: int, seen: Seen) -> None:
-    """Ask for the status for ever."""
+async def _status(port: int, _: Seen) -> None:
     while True:
         reader, writer = await asyncio.open_connection(_HOST, port)
         writer.write(b"GET /api/v1/status HTTP/1.1\r\nHost: localhost\r\n\r\n")
         answer = await reader.read(-1)
         writer.close()
-        seen.answers += answer.startswith(b"HTTP/1.1 200")
-        await asyncio.sleep(_LOOK_S)
+        if not answer.startswith(b"HTTP/1.1 200"):
+            raise ConnectionError(answer[:80])
+        await asyncio.sleep(_STATUS_INTERVAL_S)
 
 
-async def watch(port: int, seen: Seen) -> None:
-    """Take pictures for ever."""
+async def _pictures(port: int, seen: Seen) -> None:
     async with connect(f"ws://{_HOST}:{port}/api/v1/pictures", compression=None, max_size=None) as socket:
         await socket.recv()
         while True:
@@ -141,30 +204,66 @@ async def watch(port: int, seen: Seen) -> None:
             seen.pictures += [(picture["sequence"], 1e3 * time.time()) for picture in header["pictures"]]
 
 
-async def _run(modbus_port: int, http_port: int, controllers: int, browsers: int, seconds: float) -> Seen:
+class _Changes:
+    """Notes the age of each change of a variable: a server states its time of sending as well."""
+
+    def __init__(self, seen: Seen) -> None:
+        self._seen = seen
+
+    def datachange_notification(self, _node: Any, _value: Any, data: Any) -> None:
+        """As asyncua calls it."""
+        found = data.monitored_item.Value
+        captured_ms = 1e3 * found.SourceTimestamp.timestamp()
+        self._seen.note_age(captured_ms, 1e3 * found.ServerTimestamp.timestamp() - captured_ms)
+
+
+async def opcua(port: int, _: float, seen: Seen) -> None:
+    """Subscribe to a number."""
+    logging.getLogger("asyncua").setLevel(logging.ERROR)  # the server grants shorter lives than asyncua wants
+    async with Client(f"opc.tcp://{_HOST}:{port}/altd") as client:
+        namespace = await client.get_namespace_index("urn:altd:unit")
+        (unit,) = [
+            node
+            for node in await client.nodes.objects.get_children()
+            if (await node.read_browse_name()).NamespaceIndex == namespace
+        ]
+        subscription = await client.create_subscription(_OPCUA_INTERVAL_MS, _Changes(seen))
+        await subscription.subscribe_data_change(await unit.get_child(f"{namespace}:x_mm"))
+        await asyncio.Event().wait()
+
+
+KINDS: dict[str, Callable[[int, float, Seen], Coroutine[Any, Any, None]]] = {
+    "modbus_tcp": modbus_tcp,
+    "modbus_rtu": modbus_rtu,
+    "mqtt": mqtt,
+    "opcua": opcua,
+    "browser": browser,
+}
+
+
+async def _read(kind: str, places: list[int]) -> Seen:
     seen = Seen()
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(seconds), asyncio.TaskGroup() as tasks:
-            for number in range(controllers):
-                tasks.create_task(control(modbus_port, number, controllers, seen))
-            for _ in range(browsers):
-                for part in (stream, look, watch):
-                    tasks.create_task(part(http_port, seen))
-            await asyncio.Event().wait()
+    async with asyncio.TaskGroup() as tasks:
+        clients = [
+            tasks.create_task(KINDS[kind](place, number / len(places) / _POLLS_PER_S, seen))
+            for number, place in enumerate(places)
+        ]
+        await asyncio.sleep(_SETTLE_S)
+        seen.answers_ms.clear()
+        seen.ages_ms.clear()
+        seen.pictures.clear()
+        print("all read", flush=True)
+        await asyncio.to_thread(sys.stdin.read)
+        for client in clients:
+            client.cancel()
     return seen
 
 
 def main() -> int:
-    """Read or show, and print what came."""
-    numbers, seconds = [int(number) for number in sys.argv[2:-1]], float(sys.argv[-1])
-    if sys.argv[1] == "show":
-        # Browsers run on computers of their own. Here they run in the idle class, so that they do not
-        # slow down the daemon; as root Chromium would even run before all others.
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        print(json.dumps(asdict(asyncio.run(_show(numbers[0], numbers[1], seconds)))))
-    else:
-        modbus_port, http_port, controllers, browsers = numbers
-        print(json.dumps(asdict(asyncio.run(_run(modbus_port, http_port, controllers, browsers, seconds)))))
+    """Read, and print what came."""
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    kind, places = sys.argv[1], [int(place) for place in sys.argv[2:]]
+    print(json.dumps(asdict(asyncio.run(_show(places) if kind == "chromium" else _read(kind, places)))))
     return 0
 
 

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import http.client
 import json
+import logging
 import os
 import platform
 import statistics
@@ -22,7 +23,8 @@ import numpy as np
 
 from altd.calibration.file import save_calibration
 from altd.measuring.calibration import Calibration
-from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rate
+from benchmarks.daemon import LoadFigures, RateFigures, measure_load, measure_rate, measure_served
+from benchmarks.interfaces import BROKER
 from benchmarks.material import FPS, SEED, WINDOW, Material, make_material, make_pairs
 from benchmarks.progress import show
 from benchmarks.stages import StageFigures, measure_stages
@@ -215,7 +217,11 @@ def _start_lines(start: StartFigures) -> Iterator[str]:
 
 FAST_PAIRS_PER_S = 300.0
 """Of the cameras that the highest rate is measured with: the faster, the less moves from pair to pair."""
-IDLE, BARE, FACES = "cameras silent", "no publishers", "Modbus, HTTP, serial"
+IDLE, BARE = "cameras silent", "no publishers"
+SERVED = [("all interfaces, unread", False, False), ("the same with clients", bool(BROKER), True)]
+if BROKER:
+    SERVED.insert(1, ("the same with a broker", True, False))
+"""Rows with all interfaces: name, whether there is a broker of MQTT, and whether clients read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,19 +259,19 @@ def main(arguments: list[str] | None = None) -> int:
 def measure(effort: Effort, quick: bool) -> Figures:
     """Everything, one after the other, in this process and its children."""
     cv2.setNumThreads(1)  # as the daemon does
+    logging.getLogger().addHandler(logging.NullHandler())  # the broker is missing on purpose
     machine = _machine()
     show("rendering the frames")
     material = make_material(effort.pairs, effort.exposures_a_node)
     show("stages")
     stages = measure_stages(material, effort.rounds)
     loads = []
-    for name, pairs_per_s, seconds in (
-        (IDLE, 0.0, effort.idle_s),
-        (BARE, FPS, effort.load_s),
-        (FACES, FPS, effort.load_s),
-    ):
+    for name, pairs_per_s, seconds in (IDLE, 0.0, effort.idle_s), (BARE, FPS, effort.load_s):
         show(f"daemon, {name}")
-        loads.append(measure_load(material, name, pairs_per_s, seconds, faces=name == FACES))
+        loads.append(measure_load(material, name, pairs_per_s, seconds))
+    for name, has_broker, has_clients in SERVED:
+        show(f"daemon, {name}")
+        loads.append(measure_served(material, name, effort.load_s, has_broker, has_clients))
     show("highest rate")
     fast = dataclasses.replace(material, pairs=tuple(make_pairs(effort.pairs, FAST_PAIRS_PER_S)))
     rate = measure_rate(fast, effort.probe_s, effort.probes, effort.hold_s)

@@ -162,7 +162,9 @@ def measure_checks(material: Material, line: LedLine, checks: int, busy: int) ->
 async def _measured(material: Material, line: LedLine, checks: int, busy: int) -> CheckCost:
     port = free_port()
     line.forget()
-    async with running(Source(material, FPS), make_config(modbus_port=port), line) as daemon:
+    async with running(
+        Source(material, FPS), make_config(modbus_tcp={"host": "127.0.0.1", "port": port}), line
+    ) as daemon:
         service = daemon.health.self_check
         async with asyncio.timeout(_WITHIN_S):
             await service.report(1)

@@ -37,7 +37,7 @@ def at_least_one(text: str) -> int:
 def _whole(text: str, minimum: int) -> int:
     value = int(text) if text.isdecimal() and len(text) <= 18 else -1
     if value < minimum:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r} is no whole number from {minimum} on")
+        raise argparse.ArgumentTypeError(f"{text[:40]!r} is not a whole number from {minimum} on")
     return value
 
 

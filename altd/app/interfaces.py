@@ -23,7 +23,7 @@ def interfaces_of(
     if config.modbus_tcp is not None:
         from altd.publish.modbus.tcp import ModbusTcpPublisher
 
-        place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port}"
+        place = f"modbus_tcp {config.modbus_tcp.host}:{config.modbus_tcp.port_or_default}"
         yield place, ModbusTcpPublisher(config.modbus_tcp, board, health.component(place), health)
     if config.http is not None:
         from altd.publish.http.publisher import HttpPublisher
@@ -32,11 +32,25 @@ def interfaces_of(
         component = health.component(place)
         yield place, HttpPublisher(config.http, board, health, component, past.history, past.events)
     if config.mqtt is not None:
-        from altd.publish.mqtt.publisher import MqttPublisher
-
         place = f"mqtt {config.mqtt.host}:{config.mqtt.port_or_default}"
         spread = random.Random()  # noqa: S311  of reconnections
-        yield place, MqttPublisher(config.mqtt, board, health, health.component(place), spread)
+        if config.mqtt.sparkplug is None:
+            from altd.publish.mqtt.publisher import MqttPublisher
+
+            yield place, MqttPublisher(config.mqtt, board, health, health.component(place), spread)
+        else:
+            from altd.publish.mqtt.edge_node import EdgeNodePublisher
+
+            yield place, EdgeNodePublisher(config.mqtt, board, health, health.component(place), spread)
+    if (opcua := config.opcua) is not None:
+        from altd.publish.opcua.publisher import OpcUaPublisher
+
+        place = f"opcua {opcua.host}:{opcua.port}"
+        component, stale_after_s = health.component(place), config.measuring.stale_after_s
+        yield (
+            place,
+            OpcUaPublisher(opcua, board, health, component, past.history, stale_after_s, config.installation),
+        )
     if (path := local_socket_of(config)) is not None:
         from altd.publish.http.publisher import LocalPublisher
 

@@ -74,11 +74,13 @@ def check_files(config: Config) -> tuple[Calibration | None, list[BadInputError]
 
 
 def _checks_of_interfaces(config: Config) -> Iterator[Callable[[], object]]:
-    """What reads the files of ``[http]`` and ``[mqtt]``, as the interfaces themselves will."""
+    """What reads the files of interfaces as they themselves will."""
     from altd.credentials.certificates import client_context, server_context
     from altd.credentials.file import load_credentials, load_login
 
-    http, mqtt = config.http, config.mqtt
+    http, mqtt, modbus = config.http, config.mqtt, config.modbus_tcp
+    if modbus is not None and modbus.certificate is not None and modbus.key is not None:
+        yield partial(server_context, modbus.certificate, modbus.key, modbus.client_ca)
     if http is not None and http.credentials is not None:
         yield partial(load_credentials, http.credentials)
     if http is not None and http.certificate is not None and http.key is not None:
@@ -87,6 +89,10 @@ def _checks_of_interfaces(config: Config) -> Iterator[Callable[[], object]]:
         yield partial(load_login, mqtt.credentials)
     if mqtt is not None and mqtt.ca is not None:
         yield partial(client_context, mqtt.ca, mqtt.certificate, mqtt.key)
+    if config.opcua is not None:
+        from altd.publish.opcua.publisher import check_opcua
+
+        yield partial(check_opcua, config.opcua)
 
 
 def cameras_of(config: Config, place: Path) -> dict[str, Camera]:

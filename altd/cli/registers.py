@@ -36,7 +36,7 @@ def _rows() -> Iterator[dict[str, Any]]:
     """Every register; a number is worth ``scale`` of its unit."""
     from altd.publish.modbus import checked_block
     from altd.publish.modbus.registers import FLOAT_BLOCK, HEADER, PER_UNIT, SCALED_BLOCK, TEST_BLOCK
-    from altd.publish.modbus.unit_blocks import CONDITION, UNIT
+    from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 
     blocks = {
         "header": HEADER,
@@ -46,6 +46,7 @@ def _rows() -> Iterator[dict[str, Any]]:
         "checked": checked_block.ROWS,
         "unit": UNIT.rows,
         "condition": CONDITION.rows,
+        "relative": RELATIVE.rows,
     }
     for block, rows in blocks.items():
         for row in rows:
@@ -62,13 +63,15 @@ def _rows() -> Iterator[dict[str, Any]]:
 
 
 def _codes() -> dict[str, Any]:
-    """What numbers and bits mean, and the discrete inputs of function 2."""
+    """What numbers and bits mean, the addresses of commands, and the discrete inputs of function 2."""
+    from altd.publish.modbus.responder import SELF_CHECK_ADDRESS, ZERO_ADDRESS
     from altd.publish.modbus.values import DISCRETE_INPUTS, REASON_CODES, STATUS_BITS
     from altd.reasons import Signal
 
     return {
         "status_bits": {row.bit: row.name for row in STATUS_BITS},
         "reasons": {reason.modbus_code: str(reason) for reason in REASON_CODES},
+        "commands": {SELF_CHECK_ADDRESS: "self_check", ZERO_ADDRESS: "zero"},
         "states": {signal.number: str(signal) for signal in Signal},
         "discrete_inputs": [
             {"address": address, "name": row.name, "meaning": row.meaning}

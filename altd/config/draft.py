@@ -12,13 +12,19 @@ from pydantic import TypeAdapter, ValidationError
 
 from altd.config.cameras import AnyCameraSettings, LiveCameraSettings
 from altd.config.devices import AnyLampsSettings, GrblStageSettings, InclinometerSettings, IndicatorsSettings
-from altd.config.interfaces import AnySerialPortSettings, HttpSettings, ModbusTcpSettings, MqttSettings
+from altd.config.interfaces import (
+    AnySerialPortSettings,
+    HttpSettings,
+    ModbusTcpSettings,
+    MqttSettings,
+    OpcUaSettings,
+)
 from altd.config.measuring import HwmonThermometerSettings, Measuring
 from altd.config.places import Keys
 from altd.config.unit import Target
 from altd.config.whole import Config
 
-_TABLES = ("measuring", "modbus_tcp", "http", "mqtt", "lamps", "indicators", "inclinometer", "stage")
+_TABLES = ("measuring", "modbus_tcp", "http", "mqtt", "opcua", "lamps", "indicators", "inclinometer", "stage")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +37,7 @@ class Draft:
     modbus_tcp: ModbusTcpSettings | None
     http: HttpSettings | None
     mqtt: MqttSettings | None
+    opcua: OpcUaSettings | None
     serial: tuple[AnySerialPortSettings | None, ...]
     lamps: AnyLampsSettings | None
     indicators: IndicatorsSettings | None

@@ -1,4 +1,4 @@
-"""The interfaces: Modbus, HTTP, MQTT, serial ports, and the local socket of the unit's own computer."""
+"""The interfaces: Modbus, HTTP, MQTT, OPC UA, serial ports, and the local socket of the unit."""
 
 from __future__ import annotations
 
@@ -65,6 +65,8 @@ def _network(text: str) -> str:
 Network = Annotated[str, AfterValidator(_network)]
 
 
+Role = Annotated[str, Field(min_length=1, max_length=64)]
+
 WordOrder = Literal["ABCD", "CDAB", "BADC", "DCBA"]
 """The order of the four bytes of a 32-bit value in its two registers, A the highest."""
 
@@ -74,19 +76,39 @@ class ModbusTcpSettings(Table):
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
     """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
-    port: TcpPort = 502
-    """TCP port; below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants."""
+    port: TcpPort | None = None
+    """TCP port; without it 802 with `certificate`, else 502.
+
+    Below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants.
+    """
     unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
     word_order: WordOrder = "ABCD"
     """Bytes of a 32-bit value in its two registers, A the highest; 16-bit values and text do not change."""
     allow_self_check: bool = False
-    """Let a controller ask for a self-check by a write (`modbus.md`); anybody on the network then can."""
+    """Let clients ask for a self-check by a write (`modbus.md`): without TLS, any client on the network."""
+    allow_zero: bool = False
+    """Let clients set the zero of the relative values by a write (`modbus.md`): without TLS, any client."""
     reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
     """Addresses or networks of controllers, as in `["192.168.1.10"]`: they always get a connection.
 
     Clients from elsewhere never close one of theirs (`modbus.md`).
     """
+    certificate: Path | None = None
+    """The unit's certificate chain, PEM: only TLS is spoken with it. With `key` and `client_ca`."""
+    key: Path | None = None
+    """The certificate's private key, PEM, without a passphrase."""
+    client_ca: Path | None = None
+    """The certificates of the authorities that vouch for clients, PEM; a client without one is refused."""
+    roles: Annotated[tuple[Role, ...], Field(max_length=16)] = ()
+    """With TLS: roles in clients' certificates that may do what `allow_self_check` and `allow_zero` allow."""
+
+    @property
+    def port_or_default(self) -> int:
+        """The port that is served."""
+        if self.port is not None:
+            return self.port
+        return 502 if self.certificate is None else 802
 
 
 _LABEL = r"[0-9a-z_]([0-9a-z_-]{0,61}[0-9a-z_])?"
@@ -153,8 +175,28 @@ def _topic(text: str) -> str:
 Topic = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_topic)]
 
 
+def _sparkplug_identifier(text: str) -> str:
+    if not _TOPIC.fullmatch(text) or "/" in text:
+        raise complaint(((), f"{shown(text)} is no identifier; possible: letters, digits and _ . : -"))
+    return text
+
+
+SparkplugIdentifier = Annotated[
+    str, Field(min_length=1, max_length=100), AfterValidator(_sparkplug_identifier)
+]
+
+
+class SparkplugSettings(Table):
+    """The unit as an edge node of Sparkplug B 3.0, in place of the topics in JSON."""
+
+    group: SparkplugIdentifier
+    """The group identifier."""
+    node: SparkplugIdentifier | None = None
+    """The edge node identifier; without it the serial number."""
+
+
 class MqttSettings(Table):
-    """Publishes to an MQTT 5 broker; the unit subscribes to nothing."""
+    """Publishes to an MQTT 5 broker; except for the rebirth of Sparkplug the unit takes no command."""
 
     host: Annotated[str, AfterValidator(_broker)]
     """The broker's name or IP address; with TLS its certificate must have it."""
@@ -166,6 +208,8 @@ class MqttSettings(Table):
     """Publish every measurement beside the summary of each second."""
     home_assistant: Topic | None = None
     """Announce the unit to Home Assistant; the value is its discovery prefix, usually `homeassistant`."""
+    sparkplug: SparkplugSettings | None = None
+    """A table of its own, see below; without it the unit publishes in JSON."""
     ca: Path | None = None
     """The certificates of the authorities that may vouch for the broker, PEM: TLS alone is spoken with it."""
     certificate: Path | None = None
@@ -179,6 +223,23 @@ class MqttSettings(Table):
     def port_or_default(self) -> int:
         """The port that is connected to."""
         return self.port or (1883 if self.ca is None else 8883)
+
+
+class OpcUaSettings(Table):
+    """OPC UA server. Needs the package `asyncua`: `pip install 'altd[opcua]'`."""
+
+    host: Host = "0.0.0.0"  # noqa: S104  a unit serves its plant's network
+    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    port: TcpPort = 4840
+    """TCP port."""
+    certificate: Path | None = None
+    """The unit's certificate, PEM: clients must then sign, or sign and encrypt. With `key`."""
+    key: Path | None = None
+    """The certificate's private RSA key, PEM, without a passphrase."""
+    credentials: Path | None = None
+    """A file as in `[http]`: clients log in with a name and its password. Needs `certificate`."""
+    allow_self_check: bool = False
+    """Let clients call the method `SelfCheck`; without `credentials` everybody on the network can."""
 
 
 class Rs485Settings(Table):
@@ -236,6 +297,10 @@ class ModbusRtuPortSettings(SerialPortSettings):
     """Modbus unit identifier; requests to another one are not answered."""
     word_order: WordOrder = "ABCD"
     """As in `[modbus_tcp]`."""
+    allow_self_check: bool = False
+    """Let the controller ask for a self-check by a write (`modbus.md`)."""
+    allow_zero: bool = False
+    """Let the controller set the zero of the relative values by a write (`modbus.md`)."""
 
 
 AnySerialPortSettings = Annotated[

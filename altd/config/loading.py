@@ -83,8 +83,9 @@ def _anchored(document: dict[str, Any], folder: Path) -> dict[str, Any]:
     cameras = document.get("cameras")
     if isinstance(cameras, dict):
         tables += [(camera, "path") for camera in cameras.values()]
-    for name in ("http", "mqtt"):
-        tables += [(document.get(name), key) for key in ("ca", "credentials", "certificate", "key")]
+    for name in ("http", "mqtt", "modbus_tcp", "opcua"):
+        keys = ("ca", "client_ca", "credentials", "certificate", "key")
+        tables += [(document.get(name), key) for key in keys]
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = str(folder / table[key])

@@ -155,24 +155,43 @@ def _one_camera_twice(draft: Draft) -> Iterator[Fault]:
 
 def _listeners(draft: Draft) -> Iterator[Fault]:
     """No two interfaces listen on one port of one address; port 0 is any that is free."""
-    if draft.modbus_tcp is None or draft.http is None:
-        return
-    port = draft.http.port
-    if port and port == draft.modbus_tcp.port and overlap(draft.http.host, draft.modbus_tcp.host):
-        about: tuple[Keys, ...] = (("modbus_tcp", "port"), ("modbus_tcp", "host"), ("http", "host"))
-        yield Fault(
-            ("http", "port"), f"{port} is the port of [modbus_tcp] too; possible: another one", about=about
-        )
+    listeners = [
+        (name, table, getattr(table, "port_or_default", table.port))
+        for name, table in (("modbus_tcp", draft.modbus_tcp), ("http", draft.http), ("opcua", draft.opcua))
+        if table is not None
+    ]
+    for (first, one, port), (second, other, same) in itertools.combinations(listeners, 2):
+        if port and port == same and overlap(one.host, other.host):
+            about: tuple[Keys, ...] = ((first, "port"), (first, "host"), (second, "host"))
+            text = f"{port} is the port of [{first}] too; possible: another one"
+            yield Fault((second, "port"), text, about=about)
 
 
 def _certificates(draft: Draft) -> Iterator[Fault]:
-    """A certificate has its key, a key its certificate, and a broker that is shown one its own authority."""
+    """A certificate has its key and the authority that its interface needs; over TLS a command has a role."""
     pairs = [("certificate", "key"), ("key", "certificate")]
-    for name, table in (("http", draft.http), ("mqtt", draft.mqtt)):
-        for one, other in [*pairs, ("ca", "certificate")] if name == "mqtt" else pairs:
-            if table is not None and getattr(table, one) is None and getattr(table, other) is not None:
-                text = f"stands alone; possible: with {one} beside it"
+    of_modbus = [("certificate", "client_ca"), ("client_ca", "certificate"), ("certificate", "roles")]
+    for name, table, more in (
+        ("http", draft.http, []),
+        ("mqtt", draft.mqtt, [("ca", "certificate")]),
+        ("modbus_tcp", draft.modbus_tcp, of_modbus),
+        ("opcua", draft.opcua, [("certificate", "credentials")]),
+    ):
+        for one, other in [*pairs, *more]:
+            if table is not None and getattr(table, one) is None and getattr(table, other):
+                text = f"is set without {one}; possible: both"
                 yield Fault((name, other), text, about=((name, one),))
+    if (modbus := draft.modbus_tcp) is not None and modbus.certificate is not None and not modbus.roles:
+        for key in (key for key in ("allow_self_check", "allow_zero") if getattr(modbus, key)):
+            text = "is set without roles; possible: both: over TLS a client needs a role"
+            yield Fault(("modbus_tcp", key), text, about=(("modbus_tcp", "roles"),))
+
+
+def _sparkplug(draft: Draft) -> Iterator[Fault]:
+    """Home Assistant reads the topics in JSON, which Sparkplug takes the place of."""
+    if draft.mqtt is not None and draft.mqtt.sparkplug is not None and draft.mqtt.home_assistant is not None:
+        text = "does not go with [mqtt.sparkplug]; possible: one of the two"
+        yield Fault(("mqtt", "home_assistant"), text, about=(("mqtt", "sparkplug"),))
 
 
 def _serial_ports(draft: Draft) -> Iterator[Fault]:
@@ -226,7 +245,7 @@ def _lamps_on_cameras(draft: Draft) -> Iterator[Fault]:
         elif name not in named and None not in draft.targets:
             yield Fault(keys, f"{shown(name)} has no target and is not opened; possible: a target's camera")
         elif name in draft.lamps.cameras[:number]:
-            yield Fault(keys, f"{shown(name)} stands in the list twice; possible: each camera once")
+            yield Fault(keys, f"{shown(name)} is in the list twice; possible: each camera once")
         elif (
             isinstance(camera, AravisCameraSettings)
             and camera.trigger == "line"
@@ -283,6 +302,7 @@ RULES: tuple[Rule, ...] = (
     _one_camera_twice,
     _listeners,
     _certificates,
+    _sparkplug,
     _serial_ports,
     _inclinometer,
     _lamps_on_cameras,

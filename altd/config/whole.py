@@ -20,6 +20,7 @@ from altd.config.interfaces import (
     LocalSettings,
     ModbusTcpSettings,
     MqttSettings,
+    OpcUaSettings,
 )
 from altd.config.keeping import HistorySettings, KeptFrames
 from altd.config.measuring import HwmonThermometerSettings, Maintenance, Measuring, SelfCheckSettings
@@ -38,6 +39,7 @@ class Config(Table):
     modbus_tcp: ModbusTcpSettings | None = None
     http: HttpSettings | None = None
     mqtt: MqttSettings | None = None
+    opcua: OpcUaSettings | None = None
     local: LocalSettings | None = None
     serial: tuple[AnySerialPortSettings, ...] = ()
     lamps: AnyLampsSettings | None = None

@@ -4,18 +4,29 @@ from __future__ import annotations
 
 import ssl
 import stat
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from altd.errors import BadInputError
 
 
-def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """TLS 1.2 and later with this certificate; raises BadInputError that names the file."""
+def server_context(
+    certificate: Path, key: Path, client_ca: Path | None = None, protocols: Sequence[str] = ()
+) -> ssl.SSLContext:
+    """TLS 1.2 and later with this certificate; raises BadInputError that names the file.
+
+    :param client_ca: the authorities that vouch for clients; None: clients show no certificate.
+    :param protocols: what is spoken over TLS, for clients that negotiate it (ALPN).
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.options |= ssl.OP_NO_RENEGOTIATION
-    context.set_alpn_protocols(["http/1.1"])
     _load(context, certificate, key)
+    if protocols:
+        context.set_alpn_protocols(list(protocols))
+    if client_ca is not None:
+        context.verify_mode = ssl.CERT_REQUIRED
+        _load_authorities(context, client_ca)
     return context
 
 
@@ -82,3 +93,83 @@ def _check_readable(path: Path) -> int:
         raise BadInputError(path, error.strerror or "cannot be read") from error
     except ValueError as error:
         raise BadInputError(path, "is no path") from error
+
+
+class RenewedContext:
+    """A context for TLS, made again when one of its files was renewed.
+
+    :param make: makes it; raises BadInputError, which at the start is passed on.
+    :param files: what it is made from.
+    :param complain: takes why renewed files cannot be used, and an empty text once they can.
+    """
+
+    def __init__(
+        self, make: Callable[[], ssl.SSLContext], files: Sequence[Path], complain: Callable[[str], object]
+    ) -> None:
+        self._make, self._files, self._complain = make, files, complain
+        self._stamp = self._stamp_now()
+        self._context = make()
+
+    def __call__(self) -> ssl.SSLContext:
+        """What handshakes are made with now: new files as soon as they fit, until then the old ones."""
+        stamp = self._stamp_now()
+        if stamp != self._stamp:
+            self._stamp = stamp
+            try:
+                self._context = self._make()
+                self._complain("")
+            except BadInputError as error:
+                self._complain(str(error))
+        return self._context
+
+    def _stamp_now(self) -> tuple[int, ...]:
+        stamp: list[int] = []
+        for path in self._files:
+            try:
+                found = path.stat()
+                stamp += [found.st_mtime_ns, found.st_ino, found.st_size]
+            except (OSError, ValueError):
+                stamp.append(0)
+        return tuple(stamp)
+
+
+_ROLE_OID = bytes.fromhex("2b0601040183890c862201")
+"""1.3.6.1.4.1.50316.802.1 (MODBUS/TCP Security v36, R-21)."""
+
+_UTF8_STRING, _EXTENSIONS = 0x0C, 0xA3
+
+
+def role_of(certificate: bytes) -> str | None:
+    """The Modbus role in a certificate, DER, whose signature TLS has verified; None: not exactly one.
+
+    The role is a UTF8String in an extension (MODBUS/TCP Security v36, R-21, R-22, R-65). The structure is
+    that of RFC 5280, 4.1: a search for the identifier's bytes would also find them in a subject's name.
+    """
+    try:
+        ((_, signed),) = _elements(certificate)
+        to_be_signed = _elements(_elements(signed)[0][1])
+        roles = []
+        for _, extensions in (element for element in to_be_signed if element[0] == _EXTENSIONS):
+            for _, extension in _elements(_elements(extensions)[0][1]):
+                (_, identifier), *_, (_, value) = _elements(extension)
+                if identifier == _ROLE_OID:
+                    roles += _elements(value)
+        ((tag, text),) = roles
+        return text.decode() if tag == _UTF8_STRING else None
+    except (ValueError, IndexError):
+        return None
+
+
+def _elements(der: bytes) -> list[tuple[int, bytes]]:
+    """Tag and content of elements, one behind the other; raises ValueError or IndexError."""
+    elements = []
+    while der:
+        begin, length = 2, der[1]
+        if length & 0x80:
+            begin += length & 0x7F
+            length = int.from_bytes(der[2:begin], "big")
+        if begin + length > len(der):
+            raise ValueError("cut off")
+        elements.append((der[0], der[begin : begin + length]))
+        der = der[begin + length :]
+    return elements

@@ -43,6 +43,7 @@ def _checks(config: Config | None, place: Path | None, machine: Machine) -> dict
         "gpio lines": lambda: devices.gpio_lines(config),
         "serial": lambda: devices.serial_ports(config, machine),
         "listening": lambda: network.listening(config, machine),
+        "broker": lambda: network.broker(config),
         "history": lambda: keeping.history(config, machine),
         "kept frames": lambda: keeping.recordings(config, machine),
         "local socket": lambda: keeping.local_socket(config, machine),

@@ -163,7 +163,7 @@ class Machine:
 
 
 def _is_altd(words: list[str]) -> bool:
-    return any(Path(word).name in ("altd", "altd.cli") for word in words[:4])
+    return any(Path(word).name in ("altd", "altd.cli", "altd.publish.opcua") for word in words[:4])
 
 
 def group_name(gid: int) -> str:

@@ -1,4 +1,4 @@
-"""Checks of the network: GigE Vision cameras and the way to them, and the addresses that altd listens on."""
+"""Checks of the network: cameras and the way to them, addresses that altd listens on, the MQTT broker."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from altd.config import AravisCameraSettings, Config, HttpSettings
+from altd.config import AravisCameraSettings, Config, HttpSettings, ModbusTcpSettings
 from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import is_address
 from altd.doctor.finding import Finding, better, good, wrong
@@ -22,6 +22,7 @@ FRAMES_BUFFERED = 2
 _ANSWER_TIMEOUT_S = 0.25
 _MAX_TRIES = 2
 _DISCOVERY_TIMEOUT_S = 0.5
+_CONNECT_TIMEOUT_S = 2.0
 _LISTEN_STATE = "0A"
 _IPV4_BYTES = 4
 _LOOPBACK_NET = 127
@@ -65,20 +66,25 @@ def gige_cameras(config: Config, machine: Machine) -> Iterator[Finding]:
 
 
 def listening(config: Config, machine: Machine) -> Iterator[Finding]:
-    """The ports of ``[modbus_tcp]`` and ``[http]``: may altd have them, has another program got them."""
-    for subject, table in (("modbus_tcp", config.modbus_tcp), ("http", config.http)):
-        if table is None or table.port == 0:
+    """The ports of interfaces: whether altd may have them, and whether another program has them."""
+    places = [
+        (name, table.host, table.port_or_default if isinstance(table, ModbusTcpSettings) else table.port)
+        for name in ("modbus_tcp", "http", "opcua")
+        if (table := getattr(config, name)) is not None
+    ]
+    for name, host, port in places:
+        if port == 0:
             continue
-        subject = f"{subject} {table.host}:{table.port}"
-        refused = [*_low_port(subject, table.port, machine), *_not_ours(subject, table.host, machine)]
+        subject = f"{name} {host}:{port}"
+        refused = [*_low_port(subject, port, machine), *_not_ours(subject, host, machine)]
         yield from refused
-        taken = next(_listeners(table.host, table.port, machine), None)
+        taken = next(_listeners(host, port, machine), None)
         if taken is not None:
             owner = machine.owner_of_socket(taken)
             if owner is not None and owner[1] == "altd":
                 yield good(subject, f"altd listens there (process {owner[0]})")
                 continue
-            remedy = f"sudo ss -ltnp 'sport = :{table.port}'"
+            remedy = f"sudo ss -ltnp 'sport = :{port}'"
             if owner is None:
                 yield better(subject, "another user's program listens there: altd itself?", remedy)
             else:
@@ -87,6 +93,21 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
             yield good(subject, "the address is free")
     if config.http is not None:
         yield from _openness(config.http)
+
+
+def broker(config: Config) -> Iterator[Finding]:
+    """Whether the broker of ``[mqtt]`` takes connections from this computer; login and TLS are not tried."""
+    if (mqtt := config.mqtt) is None:
+        return
+    port = mqtt.port_or_default
+    subject = f"mqtt {mqtt.host}:{port}"
+    try:
+        with socket.create_connection((mqtt.host, port), _CONNECT_TIMEOUT_S):
+            yield good(subject, "a program takes connections there")
+    except OSError as error:
+        text = "no answer" if isinstance(error, TimeoutError) else error.strerror or str(error)
+        remedy = "docs/mqtt.md   # [mqtt] host, port; is the broker running, does a firewall refuse?"
+        yield wrong(subject, f"the broker cannot be reached: {text}", remedy)
 
 
 def _openness(http: HttpSettings) -> Iterator[Finding]:

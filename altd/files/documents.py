@@ -19,7 +19,7 @@ _DOTTED = re.compile(rf"^(?![ \t]*#)[^.\n]*(?:\.[^.\n]*){{{_MAX_DOTS + 1}}}", re
 def parse_json(content: bytes) -> Any:
     """A JSON document (RFC 8259); raises ValueError that says what is wrong with it.
 
-    Refused beside what is no JSON: a key that stands twice in an object, whole numbers of more than 40
+    Refused beside what is no JSON: a key that occurs twice in an object, whole numbers of more than 40
     digits, and nesting too deep for this computer. NaN and infinity, which Python reads, are left to the
     document's model, which can name their key.
     """
@@ -86,7 +86,7 @@ def parse_toml(content: bytes) -> dict[str, Any]:
 
 
 _WHERE = re.compile(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
-_TWICE = "stands twice"
+_TWICE = "is defined twice"
 _WORDS = (
     ("Exceeds the limit", "a number with too many digits"),
     ("Invalid statement", "neither a key nor the [name] of a table"),
@@ -115,7 +115,7 @@ _WORDS = (
     ("Unterminated string", "the text in quotes does not end"),
     ("Expected", "the text in quotes does not end"),
     ("Invalid date", "there is no such date or time"),
-    ("Invalid value", "no value: text stands in quotes, true and false in small letters"),
+    ("Invalid value", "no value: put text in quotes, true and false in small letters"),
 )
 """How tomllib begins, and what a person is told."""
 
@@ -153,7 +153,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
         double = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key {double!r} stands twice in one object")
+        raise ValueError(f"the key {double!r} occurs twice in one object")
     return content
 
 

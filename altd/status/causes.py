@@ -19,7 +19,7 @@ MAX_START_S = 15.0
 _WHILE_CAMERAS_OPEN = {Reason.CAMERA_SILENT, Reason.STALE, Condition.CAMERA_FAILED}
 """What is no failure while the unit starts."""
 
-_FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "local", "serial"}
+_FACES = {"modbus_tcp", "modbus_rtu", "http", "mqtt", "opcua", "local", "serial"}
 """The first words of the names of components that are interfaces to the outside."""
 
 

@@ -13,6 +13,7 @@ from altd.status.diagnostic_part import DiagnosticPart
 from altd.status.event_log import EventLog
 from altd.status.services import CalibrationService, PictureService, RecordingService, SelfCheckService
 from altd.status.target_area import TargetArea
+from altd.status.zero import Zero
 
 MEASURING = "measuring"
 """The component that does as the latest measurement does."""
@@ -121,6 +122,7 @@ class Health:
         """In beam order."""
         self.events = EventLog(clock)
         self.self_check = SelfCheckService(self.events)
+        self.zero = Zero(self.events)
         self.recordings = RecordingService("this unit keeps no frames")
         self.pictures = PictureService("this unit shows no pictures")
         self.calibration = CalibrationService()

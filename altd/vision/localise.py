@@ -75,7 +75,7 @@ def locate_in(
     if found.background.level >= SATURATED_FROM * frame.full_scale:
         return NoSpot(Reason.SATURATED, "the whole frame is saturated")
     if not found.regions:
-        return NoSpot(Reason.SPOT_MISSING, "nothing stands out of the background")
+        return NoSpot(Reason.SPOT_MISSING, "nothing is brighter than the background")
     first, *others = found.regions
     second = max((other.light for other in others), default=0.0)
     if second >= analysis.settings.like_size * first.light:

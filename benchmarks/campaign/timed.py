@@ -139,7 +139,7 @@ async def _read(
     """The board as it is found every 50 ms."""
     clock = SteppedClock(START_NS)
     measuring = Measuring(window=WINDOW, pair_by=way.pair_by)
-    board = Board(clock, Measuring().stale_after_s, QUANTITIES)
+    board = Board(clock, Measuring().stale_after_s, QUANTITIES, rehearsal=True)  # frames are simulated
     chain = chain_of(rig.calibration, measuring)
     component = Health(clock).component("measuring")
     pairs = FramePairs(chain.pairer, lambda: None, clock)

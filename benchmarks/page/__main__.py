@@ -58,7 +58,7 @@ async def click_often(browser: Browser, material: Material, folder: Path, times:
     make_history(file, int(time.time()) // 3600 * 3600, unit=make_config().unit.serial)
     async with served_unit(material, folder) as unit:
         page = await browser.new_page(viewport={"width": 1280, "height": 900})
-        await page.goto(f"http://127.0.0.1:{unit.http_port}/#trends")
+        await page.goto(f"http://127.0.0.1:{unit.interfaces.http_port}/#trends")
         await page.locator(".plot .uplot").first.wait_for()
         await asyncio.sleep(_SETTLE_S)
         _forget(file)
@@ -111,7 +111,7 @@ async def keep_open(material: Material, seconds: float, is_spoilt: bool) -> bool
     taken: list[Sample] = []
     with tempfile.TemporaryDirectory(prefix="altd-page-") as folder:
         async with served_unit(material, Path(folder)) as unit:
-            async for sample in samples(unit.http_port, seconds, is_spoilt):
+            async for sample in samples(unit.interfaces.http_port, seconds, is_spoilt):
                 if len(taken) % _EVERY == 0:
                     print("".join(f"{value:13.6g}" for value in astuple(sample)), flush=True)
                 taken.append(sample)

@@ -1,4 +1,4 @@
-"""Checks what a unit says: one Check for each unit and wire, asked for every message that comes."""
+"""Checks the messages of a unit: one Check for each unit and wire, called with every message."""
 
 import functools
 import json
@@ -29,7 +29,9 @@ class Check:
         self.delay_s = max(0.0, self.delay_s + (now_s - last_s) * (1 - 0.0002) - unit_s)
         self.lost = max(0, (message["count"] - last["count"]) % 2**32 - 1)
         self.last = message, now_s
-        if message["age_s"] is None or message["age_s"] + self.delay_s > self.limit_s:
+        if message["age_s"] is None:
+            return "not valid"
+        if message["age_s"] + self.delay_s > self.limit_s:
             return "late"
         if utc_s is not None and not -0.1 <= utc_s - (message["utc_s"] or 0) <= self.limit_s:
             return "late"
@@ -44,7 +46,8 @@ def from_block(data):
     *numbers, utc_ms, _, age_ms, status = struct.unpack_from(">7IHHIH", data, 4)
     message = dict(zip(keys, numbers, strict=True))
     utc_s = None if message["utc_s"] == 0xFFFFFFFF else message["utc_s"] + utc_ms / 1000
-    return message | {"utc_s": utc_s, "age_s": age_ms / 1000, "valid": status & 0x3001 == 1}
+    age_s = None if age_ms == 0xFFFFFFFF else age_ms / 1000
+    return message | {"utc_s": utc_s, "age_s": age_s, "valid": status & 0x3001 == 1}
 
 
 def from_telegram(data):
@@ -57,7 +60,8 @@ def from_telegram(data):
     utc_s = None
     if proof[5]:
         utc_s = datetime.strptime(f"{proof[5]} {measured[1]}000+0000", "%Y%m%d %H%M%S.%f%z").timestamp()
-    numbers = {"count": int(proof[3]), "clock_ms": int(proof[4]), "age_s": int(proof[6] or 1e9) / 1000}
+    age_s = int(proof[6]) / 1000 if proof[6] else None
+    numbers = {"count": int(proof[3]), "clock_ms": int(proof[4]), "age_s": age_s}
     message = numbers | {"unit": int(proof[1], 16), "session": proof[2], "message": int(proof[3])}
     return message | {"utc_s": utc_s, "valid": measured[2] == "A"}
 

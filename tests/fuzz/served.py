@@ -60,7 +60,7 @@ class Faces:
         async def begin() -> None:
             ready = asyncio.Event()
             self._serving.append(asyncio.create_task(publisher.run(ready.set)))
-            await asyncio.wait_for(ready.wait(), 10.0)
+            await asyncio.wait_for(ready.wait(), 60.0)
 
         self.do(begin())
 

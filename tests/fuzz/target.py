@@ -3,7 +3,7 @@
 A module ``targets/<name>.py`` with ``NAME``, ``EXAMPLES`` (a hypothesis strategy of inputs, most of them
 nearly valid: see ``spoil``) and ``check(example)``, which raises on a defect: an exception that is not the
 documented one, a wrong answer, a number that is not finite and called valid. Time and memory are watched from
-outside (``limits``).
+outside (``limits``); a module that takes long to start does so in ``begin()``, which is not watched.
 """
 
 from __future__ import annotations
@@ -33,5 +33,6 @@ def names() -> list[str]:
 def load(name: str) -> Target:
     """The target of this name."""
     module: Any = importlib.import_module(f"fuzz.targets.{name}")
+    getattr(module, "begin", lambda: None)()
     target: Target = module
     return target

@@ -33,15 +33,18 @@ class Output:
         self._maps: list[mmap] = []
         self._free: list[int] = []
 
-    def show(self, picture: bytes) -> None:
+    def show(self, picture: bytes) -> bool:
+        """Returns whether the device took it; it does not while all its buffers wait to be shown."""
         try:
             if self._node is None:
                 self._open()
             self._show(picture)
+            return True
         except BlockingIOError:
-            pass  # all buffers wait to be shown: this frame is left out
+            return False
         except OSError:
             self._close()
+            return False
 
     def _show(self, picture: bytes) -> None:
         assert self._node is not None
@@ -65,7 +68,7 @@ class Output:
         node.call(abi.VIDIOC_S_FMT, wanted)
         if node.driver == "v4l2 loopback":
             return
-        asked = abi.v4l2_requestbuffers(count=3, type=V4L2_BUF_TYPE_VIDEO_OUTPUT, memory=abi.V4L2_MEMORY_MMAP)
+        asked = abi.v4l2_requestbuffers(count=8, type=V4L2_BUF_TYPE_VIDEO_OUTPUT, memory=abi.V4L2_MEMORY_MMAP)
         for index in range(node.call(abi.VIDIOC_REQBUFS, asked).count):
             buffer = node.call(abi.VIDIOC_QUERYBUF, _buffer(index))
             self._maps.append(mmap(node.descriptor, buffer.length, offset=buffer.m.offset))
@@ -84,15 +87,20 @@ def _buffer(index: int) -> abi.v4l2_buffer:
 
 
 def feed(take: Callable[[int], Iterable[np.ndarray]], fps: float, outputs: list[Output]) -> None:
-    """For ever what ``take`` gives for each exposure: a picture an output."""
-    number, began_s = 0, time.monotonic()
+    """For ever what ``take`` gives for each exposure: a picture an output.
+
+    An exposure that no output took is offered again.
+    """
+    number, rounds, began_s = 0, 0, time.monotonic()
     while True:
-        for output, picture in zip(outputs, take(number), strict=True):
-            output.show(picture.tobytes())
-        if number == 0:
+        taken = [
+            output.show(picture.tobytes()) for output, picture in zip(outputs, take(number), strict=True)
+        ]
+        if rounds == 0:
             print("feeding", flush=True)
-        number += 1
-        time.sleep(max(0.0, began_s + number / fps - time.monotonic()))
+        number += any(taken)
+        rounds += 1
+        time.sleep(max(0.0, began_s + rounds / fps - time.monotonic()))
 
 
 def main(frames: Path, fps: float, devices: list[Path]) -> None:

@@ -21,6 +21,8 @@ Verdict = tuple[str, tuple[float, ...] | None]
 """The fault, or ``good``; and x, y in mm, yaw, pitch in degrees, or None while they must not be used."""
 Polls = Sequence[tuple[float, bytes | None]]
 """When an answer came, in ms of the reader's clock, and its 160 bytes; None: no answer."""
+ACKNOWLEDGE = b"acknowledge"
+"""In place of an answer: the operator acknowledges."""
 Judge = Callable[[Polls, str, float, bool], list[Verdict]]
 """The verdict after each poll; its arguments: polls, serial number, limit in ms, whether one rehearses."""
 
@@ -29,8 +31,11 @@ C = EXAMPLES / "c" / "read_modbus.c"
 STRUCTURED_TEXT = EXAMPLES / "structured_text" / "altd_target.st"
 NODE_RED = EXAMPLES / "node_red" / "flow.json"
 
-FAULTS = ("good", "no answer", "corrupt", "foreign", "restarted", "not newer", "late", "stopped", "not live")
-"""By their number in Structured Text; 9 is ``not valid``, with its reason."""
+FAULTS = (
+    *("good", "no answer", "corrupt", "foreign", "restarted", "not newer", "late", "stopped", "not live"),
+    *("not valid: ", "silent"),
+)
+"""By their number in Structured Text; its reason follows ``not valid``."""
 _LINE = re.compile(r"(?:x (\S+) mm, y (\S+) mm, yaw (\S+) deg, pitch (\S+) deg|no value) \((.*)\)\n")
 _C_MAIN = r"""
 #define main example
@@ -41,10 +46,11 @@ int main(int count, char **given)
     struct target t = {.limit_ms = atof(given[2]), .rehearsal = count > 3};
     for (const char *c = given[1]; *c; c++) t.unit = crc32(t.unit, (uint8_t)*c);
     double now_ms;
-    for (int length; scanf("%%lf %%d", &now_ms, &length) == 2;) {
+    for (int length, acknowledged = 0; scanf("%%lf %%d", &now_ms, &length) == 2; acknowledged = length < 0) {
         uint16_t r[80];
+        if (length < 0) continue;
         for (int i = 0; i < length; i++) scanf("%%4hx", r + i);
-        printf("%%s", update(&t, length ? r : NULL, now_ms));
+        printf("%%s", update(&t, length ? r : NULL, now_ms, acknowledged));
         for (int i = 0; i < 4 && t.usable; i++) printf(";%%f", t.values[i]);
         printf("\n");
     }
@@ -64,7 +70,8 @@ const run = (code, msg) => new Function("msg", ...Object.keys(given), code)(msg,
 run(node.initialize);
 for (const poll of JSON.parse(fs.readFileSync(0))) {
     now = poll.now;
-    console.log(JSON.stringify(run(node.func, poll.msg).payload));
+    const told = JSON.stringify(run(node.func, poll.msg).payload);
+    if (poll.msg.topic !== "acknowledge") console.log(told);
 }
 """
 
@@ -80,7 +87,13 @@ def by_python(polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> li
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     target = module.Target(zlib.crc32(serial.encode()), limit_ms, rehearsal)
-    return [(target.update(_words(block or b""), now_ms), target.values) for now_ms, block in polls]
+    verdicts: list[Verdict] = []
+    acknowledged = False
+    for now_ms, block in polls:
+        if block != ACKNOWLEDGE:
+            verdicts.append((target.update(_words(block or b""), now_ms, acknowledged), target.values))
+        acknowledged = block == ACKNOWLEDGE
+    return verdicts
 
 
 def compiled(source: Path | str, folder: Path) -> Path:
@@ -104,7 +117,9 @@ def compiled(source: Path | str, folder: Path) -> Path:
 def by_c(folder: Path, polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> list[Verdict]:
     program = compiled(_C_MAIN % C, folder)
     fed = "".join(
-        f"{now_ms} {len(block or b'') // 2} {' '.join(f'{word:04x}' for word in _words(block or b''))}\n"
+        f"{now_ms} -1\n"
+        if block == ACKNOWLEDGE
+        else f"{now_ms} {len(block or b'') // 2} {' '.join(f'{word:04x}' for word in _words(block or b''))}\n"
         for now_ms, block in polls
     )
     command = [str(program), serial, str(limit_ms), *["--rehearsal"] * rehearsal]
@@ -121,10 +136,19 @@ def by_structured_text(polls: Polls, serial: str, limit_ms: float, rehearsal: bo
     block.v |= {"unit": zlib.crc32(serial.encode()), "limit_ms": float(limit_ms), "rehearsal": rehearsal}
     verdicts: list[Verdict] = []
     for now_ms, answer in polls:
-        given = {"r": _words(answer)} if answer else {}
-        block(**given, answered=answer is not None, failed=answer is None, now_ms=round(now_ms) % 2**32)
+        is_pressed = answer == ACKNOWLEDGE
+        given = {"r": _words(answer)} if answer and not is_pressed else {}
+        block(
+            **given,
+            answered=bool(given),
+            failed=answer is None,
+            now_ms=round(now_ms) % 2**32,
+            acknowledge=is_pressed,
+        )
+        if is_pressed:
+            continue
         told = block.v
-        fault = FAULTS[told["fault"]] if told["fault"] < len(FAULTS) else f"not valid: {told['reason']}"
+        fault = FAULTS[told["fault"]] + told["reason"]
         values = tuple(told[name] for name in ("x", "y", "yaw", "pitch"))
         assert told["usable"] or values == (1e30,) * 4
         verdicts.append((fault, values if told["usable"] else None))
@@ -132,10 +156,7 @@ def by_structured_text(polls: Polls, serial: str, limit_ms: float, rehearsal: bo
 
 
 def by_node_red(polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> list[Verdict]:
-    messages = [
-        {"now": now_ms, "msg": {"payload": _words(answer)} if answer else {"error": {"message": "Timed out"}}}
-        for now_ms, answer in polls
-    ]
+    messages = [{"now": now_ms, "msg": _message(answer)} for now_ms, answer in polls]
     command = [need_program("node", "nodejs"), "-e", _NODE_MAIN, str(NODE_RED), serial, str(limit_ms)]
     done = subprocess.run(
         [*command, json.dumps(rehearsal)],
@@ -153,9 +174,15 @@ def by_node_red(polls: Polls, serial: str, limit_ms: float, rehearsal: bool) -> 
     return verdicts
 
 
+def _message(answer: bytes | None) -> dict[str, object]:
+    if answer == ACKNOWLEDGE:
+        return {"topic": "acknowledge", "payload": 0}
+    return {"error": {"message": "Timed out"}} if answer is None else {"payload": _words(answer)}
+
+
 @contextlib.contextmanager
-def running(command: Sequence[object]) -> Iterator[Iterator[Verdict]]:
-    """A client as a process, and what it prints, line for line."""
+def running(command: Sequence[object]) -> Iterator[tuple[subprocess.Popen[str], Iterator[Verdict]]]:
+    """A client as a process, and its verdicts, line for line."""
     process = subprocess.Popen(
         [str(word) for word in command],
         stdin=subprocess.DEVNULL,
@@ -165,7 +192,7 @@ def running(command: Sequence[object]) -> Iterator[Iterator[Verdict]]:
     )
     assert process.stdout is not None
     try:
-        yield map(_verdict, iter(process.stdout.readline, ""))
+        yield process, map(_verdict, iter(process.stdout.readline, ""))
     finally:
         process.kill()
         process.wait()

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from support.places import ROOT
+
 
 def need(available: bool, reason: str) -> None:
     """Skip a test for a missing foreign part on a bare machine; in CI a missing part is a failure."""
@@ -25,6 +27,12 @@ def need_program(name: str, package: str | None = None) -> str:
     need(path is not None, f"{name} is not installed (Debian package {package or name})")
     assert path is not None
     return path
+
+
+def need_npm(package: str) -> Path:
+    """The folder in which node finds a package that ``.ci/npm`` has installed, or a skip."""
+    need((ROOT / "node_modules" / package).exists(), f"{package} is not installed (npm): make programs")
+    return ROOT
 
 
 def need_namespaces(*kinds: str) -> list[str]:

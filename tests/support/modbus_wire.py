@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ssl
 import struct
 from collections.abc import AsyncIterator, Callable
 
@@ -43,6 +44,14 @@ class Client:
         self.send(frame(pdu, unit=unit))
         return (await self.hear())[2]
 
+    async def is_closed_without_an_answer(self) -> bool:
+        """Closed, after an alert of TLS at most (RFC 8446, 6)."""
+        async with asyncio.timeout(60):
+            with contextlib.suppress(ConnectionError):
+                heard = await self._reader.read()
+                return heard == b"" or (heard[0] == 21 and len(heard) == 7)
+        return True
+
     async def is_closed(self) -> bool:
         async with asyncio.timeout(60):
             with contextlib.suppress(ConnectionError):
@@ -51,15 +60,18 @@ class Client:
 
 
 @contextlib.asynccontextmanager
-async def connected(tcp: ModbusTcpPublisher, address: str = "127.0.0.1") -> AsyncIterator[Client]:
+async def connected(
+    tcp: ModbusTcpPublisher, address: str = "127.0.0.1", tls: ssl.SSLContext | None = None
+) -> AsyncIterator[Client]:
     """A connection from an address of the loopback; at the end the server has let go of it, too."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port, local_addr=(address, 0))
+    reader, writer = await asyncio.open_connection("127.0.0.1", tcp.port, local_addr=(address, 0), ssl=tls)
     try:
         yield Client(reader, writer)
     finally:
         with contextlib.suppress(OSError):
-            writer.write_eof()
-            await reader.read()
+            if tls is None:
+                writer.write_eof()
+                await reader.read()
         writer.close()
         with contextlib.suppress(OSError):
             await writer.wait_closed()

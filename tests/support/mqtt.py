@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Self
 from altd.config import MqttSettings
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.ports import Clock
+from altd.publish.mqtt.edge_node import EdgeNodePublisher
 from altd.publish.mqtt.publisher import MqttPublisher
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import keep_running
@@ -30,17 +31,21 @@ from support.ports import free_port
 from tools.pages.example import MEASURED, SERIAL
 
 CONNECTED = bytes.fromhex("20 03 00 00 00")
-CONNECT, PUBLISH, DISCONNECT = 1, 3, 14
+CONNECT, PUBLISH, SUBSCRIBE, PINGREQ, DISCONNECT = 1, 3, 8, 12, 14
 
 
 class Published(NamedTuple):
     """A message as a broker takes it."""
 
     topic: str
-    payload: str
+    data: bytes
     qos: int
     retain: bool
     expiry_s: int | None
+
+    @property
+    def payload(self) -> str:
+        return self.data.decode()
 
 
 @dataclass
@@ -48,6 +53,8 @@ class ChosenBroker:
     """A broker on a free port. ``greeting`` answers CONNECT, ``answer`` each message by its number."""
 
     greeting: bytes = CONNECTED
+    granted: int = 1
+    """The reason code that a subscription is answered with."""
     answer: Callable[[int], bytes] = lambda number: b"\x40\x02" + number.to_bytes(2)
     port: int = 0
     published: asyncio.Queue[Published] = field(default_factory=asyncio.Queue)
@@ -55,7 +62,9 @@ class ChosenBroker:
     """One entry for each connection."""
     ends: asyncio.Queue[int] = field(default_factory=asyncio.Queue)
     """The last packet of each connection that has ended, by its type."""
+    answers_pings: bool = True
     _open: set[asyncio.Task[None]] = field(default_factory=set)
+    _writer: asyncio.StreamWriter | None = None
 
     async def __aenter__(self) -> Self:
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
@@ -74,6 +83,11 @@ class ChosenBroker:
             pass
         return message
 
+    def tell(self, data: bytes) -> None:
+        """Send bytes over the newest connection."""
+        assert self._writer is not None
+        self._writer.write(data)
+
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
@@ -82,13 +96,19 @@ class ChosenBroker:
         kind = 0
         try:
             while True:
-                kind, flags, body = await _packet(reader)
+                kind, flags, body = await packet_of(reader)
                 if kind == CONNECT:
+                    self._writer = writer
                     writer.write(self.greeting)
                 elif kind == PUBLISH:
-                    number, message = _published(flags, body)
+                    number, message = published(flags, body)
                     self.published.put_nowait(message)
-                    writer.write(self.answer(number))
+                    if message.qos:
+                        writer.write(self.answer(number))
+                elif kind == SUBSCRIBE:
+                    writer.write(b"\x90\x04" + body[:2] + bytes([0, self.granted]))
+                elif kind == PINGREQ and self.answers_pings:
+                    writer.write(b"\xd0\x00")
         except (asyncio.CancelledError, asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
@@ -97,7 +117,7 @@ class ChosenBroker:
             writer.close()
 
 
-async def _packet(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
+async def packet_of(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
     first = (await reader.readexactly(1))[0]
     length, shift = 0, 0
     while True:
@@ -108,12 +128,26 @@ async def _packet(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
             return first >> 4, first & 15, await reader.readexactly(length)
 
 
-def _published(flags: int, body: bytes) -> tuple[int, Published]:
-    end = 2 + int.from_bytes(body[:2])
-    number, properties = int.from_bytes(body[end : end + 2]), body[end + 3 : end + 3 + body[end + 2]]
+async def packets_of(stream: bytes) -> list[tuple[int, int, bytes]]:
+    """The packets in what a client has sent: type, flags, body."""
+    reader = asyncio.StreamReader()
+    reader.feed_data(stream)
+    reader.feed_eof()
+    packets = []
+    with contextlib.suppress(asyncio.IncompleteReadError):
+        while True:
+            packets.append(await packet_of(reader))
+    return packets
+
+
+def published(flags: int, body: bytes) -> tuple[int, Published]:
+    """The number of a message, 0 with QoS 0, and the message."""
+    end, qos = 2 + int.from_bytes(body[:2]), flags >> 1 & 3
+    topic, rest = body[2:end].decode(), body[end:]
+    number, rest = (int.from_bytes(rest[:2]), rest[2:]) if qos else (0, rest)
+    properties, data = rest[1 : 1 + rest[0]], rest[1 + rest[0] :]
     expiry_s = int.from_bytes(properties[1:5]) if properties[:1] == b"\x02" else None
-    payload = body[end + 3 + len(properties) :].decode()
-    return number, Published(body[2:end].decode(), payload, flags >> 1 & 3, bool(flags & 1), expiry_s)
+    return number, Published(topic, data, qos, bool(flags & 1), expiry_s)
 
 
 @dataclass
@@ -123,7 +157,7 @@ class PublishingUnit:
     board: Board
     health: Health
     component: Component
-    publisher: MqttPublisher
+    publisher: MqttPublisher | EdgeNodePublisher
     clock: Clock
 
     @classmethod
@@ -134,9 +168,9 @@ class PublishingUnit:
         health.state = UnitState(board, health, clock).read
         component = health.component("mqtt")
         mqtt = MqttSettings(**{"host": "127.0.0.1", "port": port} | settings)
-        return cls(
-            board, health, component, MqttPublisher(mqtt, board, health, component, random.Random(1)), clock
-        )
+        profile = EdgeNodePublisher if mqtt.sparkplug else MqttPublisher
+        publisher = profile(mqtt, board, health, component, random.Random(1))
+        return cls(board, health, component, publisher, clock)
 
     def measure(self, sequence: int, **changes: Any) -> None:
         """Put a measurement of half a second ago on the board."""
@@ -229,10 +263,14 @@ async def subscribed(port: int, *arguments: str, topic: str = "altd/#") -> Async
 
 
 class Valve:
-    """A way to a broker that can stop reading what the unit sends."""
+    """A way to a broker that can stop reading what the unit sends.
+
+    ``sent`` has what each connection has sent to the broker.
+    """
 
     def __init__(self, port: int) -> None:
         self.port, self._to = 0, port
+        self.sent: list[bytearray] = []
         self.open = asyncio.Event()
         self.open.set()
         self._flows: set[asyncio.Task[None]] = set()
@@ -244,8 +282,7 @@ class Valve:
 
     async def __aexit__(self, *_: object) -> None:
         self._server.close()
-        for flow in self._flows:
-            flow.cancel()
+        self.cut()
         await asyncio.gather(*self._flows, return_exceptions=True)
 
     async def _join(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -254,15 +291,26 @@ class Valve:
         self._flows.add(task)
         try:
             back, forth = await asyncio.open_connection("127.0.0.1", self._to)
-            await asyncio.gather(self._flow(reader, forth), self._flow(back, writer))
+            self.sent.append(bytearray())
+            with contextlib.closing(forth):
+                await asyncio.gather(self._flow(reader, forth, self.sent[-1]), self._flow(back, writer))
         except (OSError, asyncio.CancelledError):
             pass
         finally:
             writer.close()
 
-    async def _flow(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def cut(self) -> None:
+        """End all connections."""
+        for flow in self._flows:
+            flow.cancel()
+
+    async def _flow(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, kept: bytearray | None = None
+    ) -> None:
         while piece := await reader.read(1024):
             await self.open.wait()
+            if kept is not None:
+                kept += piece
             writer.write(piece)
             await writer.drain()
         writer.close()

@@ -213,7 +213,7 @@ def test_a_path_with_letters_that_are_none_is_shown(unit: Path, tmp_path: Path) 
     [
         (b"[" * 100_000, "is nested too deeply"),
         (b'{"format": "altd-calibration/1", "x": ' + b"[" * 900 + b"]" * 900 + b"}", "cal.json: "),
-        (b'{"format": "altd-calibration/1", "format": "altd-calibration/1"}', "'format' stands twice"),
+        (b'{"format": "altd-calibration/1", "format": "altd-calibration/1"}', "'format' occurs twice"),
         (b'{"format": ' + b"9" * 5000 + b"}", "has 5000 digits"),
         (b'{"format": "\\ud800\\n"}', "format is '\\ud800\\n'"),
         (b"\0" * 1000, "is not JSON"),

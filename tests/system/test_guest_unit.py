@@ -29,9 +29,9 @@ from hw_sim.unit import CAMERAS
 pytestmark = pytest.mark.alone
 
 SEED = 3
-EXPOSURES = 300
-"""Twice what altd remembers: they are fed again and again, some are left out, and none is to be taken for a
-frozen camera's."""
+EXPOSURES = 307
+"""Twice what altd remembers, and a prime: they are fed again and again, a camera shows all or every second of
+them, and none is to be taken for a frozen camera's."""
 BENCH_S = os.environ.get("ALTD_BENCH_GUEST_S")
 """Measure for so long on a quiet machine, where nothing at all may be lost."""
 QUANTITIES = ("x_mm", "y_mm", "yaw_deg", "pitch_deg")
@@ -227,16 +227,8 @@ def test_a_camera_pulled_out_makes_the_measurement_invalid_with_the_reason(faile
 
 
 def test_a_camera_that_is_back_delivers_again_without_a_restart(failed: Any) -> None:
-    """After one return in four vivid shows each picture twice (equal checksums of all pixels of neighbouring
-    frames, read through the driver alone), and the daemon says ``frame_repeated``, as it must.
-    """
     pulled = failed["pulled_out"]
-    back = [
-        at_s
-        for at_s, valid, status in pulled["measured"]
-        if at_s > pulled["ended_s"] - 0.1 and (valid or "front_frame_repeated" in status)
-        if "front_camera_silent" not in status
-    ]
+    back = [at_s for at_s, valid, _ in pulled["measured"] if valid and at_s > pulled["ended_s"] - 0.1]
     assert back, pulled["measured"][-5:]
     assert back[0] - pulled["ended_s"] < 2.5, "retried each second at the latest, and a window to fill"
     assert failed["alive"]

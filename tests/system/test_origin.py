@@ -6,6 +6,7 @@ scan, a flat or a plate, a calibration, its report, and what is measured, on eac
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -29,6 +30,8 @@ import pytest
 from support.cli import altd_here
 from support.foreign import need_program
 from support.mqtt import mosquitto
+from support.opcua import Written, connected
+from support.opcua import read as read_nodes
 from support.own_network import inside
 from support.plates import View, plate_light, write_plate
 from support.played_unit import PlayingDaemon
@@ -38,6 +41,7 @@ from support.unit_toml import write_config
 
 from altd.app.record import scanner_of
 from altd.config import Config, Scan
+from altd.publish.opcua.quality import Status
 from altd.reasons import Signal
 from benchmarks.live.parts import FRONT, REAR, both_cameras
 from benchmarks.live.parts import write_config as write_live_config
@@ -222,7 +226,7 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
     """Played: what is marked as simulated stays so, beside being played."""
     said = {"playback", "simulated"} | ({"rehearsal"} if rehearsal else {"not_live"})
     devices: list[str] = []
-    http, modbus = free_port(), free_port()
+    http, modbus, opcua = free_port(), free_port(), free_port()
     with (
         line_to(devices.append) as telegram,
         line_to(devices.append) as console,
@@ -230,6 +234,7 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
     ):
         faces = f'[http]\nhost = "127.0.0.1"\nport = {http}\n'
         faces += f'[modbus_tcp]\nhost = "127.0.0.1"\nport = {modbus}\n'
+        faces += f'[opcua]\nhost = "127.0.0.1"\nport = {opcua}\n'
         faces += f'[mqtt]\nhost = "127.0.0.1"\nport = {broker}\nevery_measurement = true\n'
         for device, speaks in zip(devices, ("telegram", "console"), strict=True):
             faces += f'[[serial]]\ndevice = "{device}"\nspeaks = "{speaks}"\nbaud = 115200\n'
@@ -263,6 +268,11 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
                 assert said <= set(published["status"])
                 x_mm = published["x_mm"]["mean"] if topic == "summary" else published["x_mm"]
                 assert (x_mm is not None) == rehearsal
+            by_opcua = asyncio.run(_nodes(opcua, said))
+            assert by_opcua["valid"].value == rehearsal
+            expected = Status.UNCERTAIN_SIMULATED_VALUE if rehearsal else Status.BAD_OUT_OF_SERVICE
+            assert by_opcua["x_mm"].status is expected
+            assert by_opcua["health"].value == Signal.CHECK_FUNCTION.number
             os.write(console, b"status\r")
             assert "simulated" in read_until(console, "simulated")
             played, not_trusted = 0b11 << 12, 1 << 15
@@ -280,6 +290,16 @@ def test_every_interface_of_the_daemon_says_it_and_only_a_rehearsal_gives_valid_
         finally:
             daemon.kill()
             daemon.wait()
+
+
+async def _nodes(port: int, said: set[str]) -> dict[str, Written]:
+    """What asyncua's client reads, once the server has these reasons."""
+    async with asyncio.timeout(200), connected(f"opc.tcp://127.0.0.1:{port}") as client:
+        while True:
+            found = await read_nodes(client, "x_mm", "valid", "status", "health")
+            if found["status"].value is not None and set(found["status"].value) == said:
+                return found
+            await asyncio.sleep(0.05)
 
 
 def _next_message(port: int, topic: str) -> str:

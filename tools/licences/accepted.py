@@ -18,6 +18,7 @@ ACCEPTED = frozenset(
         "GPL-3.0-or-later WITH GCC-exception-3.1",  # the exception: what GCC compiled may have any licence
         "IJG",
         "MIT",
+        "MIT-0",
         "MIT-CMU",
         "MIT-Modern-Variant",
         "OFL-1.1",  # fonts, which may be passed on with any program
@@ -81,9 +82,11 @@ class Part:
 
 PURPOSES = {
     "aiomqtt": "MQTT",
+    "asyncua": "OPC UA (extra `opcua`)",
     "gpiod": "lamps on GPIO lines",
     "numpy": "arrays and linear algebra",
     "opencv-python-headless": "pictures: reading, filters, camera models",
+    "protobuf": "the payload of Sparkplug",
     "prometheus-client": "the numbers for Prometheus, in its format",
     "wsproto": "pictures over a WebSocket",
     "pydantic": "the settings, checked",
@@ -99,6 +102,12 @@ PURPOSES = {
 
 STATED = {
     "aiomqtt": Stated("BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"),
+    "asyncua": Stated(
+        "GNU Lesser General Public License v3 or later; "
+        "GNU Lesser General Public License v3 or later (LGPLv3+)",
+        "LGPL-3.0-or-later",
+        "its metadata, and `COPYING` in its wheel",
+    ),
     "contourpy": Stated(
         "BSD 3-Clause License …; BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"
     ),
@@ -120,6 +129,7 @@ STATED = {
         "Apache-2.0 AND MIT",
         "OpenCV is Apache-2.0, the packaging around it MIT (`LICENSE.txt`)",
     ),
+    "protobuf": Stated("3-Clause BSD License", "BSD-3-Clause", "`LICENSE` in its wheel is that text"),
     "pycairo": Stated("LGPL-2.1-only OR MPL-1.1", "LGPL-2.1-only OR MPL-1.1", "its metadata"),
     "pygobject": Stated(
         "GNU Lesser General Public License v2.1 (LGPLv2.1); "
@@ -128,10 +138,17 @@ STATED = {
         "its description and the heads of its sources say LGPL-2.1 or later",
         requires=("pycairo",),
     ),
+    "sortedcontainers": Stated(
+        "Apache 2.0; Apache Software License", "Apache-2.0", "its description names that version"
+    ),
     "pyserial": Stated("BSD; BSD License", "BSD-3-Clause", "its sources name BSD-3-Clause in their heads"),
 }
 
 POSITIONS = {
+    "asyncua": Position(
+        frozenset({"LGPL-3.0-or-later"}),
+        "imported, unchanged, from files of its own, in whose place another build of it may stand",
+    ),
     "gpiod": Position(
         frozenset({"LGPL-2.1-or-later"}),
         "imported, unchanged, from files of its own, in whose place another build of it may stand",
@@ -216,6 +233,7 @@ PARTS = (
         component="Yorick Colormaps",
         reason="BSD in its own words",
     ),
+    Part("cryptography", "OpenSSL", "Apache-2.0", (), "openssl", reason="linked into its extension module"),
     Part("pillow", "brotli", "MIT", ("pillow.libs/libbrotli*",)),
     Part("pillow", "FreeType", "FTL", ("pillow.libs/libfreetype-*",), "FreeType"),
     Part(
@@ -252,6 +270,7 @@ PARTS = (
 the wheels' own lists, which are read too."""
 
 TEXTS = {
+    ("asyncua", "LGPL"): "its own",
     ("gpiod", "LGPL"): "its own",
     ("numpy", "GPL"): "libgfortran's, with GCC's exception",
     ("opencv-python-headless", "LGPL"): "FFmpeg's; another is of Qt, which only wheels with windows have",

@@ -91,7 +91,7 @@ def _component_faults(package: Package, component: Component, known: dict[str, s
         if not is_accepted(component.licence, ACCEPTED):
             licence = component.licence or "of no stated licence"
             yield f"{named} is {licence}, which does not go with Apache-2.0"
-    elif not _is_same_licence(known[component.name], component.licence):
+    elif component.licence and not _is_same_licence(known[component.name], component.licence):
         yield f"{named} is {component.licence}, no longer {known[component.name]}: read it again"
 
 

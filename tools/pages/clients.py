@@ -41,7 +41,7 @@ The library is pymodbus; the tests use version 3.16.
     x 10.0120 mm, y 4.9870 mm, yaw 1.1459 deg, pitch -1.7184 deg (good)
 
 `ADDRESS` is the unit's IP address, `SERIAL` its serial number, 1000 the limit in ms. A line comes with each
-request. `--rehearsal` at the end accepts values that are not live.""",
+request. `--rehearsal` at the end accepts values that are not live, the signal SIGUSR1 acknowledges.""",
     ),
     Example(
         "C",
@@ -59,18 +59,37 @@ those of the Python program.
         "structured_text/altd_target.st",
         "",
         """\
-`ALTD_TARGET` takes the registers that the PLC's Modbus master reads, and works without a bit cast, which the
-standard lacks. `now_ms` is the PLC's millisecond counter, such as `TIME_TO_UDINT(TIME())` in CODESYS. Call
-the block in every cycle: without an answer it only watches the time. Set `answered` in the cycle in which the
-master has an answer, `failed` in that in which it reports an error or a time-out. A master without such
-flags: leave `answered` TRUE; the fault between two answers is then *not newer*. `limit_ms` is the limit less
-the poll interval, the cycle and the master's time-out. `acknowledge` belongs on a button.
+`ALTD_TARGET` takes the registers that the PLC's Modbus master reads, and works without a bit cast: the
+standard has none. `now_ms` is the PLC's millisecond counter, such as `TIME_TO_UDINT(TIME())` in CODESYS.
+Call the block in every cycle: without an answer it only watches the time. Set `answered` in the cycle in
+which the master has an answer, `failed` in that in which it reports an error or a time-out. A master
+without such flags: leave `answered` TRUE; the fault between two answers is then *not newer*, so show the
+operator `drive` and not the fault. `limit_ms` is 750.0 for a limit of 1000 ms: the rest is for the poll
+interval, the cycle and the master's time-out. `acknowledge` belongs on a button; only its rising edge
+counts.
 
-The program `GUIDANCE` shows a call. Replace its number by that of your unit:
-`python3 -c "import zlib; print(hex(zlib.crc32(b'SERIAL')))"`.
+The program `GUIDANCE` shows a call. Its `unit` is 0, so every answer is *foreign* (`fault` is 3). Put in the
+number of your unit: `python3 -c "import zlib; print(hex(zlib.crc32(b'SERIAL')))"`.
 
-The compiler matiec (`iec2c`) of October 2024 compiles the file. No registry has a package of it, so the tests
-run the file with an interpreter of their own, which checks the types.""",
+The compiler [matiec](https://github.com/beremiz/matiec) makes C99 of the file. `POUS.h` then has the
+structure `GUIDANCE`, and `POUS.c` the functions that begin it and run one cycle:
+
+    TIME __CURRENT_TIME;
+    GUIDANCE g;
+    GUIDANCE_init__(&g, 0);                            /* once */
+    g.REGISTERS.value.table[0] = ...;                  /* each cycle: 80 registers, */
+    g.DONE.value = ..., g.ERROR.value = ...;           /* the master's flags, */
+    g.PLC_MS.value = ..., g.BUTTON.value = ...;        /* the clock, the acknowledgement */
+    GUIDANCE_body__(&g);
+    if (g.DRIVE.value) steer(g.X_MM.value, g.Y_MM.value, g.YAW_DEG.value, g.PITCH_DEG.value);
+
+    $ git clone https://github.com/beremiz/matiec
+    $ (cd matiec && autoreconf -i && ./configure && make)
+    $ mkdir plc && matiec/iec2c -I matiec/lib -T plc altd_target.st
+    $ cc -std=c99 -w -I matiec/lib/C -I plc -include POUS.h -c plc/POUS.c -o plc/POUS.o
+
+It needs autoconf, automake, bison, flex and a C++ compiler. No registry has a package of it, so the tests run
+the file with an interpreter of their own, which checks the types.""",
     ),
     Example(
         "Node-RED",
@@ -79,18 +98,44 @@ run the file with an interpreter of their own, which checks the types.""",
         """\
 Import [flow.json](../examples/node_red/flow.json). It needs the node `node-red-contrib-modbus` and was run
 with Node-RED 4.1 and version 5.23 of that node. Set the address, the port, the serial number, the limit and
-`REHEARSAL` as environment variables of the flow. `LIMIT_MS` is the limit less the time-out and the poll
-interval of the Modbus nodes. `msg.payload` then has `usable`, `x`, `y`, `yaw`, `pitch` and `fault`; while
-`usable` is false there are no numbers. The flow's `accept a restarted unit` acknowledges a restart.
+`REHEARSAL` as environment variables of the flow; without a serial number every answer is *foreign*.
+`LIMIT_MS` is 750 for a limit of 1000 ms: the rest is for the time-out and the poll interval of the Modbus
+nodes. `msg.payload` then has `usable`, `x`, `y`, `yaw`, `pitch` and `fault`; while `usable` is false
+there are no numbers. The flow's `acknowledge a restart or silence` acknowledges.
 
 The function node:""",
     ),
 )
 
+MQTT = Example(
+    "Python, MQTT",
+    "python/read_mqtt.py",
+    "python",
+    """\
+The library is paho-mqtt 2. The unit needs `every_measurement = true` in `[mqtt]` ([MQTT](mqtt.md)). Arguments
+and output are those of the program for Modbus; `BROKER` is the name or address of the broker.
+
+    $ pip install paho-mqtt
+    $ python3 read_mqtt.py BROKER PORT SERIAL 1000
+
+It follows the same rules, with these differences:
+
+- The unit sends by itself. *no answer* means that no message has come since the line before.
+- *retained*: the broker had the message in its memory. The unit retains no numbers.
+- *offline*: the unit has ended, or the broker has lost it. The values are dropped at once.
+- *silent*: no message came for longer than the limit. Like *restarted* it lasts until a person
+  acknowledges by `kill -USR1 PID`.
+- *late*: a broker that delivers every message late shows only by the time of day, so the program also
+  compares the unit's UTC with its own. Both computers need NTP.
+- *not live* includes a rehearsal.
+
+A broker delays and stores messages, and can fail: do not steer by MQTT.""",
+)
+
 
 def page() -> str:
     """The page for a programmer of a controller."""
-    parts = "\n".join(_section(example) for example in MODBUS)
+    parts = "\n".join(_section(example) for example in (*MODBUS, MQTT))
     return f"""# Client examples
 
 <!-- Generated by `python -m tools.pages.clients`; do not edit. -->
@@ -106,66 +151,44 @@ torn, forged or from another unit; all must give the same verdicts.
 | Structured Text | [altd_target.st](../examples/structured_text/altd_target.st) | a Modbus master |
 | Node-RED | [flow.json](../examples/node_red/flow.json) | node-red-contrib-modbus |
 
+For MQTT: [read_mqtt.py](../examples/python/read_mqtt.py), [below](#python-mqtt).
 For the serial telegram: [read_telegram.c](../examples/c/read_telegram.c) and a program in Python, see
 [telegram](telegram.md#latency-and-time-outs).
 
-## Rules over Modbus
+## Rules
 
-All four follow these rules, in this order. The word in italics is the fault that they report. They read
-32-bit values with the high word first, as a fresh `altd.toml` sends them; in another word order the first
-answer is *corrupt*. **Drop** marks the faults that also end the use of the last values at once.
+All four follow the [rules](integrate.md#rules), the [limits](integrate.md#limits) and the
+[resumption](integrate.md#resumption) of *Integrate a controller*, and report the faults by the names that are
+given there, *not valid* with the first [reason](reasons.md). For Modbus this means:
 
-1. Read the checked block, 80 registers from address 200, in one request. Wait for the answer for a twentieth
-   of the limit at most. If no complete answer comes, close the connection, so that a late answer is not taken
-   for the next one. *no answer*
-2. The block's version is 1 and its CRC-32 is right. *corrupt*
-3. `unit` is the CRC-32 of the serial number that the program was given. *foreign*
-4. `session` is that of the first message. **Drop.** Later messages of the new session are refused
-   until a person starts the program again or acknowledges. *restarted*
-5. `message` is greater than that of the last message, modulo 2³². *not newer*
-6. `age` and the delay together are within the limit. The delay is the time by which the reader's clock has
-   advanced more than the unit's since the first message. *late*
-7. `published` has changed within the limit. **Drop.** *stopped*
-8. Neither bit 12 (playback) nor bit 13 (simulated) of `status` is set. **Drop.** The argument
-   `--rehearsal`, or the input `rehearsal`, turns this rule off. *not live*
-9. Bit 0 (valid) of `status` is set, and x, y, yaw and pitch are numbers. **Drop.** *not valid*,
-   with the first reason by its [name](reasons.md)
-10. Use the values until their age reaches the limit, then drop them, whatever else happens.
+- They read the checked block, 80 registers from address 200, in one request. After a time-out of a twentieth
+  of the limit they close the connection.
+- 32-bit values have the high word first, as a fresh `altd.toml` sends them. In another word order the first
+  answer is *corrupt*.
+- The limit of the rules is 750 ms: values are accepted, and stay in use, up to that age, so that with the
+  time to the next result no value in use is older than 1000 ms. The programs in Python and C get the 1000
+  ms as an argument and compute the 750 ms, in the other two 750 ms are set.
+- The argument `--rehearsal`, or the input `rehearsal`, turns rule 8 (*not live*) off.
+- The signal SIGUSR1 (`kill -USR1 PID`), or the input `acknowledge`, acknowledges a unit that was *restarted*
+  or *silent*. It counts for the next answer alone, if that passes rules 1 to 5.
 
-A message that fails rules 1 to 5 changes nothing in what the program remembers. Faults 1, 2, 3, 5 and 6 leave
-the last good values in use until rule 10 drops them: one lost answer stops no machine.
-
-## Limits
-
-| what | recommended |
-|---|---|
-| age of a value in use | 1000 ms |
-| age of a value that is accepted | 750 ms |
-| interval between requests | 50 ms |
-| time-out of connecting, and of an answer | 50 ms, a twentieth of the limit |
-
-A new value is the mean of one second and so about 0.5 s old: an age of 0.5 to 0.6 s is normal. A limit below
-that refuses every value. Choose the limit from how far the machine may move by an old value.
-
-The programs in Python and C wait for the unit while they read. They accept a value only while a quarter of
-the limit is left. That is the longest time to their next result: the interval, connecting, an answer (for
-which pymodbus may wait twice the time-out), and the way of the first answer, which no clock shows.
-
-A serial line or a gateway needs more: at 9600 baud an answer takes 0.2 s ([Modbus](modbus.md)).
+The examples do not check `sigma_now` ([uncertainty](integrate.md#uncertainty)).
+A serial line or a gateway needs a longer time-out: at 9600 baud an answer takes 0.2 s ([Modbus](modbus.md)).
 
 ## Behaviour
 
 | event | result |
 |---|---|
 | The unit or the cable fails, the daemon ends | *no answer*; values are dropped at the limit |
+| The unit answers again after the limit | *silent*; no values until a person acknowledges |
 | The daemon starts again | *restarted*; no values until a person acknowledges |
 | The beam is blocked | *not valid: front_spot_missing*, for example; dropped at once |
 | A camera fails | *not valid: front_camera_silent*; dropped at once |
 | A technician plays a recording | *not live*; dropped at once |
 | The daemon answers but measures nothing | *late* or *stopped*; no values |
-| Another unit has the address | *foreign*; dropped at the limit |
+| Another unit has the address, or no unit number is set | *foreign*; dropped at the limit |
 | A gateway repeats an old answer | *not newer*; dropped at the limit |
-| The first answer after a start | accepted by its own age: [what of the delay can be known](proof.md) |
+| The first answer after a start | accepted by its own age ([delays](proof.md#delays-that-can-be-found)) |
 
 {parts}"""
 

@@ -29,10 +29,12 @@ from altd.config import (
     ModbusRtuPortSettings,
     ModbusTcpSettings,
     MqttSettings,
+    OpcUaSettings,
     RecordingCameraSettings,
     Rs485Settings,
     Scan,
     SelfCheckSettings,
+    SparkplugSettings,
     Table,
     Target,
     TelegramPortSettings,
@@ -68,6 +70,12 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ("[http]", HttpSettings, "Leave the table out and the interface is off. Routes: `http.md`."),
     ("[mqtt]", MqttSettings, "Leave the table out and the interface is off. Topics: `mqtt.md`."),
+    ("[opcua]", OpcUaSettings, "Leave the table out and the interface is off. Nodes: `opcua.md`."),
+    (
+        "[mqtt.sparkplug]",
+        SparkplugSettings,
+        "Leave the table out and the unit publishes in JSON. Metrics: `sparkplug.md`.",
+    ),
     (
         "[local]",
         LocalSettings,
@@ -170,9 +178,10 @@ def _lines() -> Iterator[str]:
     yield "`altd run` refuses the same: keys that nobody knows, and what can come to nothing on any"
     yield "computer, such as two interfaces on one port, a telegram that its line cannot take, one camera or"
     yield "GPIO line twice, a camera that no target has, live cameras of different rates. What depends on"
-    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]`, `[http]`"
-    yield "and `[mqtt]` are relative to the file; a calibration or a recording that is not there yet is named"
-    yield "and is no fault of the config, one that is there and does not fit is. Exit status: 0 the file is"
+    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]`,"
+    yield "`[http]`, `[mqtt]` and `[opcua]` are relative to the file; a calibration or a recording that is"
+    yield "not there yet is named and is no fault of the config, one that is there and does not fit is."
+    yield "Exit status: 0 the file is"
     yield "good, 2 it is not."
     for heading, model, note in TABLES:
         yield ""

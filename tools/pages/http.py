@@ -10,7 +10,7 @@ from altd.publish.http.answers import NOTHING_YET
 from altd.publish.http.application import MAX_TARGET_BYTES
 from altd.publish.http.diagnostics import MAX_EVENT_PAGES, MAX_PART_BYTES
 from altd.publish.http.guard import REQUEST_HEADER
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, CONNECTIONS, MAX_FAMILIAR, REQUESTS, Rate
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, REQUESTS
 from altd.publish.http.login import BODY_TIMEOUT_S, MAX_BODY_BYTES
 from altd.publish.http.operations import COMMON_ERRORS
 from altd.publish.http.past import MAX_EVENTS, MAX_POINTS
@@ -29,8 +29,8 @@ from altd.publish.http.server import (
 )
 from altd.publish.http.sessions import IDLE_S, LONGEST_S, MAX_SESSIONS
 from altd.publish.http.stream import KEEP_ALIVE_INTERVAL_S, MAX_STREAMS
-from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
 from altd.status.measurement_json import checked_line
+from altd.tcp_port import CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, Rate
 from tools.pages.example import MEASURED, STAMP, board
 
 
@@ -88,6 +88,9 @@ directions as in `conventions.md`. `sigma` is that of the mean in the middle of 
 holds how the unit moves and vibrates (`accuracy.md`). `rates` are per second. `sigma_now` is `null` for the
 first two seconds after the start, both are where fewer than four exposures are averaged: then it is not known
 how the beam moves.
+
+A new value is the mean of `window` exposures, 20 by default, and so about half a second old: `age_s` of
+0.5 to 0.6 is normal, 1.0 is the recommended limit ([integrate a controller](integrate.md)).
 
 Use the numbers only when `valid` is true. What is not known is `null`, never zero and never old; `status`
 then says why, with the codes that `telegram.md` explains. Played and simulated frames give valid numbers only

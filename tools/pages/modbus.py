@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus import checked_block
+from altd.publish.modbus.places import FIRST_REQUEST_S, KEPT_SHARE, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
 from altd.publish.modbus.registers import (
     FLOAT_BLOCK,
     FLOATS,
@@ -28,11 +29,12 @@ from altd.publish.modbus.responder import (
     SELF_CHECK_ADDRESS,
     SELF_CHECK_NOW,
     SERIAL,
+    ZERO_ADDRESS,
 )
 from altd.publish.modbus.rtu import BITS_PER_CHARACTER, silence_s
 from altd.publish.modbus.serial_functions import RUNNING, SERVER_ID
-from altd.publish.modbus.tcp import FIRST_REQUEST_S, KEPT_SHARE, MAX_CLIENTS, MAX_KEPT_OF_ONE_ADDRESS, QUIET_S
-from altd.publish.modbus.unit_blocks import CONDITION, UNIT
+from altd.publish.modbus.tcp import MAX_CLIENTS
+from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import (
     DISCRETE_INPUTS,
     REASON_CODES,
@@ -44,6 +46,7 @@ from altd.publish.modbus.values import (
 )
 from altd.reasons import Reason, Signal
 from altd.status.health import FIGURE_AGE_S
+from altd.tcp_port import CONNECTIONS, HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES
 from tools.pages.example import MEASURED
 
 EXAMPLE = Snapshot(
@@ -75,6 +78,26 @@ BLOCKS = (
     ),
     (_span(UNIT.first, UNIT.size), "[which unit this is](#the-unit)", "when the controller connects"),
     (_span(CONDITION.first, CONDITION.size), "[its condition](#the-condition)", "every few seconds"),
+    (
+        _span(RELATIVE.first, RELATIVE.size),
+        "[values relative to a zero](#relative-values)",
+        "if a zero is used",
+    ),
+)
+
+COMMANDS = (
+    (
+        SELF_CHECK_ADDRESS,
+        "`allow_self_check`",
+        SELF_CHECK_NOW,
+        "a self-check (`lamps.md`) within ten seconds; five seconds or more between two",
+    ),
+    (
+        ZERO_ADDRESS,
+        "`allow_zero`",
+        "`next_zero` (address 502)",
+        "the newest measurement becomes [the zero](#relative-values)",
+    ),
 )
 
 (STATE,) = (row for row in checked_block.ROWS if row.name == "state")
@@ -99,7 +122,8 @@ Generated from the register table: `python -m tools.pages.modbus > docs/modbus.m
 | | Modbus TCP | Modbus RTU (RS232, RS485) |
 | --- | --- | --- |
 | in `altd.toml` | `[modbus_tcp]` | `[[serial]]` with `speaks = "modbus_rtu"` |
-| line | port {tcp.port} | {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
+| line | port {tcp.port_or_default} | {baud} baud, 8 data bits, parity {parity}, {stop_bits} stop bit |
+| with [TLS](#tls) | port 802 | |
 | unit id | {tcp.unit_id}; 0 and 255 answer too | {rtu["unit_id"].default} |
 | other unit ids | exception 11 | silence, the bus may be shared |
 | clients | {MAX_CLIENTS}; one more closes another, see below | one request, one answer |
@@ -127,9 +151,11 @@ Reserved addresses always get a connection, and no other address closes it. The 
 left in the same way. If reserved addresses fill all {MAX_CLIENTS} places, other connections are refused, and
 one more of their own closes another.
 
-Everything is read only, but for [a self-check](#a-self-check). Function 4 (input registers) and function 3
-(holding registers) read the same registers. Function 2 reads [discrete inputs](#discrete-inputs-function-2).
-Function 43/14 reads the [identification](#identification-function-4314).
+Everything is read only, except for the [commands](#commands), which are off by default. Function 4 (input
+registers) and function 3 (holding registers) read the same registers. Function 2 reads [discrete
+inputs](#discrete-inputs-function-2). Function 43/14 reads the
+[identification](#identification-function-4314). The commissioning of a controller, from the first connection
+to the first drive: [integrate a controller](integrate.md).
 
 {_table(("registers", "hold", "read them"), BLOCKS)}
 
@@ -142,6 +168,10 @@ Addresses on this page count from 0, as on the wire. Where a tool counts from 1,
 A controller that must know whether what it reads is whole, new and from this unit reads the checked block,
 {checked_block.SIZE} registers from address {checked_block.FIRST}: [proof](proof.md).
 
+## Types
+
+{_types()}
+
 ## First test: byte order
 
 Big-endian throughout, ABCD: the high byte of a register first, the high word of a 32-bit value first. These
@@ -153,7 +183,7 @@ text stay as they are. The CRC of the checked block is over the bytes as they ar
 
 {register_table(TEST_BLOCK)}
 
-    $ mbpoll -1 -0 -B -t 3:float -r {TESTS} -c 1 -p {tcp.port} -a {tcp.unit_id} ADDRESS
+    $ mbpoll -1 -0 -B -t 3:float -r {TESTS} -c 1 -p {tcp.port_or_default} -a {tcp.unit_id} ADDRESS
     [{TESTS}]: 	123.456
 
 ## Read a measurement
@@ -162,16 +192,18 @@ text stay as they are. The CRC of the checked block is over the bytes as they ar
 together in one request: {SIZE} registers from address 0 are everything, the first {float_end} are header and
 floating point. Two requests fit together only if `sequence` is the same in both.
 
-- Use a number only if bit 0 of `status` is 1 and `age` is below your limit. A value is the mean of one
-  second, so its middle is about half a second old: an age of 500 to 600 ms is normal, and 1000 ms a good
-  limit. Wait 50 ms for an answer of Modbus TCP.
+- Use a number only if bit 0 of `status` is 1 and `age` is below your limit. A value is the mean of the last
+  `window` frames of `[measuring]`, 20 by default: one second at 20 frames/s. Its middle is then about half a
+  second old: an age of 500 to 600 ms is normal, and 1000 ms a good limit. Wait 50 ms for an answer of Modbus
+  TCP.
 - When `heartbeat` does not change for a second, or no answer comes, the unit has stopped: use no number.
 - In the tunnel, refuse a measurement with bit 12 or 13: it does not come from this unit's cameras.
 - A new measurement comes with every exposure, 20 a second. To poll faster than that gains nothing.
 
 [Client examples](clients.md) are complete programs in Python, C, Structured Text and Node-RED that do so.
 
-On a serial line a request and its answer take
+On a serial line a request and its answer take, with {BITS_PER_CHARACTER} bits a character (8N1 has 10, and
+is 9 % faster),
 
 {_durations((SIZE, checked_block.SIZE, float_end, FLOATS))}
 
@@ -182,15 +214,18 @@ On a serial line a request and its answer take
 ## Values, from address {FLOATS} as f32, from address {SCALED} as s32
 
 Each value is there twice: as floating point (f32, IEEE 754 single precision) in the unit, and as an integer
-(s32, two's complement) in 1/{PER_UNIT} of the unit. Sign and zero of x, y, yaw and pitch are those of
-`[installation]` in `altd.toml`. A standard deviation is 1 sigma.
+(s32, two's complement) in 1/{PER_UNIT} of the unit. A standard deviation is 1 sigma. Signs and zero: [the
+next section](#signs-zero-and-reference-plane).
 
 {_values()}
 
-## What "not known" looks like
+## Signs, zero and reference plane
 
-{_table(("type", "not known"), ((kind, _hex(kind.unknown)) for kind in Type if not kind.is_text))}
-| text16, text32 | no characters |
+`x`, `y`, `yaw` and `pitch` describe the beam as seen from the unit, or the machine against the beam where
+`[installation]` sets the signs so. [Integrate a controller](integrate.md#signs-zero-and-reference-plane)
+defines signs, zero and reference plane, and has a check for the commissioning.
+
+## Unknown values
 
 A value that is not known is never 0 and never an old one. With bit 0 at 0 none of the values is
 known but `roll`, which an inclinometer measures by itself, whether or not the beam is seen. A number too
@@ -222,7 +257,7 @@ the whole unit; 0 is none. Codes may be added later.
 
 ## Example
 
-    $ mbpoll {read_floats} -p {tcp.port} -a {tcp.unit_id} ADDRESS
+    $ mbpoll {read_floats} -p {tcp.port_or_default} -a {tcp.unit_id} ADDRESS
 {_indented(mbpoll_lines())}
 
 The same over a serial line:
@@ -237,8 +272,6 @@ at address {SCALED} it is {_hex(words[SCALED : SCALED + 2])}, the integer 100120
 ## The unit
 
 {register_table(UNIT.rows)}
-
-Text is ASCII, two characters a register, the first in the high byte; zeros follow it.
 
 ## The condition
 
@@ -262,7 +295,8 @@ unknown one is exception 2):
 | --- | --- |
 | 0, 1, 2, 4 | vendor, product code, version, product name |
 | 0x{SERIAL:02X} | the unit's serial number |
-| 0x{CALIBRATION_DATE:02X}, 0x{CALIBRATION_CHECKSUM:02X} | date and checksum of the calibration file |
+| 0x{CALIBRATION_DATE:02X} | date of the calibration, `2026-11-02` |
+| 0x{CALIBRATION_CHECKSUM:02X} | checksum of the calibration file |
 
 ## Diagnostics on a serial line, functions 8 and 17
 
@@ -274,22 +308,94 @@ sub-functions 0 (the request comes back), 10 (counters to zero) and
 Function 17 gives 0x{SERVER_ID:02X}, 0x{RUNNING:02X} (running), and as text product, version and serial
 number.
 
-## A self-check
+## Commands
 
-With `allow_self_check = true` in `[modbus_tcp]`, function 6 (write single register) with the value
-{SELF_CHECK_NOW} at address {SELF_CHECK_ADDRESS} asks for a self-check (`lamps.md`), which comes within ten
-seconds; status word and reason then say what came of it. The response repeats the request.
-Exception 4: the unit cannot check itself. Without that setting, and on a serial port, it is exception 1.
-Anybody who reaches the port can ask so; between two checks the unit rests for five seconds, however often it
-is asked.
+Function 6 (write single register) gives a command. Each has a setting of its own in `[modbus_tcp]` or in the
+port's table, off by default.
+
+{_table(("address", "setting", "value", "effect"), COMMANDS)}
+
+The response repeats the request. Exception 2: no command that is allowed has this address. Exception 3:
+another value. Exception 4: the unit cannot check itself, or the measurement is not valid now. A refused
+command changes nothing. With no command allowed every write is exception 1. Without TLS any client that
+reaches the port can give the commands that are allowed; with TLS it needs a [role](#tls). Broadcasts on a
+serial line (unit id 0) are ignored.
+
+No command acknowledges anything. What a controller missed while it was away shows in numbers that never go
+back: `session` (a restart), `published` (measurements), `zeros` (zeros that any controller set). Each
+controller compares them with those that it saw last, so that none clears what another has not yet seen.
+
+## Relative values
+
+{register_table(RELATIVE.rows)}
+
+**The absolute values at all other addresses never change with the zero.** The relative values are the current
+measurement less the one that was the newest when the zero was set. Without a zero, or while the measurement
+is invalid, they are *not known*. Never pass them on as absolute values.
+
+1. While the machine does not move, read the {RELATIVE.size} registers from address {RELATIVE.first} in one
+   request. Bit 0 of `status` must be 1.
+2. Write `next_zero` to address {ZERO_ADDRESS}. The unit takes the newest measurement at the moment of the
+   write, and only if it is valid, live and fresh. `altd run --rehearsal` takes one that is not live, too.
+3. Read again. `zeros` is one greater, and `zero_sequence` names the last exposure of the zero. Remember
+   `session` and `zeros`: use the relative values only while both stay the same.
+
+`next_zero` changes with each zero and begins at a number drawn by chance, so a write that is late, repeated
+or recorded sets nothing: exception 3. If no response comes, read again instead of repeating the write.
+
+- **The unit has one zero**, for all controllers and wires: a serial line has no connections, and many clients
+  open one for each request. If a second controller sets the zero, the first one sees `zeros` change.
+- **A restart deletes the zero.** The relative values are then *not known*, and `session` is another one.
+- **sigma** combines the standard deviations of both measurements as if they were independent. Both contain
+  the errors of the same calibration, which cancel for small movements: the true one is then smaller. It holds
+  for a beam at rest; `sigma_now` of the [checked block](proof.md) says how far the beam may have moved since.
+- This block has no CRC. A controller that needs the proof of the checked block subtracts values of that
+  block.
+
+## TLS
+
+Modbus/TCP Security (specification v36): TLS 1.2 or 1.3 on port 802, and each side shows a certificate.
+
+    [modbus_tcp]
+    certificate = "/etc/altd/unit.pem"
+    key = "/etc/altd/unit.key"
+    client_ca = "/etc/altd/plant-ca.pem"
+    allow_zero = true
+    roles = ["operator"]
+
+The unit then serves no plain Modbus TCP. Every client with a certificate of `client_ca` may read. Commands
+need a role of `roles` in the client's certificate, in the extension 1.3.6.1.4.1.50316.802.1 as a UTF8String;
+for any other client a write is exception 1. For a trial, make a certificate authority and a client's
+certificate:
+
+    openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -noenc -days 365 -subj /CN=plant-ca \\
+        -keyout plant-ca.key -out plant-ca.pem -addext keyUsage=critical,keyCertSign,cRLSign
+    openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -noenc -days 365 -subj /CN=controller \\
+        -CA plant-ca.pem -CAkey plant-ca.key -keyout controller.key -out controller.pem \\
+        -addext basicConstraints=critical,CA:false -addext "1.3.6.1.4.1.50316.802.1=ASN1:UTF8String:operator"
+
+The unit's own certificate is made like the second one, with `-addext subjectAltName=IP:192.0.2.7` (the unit's
+address) instead of the role. Clients in Python 3.13 and later refuse an authority without `keyUsage`.
+
+- The unit checks the chain to `client_ca`, the dates and, where the certificate names one, its purpose (TLS
+  clients). The unit's own clock must be right: a unit that starts in 1970 refuses every client.
+- It reads no revocation lists. To exclude a client, replace `client_ca`. Connections that are open stay open
+  until they end.
+- Renewed files count from the next handshake on, without a restart. Files that do not fit are reported in the
+  interface's state, and the old ones stay in use.
+- {MAX_HANDSHAKES} handshakes run at a time, {HANDSHAKE_TIMEOUT_S:g} s each. One more closes another by the
+  rules for [connections](#connect). An address that is not reserved may begin {CONNECTIONS.burst} at once and
+  {CONNECTIONS.per_s:g} a second. A connection takes one of the {MAX_CLIENTS} places only after its handshake.
+- A connection that does not speak TLS is closed.
 
 ## Exceptions
 
 | code | when |
 | --- | --- |
-| 1 illegal function | a write that is not allowed, or a function that is not on this page |
+| 1 illegal function | a write that this client may not make, or a function that is not on this page |
 | 2 illegal data address | a read that leaves its table, or an input that is not there |
-| 3 illegal data value | no register, more than 125, or a malformed request |
+| 3 illegal data value | no register, more than 125, a malformed request, or a command's wrong value |
+| 4 server device failure | a [command](#commands) that is not possible now, or a defect (see the log) |
 | 11 gateway target device failed to respond | Modbus TCP: the unit id is another one |
 """
 
@@ -359,6 +465,21 @@ def _values() -> str:
             for row, scaled in zip(FLOAT_BLOCK, SCALED_BLOCK, strict=True)
         ),
     )
+
+
+def _types() -> str:
+    ascii_text = "ASCII, two characters a register, the first in the high byte; zeros follow"
+    holds = {
+        Type.U16: "unsigned integer",
+        Type.U32: "unsigned integer",
+        Type.S32: "signed integer, two's complement",
+        Type.F32: "IEEE 754 single precision",
+        Type.TEXT16: f"16 characters: {ascii_text}",
+        Type.TEXT32: f"32 characters: {ascii_text}",
+    }
+    unknown = {kind: "no characters" if kind.is_text else _hex(kind.unknown) for kind in Type}
+    rows = ((kind, kind.words, holds[kind], unknown[kind]) for kind in Type)
+    return _table(("type", "registers", "holds", "not known"), rows)
 
 
 def _inputs() -> str:

@@ -10,14 +10,10 @@ from pydantic import BaseModel
 
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.mqtt.broker import ACK_TIMEOUT_S, KEEP_ALIVE_S
+from altd.publish.mqtt.connecting import MAX_JITTER_S
 from altd.publish.mqtt.home_assistant import EXPIRE_AFTER_S, device_of, topic_of
 from altd.publish.mqtt.messages import Birth, Topics, summary_model, summary_of
-from altd.publish.mqtt.publisher import (
-    MAX_JITTER_S,
-    NUMBERS_EXPIRY_S,
-    REFRESH_INTERVAL_S,
-    RETAINED_EXPIRY_S,
-)
+from altd.publish.mqtt.publisher import NUMBERS_EXPIRY_S, REFRESH_INTERVAL_S, RETAINED_EXPIRY_S
 from altd.runtime.supervision import MAX_BACKOFF_S, MIN_BACKOFF_S
 from altd.status.measurement_json import with_proof
 from tools.markdown import wrapped
@@ -55,6 +51,8 @@ All keys: [settings](config.md#mqtt). Show everything that a unit publishes:
 
     mosquitto_sub -V 5 -h broker.plant.example -t 'altd/{SERIAL}/#' -v
 
+With `[mqtt.sparkplug]` the unit is an edge node of [Sparkplug B](sparkplug.md) instead.
+
 The unit subscribes to nothing. It cannot be commanded or configured over MQTT, and ends a connection on
 which the broker sends it a message.
 
@@ -82,16 +80,17 @@ Keys may be added.
 
 ## Use a number
 
-1. Subscribe with a clean session.
+1. Subscribe with Clean Start and a session expiry of 0. With QoS 1 a message may come twice.
 2. Use `{_TOPICS.measurement.rpartition("/")[2]}` only when `valid` is true, and a mean of `summary` only
    when it is not `null`. What is not known is `null`, never zero and never old.
-3. With `playback` or `simulated` in `status` the numbers do not come from this unit's cameras: do not
-   steer by them.
+3. With `playback`, `simulated` or `rehearsal` in `status` the numbers do not come from this unit's cameras,
+   or the unit rehearses: do not use them. Do not steer by MQTT at all
+   ([integrate](integrate.md#choose-an-interface)).
 4. Stop using numbers when no message has come for 3 s, or when the availability is `offline`. `online`
    alone proves nothing: it is what the broker knows.
 5. Check `crc32`, `unit`, `session`, `message` and `clock_ms` as in [checking what the unit
    says](proof.md). A message whose `message` has not grown is late or repeated. A message is late, too,
-   when its `clock_ms` has grown by less than your own clock. `message` counts all messages in JSON of a
+   when `age_s` and the delay by `clock_ms` together are above 1 s. `message` counts all messages in JSON of a
    unit: on one topic it has gaps.
 
 **Latency.** A new value is the mean of one second of exposures, so it is about 0.5 s old when it is sent:
@@ -155,7 +154,7 @@ acknowledged for {ACK_TIMEOUT_S:g} s ends the connection.
     key = "unit.key"
     credentials = "mqtt-login"
 
-With `ca` the unit speaks TLS alone, 1.2 or later, on port 8883. It compares the broker's certificate with
+With `ca` the unit uses only TLS, 1.2 or later, on port 8883. It compares the broker's certificate with
 `host`. The certificates that the computer itself trusts are in `/etc/ssl/certs/ca-certificates.crt`.
 `certificate` and `key` are needed where the broker asks for a certificate. `credentials` is a file of two
 lines:
@@ -164,8 +163,8 @@ lines:
     printf 'alt-0007\\nPASSWORD\\n' | sudo tee /etc/altd/mqtt-login >/dev/null
 
 The unit refuses a file that others may read. Without `ca` the password goes over the network unencrypted.
-The files are read at each connection. The client identifier is `{identifier}`; let it write
-`altd/{SERIAL}/#`, and nothing else may.
+The files are read at each connection. The client identifier is `{identifier}`. Allow
+only this client to write `altd/{SERIAL}/#` and, with `home_assistant`, its discovery topic.
 
 The service may only reach private networks: [installing](install.md) says how to let it reach others.
 
@@ -180,7 +179,7 @@ from the broker, take the key away and send an empty retained message:
 
     mosquitto_pub -h broker.plant.example -r -n -t {topic_of("homeassistant", identifier)}
 
-It is sent by the unit as
+The unit announces itself by
 
 ```json
 {json.dumps({**device, "cmps": {"x_mm": device["cmps"]["x_mm"], "state": device["cmps"]["state"]}}, indent=1)}

@@ -22,8 +22,8 @@ SPOT_LOST = replace(
     motions={},
     targets={"front": None, "rear": None},
     status=(
-        Fault(Reason.SPOT_MISSING, "front", "nothing stands out of the background"),
-        Fault(Reason.SPOT_MISSING, "rear", "nothing stands out of the background"),
+        Fault(Reason.SPOT_MISSING, "front", "nothing is brighter than the background"),
+        Fault(Reason.SPOT_MISSING, "rear", "nothing is brighter than the background"),
     ),
 )
 
@@ -64,7 +64,7 @@ def health() -> Health:
     ):
         unit.component(name).set_state(State.OK, message)
     clock.now_ns = 7_379_000_000_000
-    dark = "spot_missing, nothing stands out of the background"
+    dark = "spot_missing, nothing is brighter than the background"
     unit.component(MEASURING).set_state(State.DEGRADED, f"front: {dark}; rear: {dark}")
     clock.now_ns = 7_380_000_000_000
     for camera in ("front", "rear"):

@@ -50,7 +50,7 @@ again.
 ![The states of the unit, the worst on top](states.svg)
 
 - A cause shows at once; one of maintenance when it was true for {MAINTENANCE_DELAY_S:g} s, with pauses of
-  no more than that: a frame that is lost now and then calls nobody.
+  no more than that: an occasional lost frame raises no alarm.
 - It goes when it was not true for {HOLD_S:g} s ({MAINTENANCE_DELAY_S:g} s for maintenance), so that a client
   that asks once a second misses none. `active` says whether it is true just now, `times` how often it came:
   one that comes and goes is one cause that stays.
@@ -102,7 +102,7 @@ the last 31 days, and since the start.
 - Hour, day and 31 days reach back behind the daemon's start, as far as the [history](history.md) does: by its
   minutes, and by its hours where it was more than a day before, each with the share of its measurements that
   were valid; what was lost goes to its worst reason. `since_start` never does. Without a history, or where it
-  cannot be read, they begin with the start, and `since` says so. What it takes until the first valid
+  cannot be read, they begin with the start, which is then `since`. What it takes until the first valid
   measurement is lost to `starting` or a reason.
 - Time between two daemons counts as lost to `{NOT_RUNNING}`, and so does time before the start of which the
   history has nothing. To a plant a unit that was switched off on purpose is not down: IEC 60050-192-02-21

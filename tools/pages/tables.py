@@ -26,7 +26,7 @@ _HEAD = """\
 | `parquet` | `replay -o FILE` | typed, with units and origin; needs pyarrow, the extra `altd[parquet]` |
 
 All formats have the same numbers. Names end in their unit. What is not known is absent: `null`, an empty
-field. In CSV `true` and `false` stand for truth, times are ISO 8601 with `Z`, and several codes in `status`
+field. In CSV truth values are `true` and `false`, times are ISO 8601 with `Z`, and several codes in `status`
 have a space between them; a character that is not printable is an escape such as `\\x1b`.
 
     import pandas

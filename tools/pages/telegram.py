@@ -123,8 +123,10 @@ output = "now"` a new value has the age 0 instead ([accuracy](accuracy.md#output
 | age of a value that is accepted, `max_age_s` | 1 s |
 | time without a valid telegram after which the machine stops | three times `interval_s` |
 
-A value that is in use is then at most as old as both limits together, and the telegram's time on the line.
-Choose them from how far the machine may move by an old value.
+A value in use is at most as old as both limits together, and the telegram's time on the line. Choose them
+from how far the machine may move by an old value. For guidance send every 0.2 s or more often, and drop a
+value when its own age reaches 1 s ([rule 10](integrate.md#rules)). The telegram has no `published`: rule 7
+takes the sequence.
 
 | found | action |
 |---|---|

@@ -79,7 +79,7 @@ at least six sigma.
 
 It asks {1 / READING_INTERVAL_S:g} times a second for the measurement and {1 / STATUS_INTERVAL_S:g} times
 for the state. When the daemon ends or the measurement becomes invalid, the numbers go at once; when the
-daemon does not answer, all that was known goes after {HOLD_S:g} s, and the screen says so. It connects
+daemon does not answer, all values are removed after {HOLD_S:g} s, and the screen reports it. It connects
 again by itself.
 
 It needs {MIN_COLUMNS} × {MIN_ROWS} characters, a terminal that can move its cursor (`vt100`, `linux`,

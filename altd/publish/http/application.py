@@ -16,12 +16,12 @@ from altd.publish.http import errors
 from altd.publish.http.answers import Answers
 from altd.publish.http.errors import refusal
 from altd.publish.http.guard import too_many
-from altd.publish.http.limits import Buckets, OwnNames
+from altd.publish.http.limits import OwnNames
 from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
 from altd.status.health import Component
-from altd.tcp_port import address_of, group_of, is_loopback
+from altd.tcp_port import Buckets, address_of, group_of, is_loopback
 
 log = logging.getLogger("altd")
 

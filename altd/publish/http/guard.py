@@ -13,10 +13,10 @@ from starlette.responses import Response
 
 from altd.ports import Clock
 from altd.publish.http.errors import refusal
-from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, Buckets, host_of
+from altd.publish.http.limits import ALL_ATTEMPTS, ATTEMPTS, MAX_FAMILIAR, host_of
 from altd.publish.http.sessions import LONGEST_S, Sessions
 from altd.status.event_log import EventKind, EventLog
-from altd.tcp_port import address_of, group_of, is_loopback
+from altd.tcp_port import Buckets, address_of, group_of, is_loopback
 
 REQUEST_HEADER = "X-Altd-Request"
 """A page of another site, opened in a browser, cannot send it unasked (CORS): each action asks for it."""

@@ -134,7 +134,7 @@ class Query:
         if text is None:
             return otherwise
         if not (text.isascii() and text.isdigit() and len(text) <= 16 and low <= int(text) <= high):
-            raise UnusableQueryError(f"{name} is no whole number from {low} to {high}")
+            raise UnusableQueryError(f"{name} is not a whole number from {low} to {high}")
         return int(text)
 
 

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from altd.config import HttpSettings
+from altd.credentials.certificates import RenewedContext, server_context
 from altd.credentials.file import CredentialsKeeper
 from altd.history.history import History
 from altd.local_socket import identity_at, listening
@@ -19,15 +20,15 @@ from altd.publish.http.answers import Answers
 from altd.publish.http.api_page import api_page_of
 from altd.publish.http.application import application_of
 from altd.publish.http.guard import Guard
-from altd.publish.http.limits import CONNECTIONS, REQUESTS, Allowed, Buckets, OwnNames
+from altd.publish.http.limits import REQUESTS, Allowed, OwnNames
 from altd.publish.http.openapi import document_of
 from altd.publish.http.past import Past
 from altd.publish.http.paths import PATHS
 from altd.publish.http.server import ConnectionPolicy, listen, serve
-from altd.publish.http.tls import Certificate
 from altd.status.board import Board
 from altd.status.event_log import EventLog
 from altd.status.health import Component, Health, State
+from altd.tcp_port import CONNECTIONS, Buckets
 
 log = logging.getLogger("altd")
 
@@ -64,7 +65,10 @@ class HttpPublisher:
             keeper = CredentialsKeeper(settings.credentials, partial(self._complain, "credentials"))
         if settings.certificate is not None and settings.key is not None:
             complain = partial(self._complain, "certificate")
-            certificate = Certificate(settings.certificate, settings.key, complain)
+            files = settings.certificate, settings.key
+            certificate = RenewedContext(
+                partial(server_context, *files, protocols=("http/1.1",)), files, complain
+            )
         known = None if keeper is None else keeper.current
         guard = Guard(known, component.clock, events, is_local=self.is_local)
         self._policy = ConnectionPolicy(

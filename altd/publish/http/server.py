@@ -26,11 +26,20 @@ from uvicorn.protocols.utils import is_ssl
 from altd.config import HttpSettings
 from altd.publish.http import pictures
 from altd.publish.http.errors import error_body
-from altd.publish.http.limits import Allowed, Buckets
+from altd.publish.http.limits import Allowed
 from altd.publish.http.pictures import BoundedWebSocket
-from altd.publish.http.tls import HANDSHAKE_TIMEOUT_S, MAX_HANDSHAKES, SHUTDOWN_TIMEOUT_S, Certificate
 from altd.status.health import Component
-from altd.tcp_port import accept, address_of, group_of, is_among_last, is_loopback
+from altd.tcp_port import (
+    HANDSHAKE_TIMEOUT_S,
+    MAX_HANDSHAKES,
+    SHUTDOWN_TIMEOUT_S,
+    Buckets,
+    accept,
+    address_of,
+    group_of,
+    is_among_last,
+    is_loopback,
+)
 from altd.tcp_port import listen as listen_tcp
 
 MAX_CONNECTIONS = 64
@@ -85,7 +94,7 @@ class ConnectionPolicy:
     """Who is let in before a byte is read, and whether TLS is spoken."""
 
     allowed: Allowed
-    certificate: Certificate | None
+    certificate: Callable[[], ssl.SSLContext] | None
     connections: Buckets
     """How often an address may connect where that costs a handshake."""
 
@@ -187,7 +196,7 @@ class _Server(uvicorn.Server):
             protocol = _BoundedProtocol(self.config, self.server_state, {})
             await asyncio.get_running_loop().connect_accepted_socket(lambda: protocol, connection)
             return
-        task = asyncio.create_task(self._shake_hands(connection, self._policy.certificate.context()))
+        task = asyncio.create_task(self._shake_hands(connection, self._policy.certificate()))
         self._handshakes.add(task)
         task.add_done_callback(self._handshakes.discard)
 

@@ -41,7 +41,7 @@ HEAD = (
         "state",
         Type.U16,
         "",
-        "NAMUR NE 107: 0 good, 1 failure, 2 check function, 3 out of specification, 4 maintenance required",
+        values.STATE_MEANING,
         values.state,
         is_ageing=True,
     ),
@@ -66,7 +66,7 @@ HEAD = (
         "message",
         Type.U32,
         "",
-        "counts the answers that this interface gave from this block",
+        "counts the responses of this interface with registers of this block",
         _of_stamp(attrgetter("message")),
         is_ageing=True,
     ),
@@ -81,7 +81,9 @@ HEAD = (
     ),
     Register(210, "published", Type.U32, "", "counts the measurements since the daemon started", _published),
     Register(212, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
-    Register(214, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970 in UTC", values.utc_s),
+    Register(
+        214, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", values.utc_s
+    ),
     Register(216, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
     Register(217, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
     Register(

@@ -14,48 +14,27 @@ from typing import Any
 from pymodbus.constants import ExcCodes
 
 from altd import __version__
+from altd.config import ModbusRtuPortSettings, ModbusTcpSettings
 from altd.publish.modbus.checked_block import BLOCK, CheckedBlock
 from altd.publish.modbus.registers import MEASUREMENT, RegisterImage, WordOrder, image
-from altd.publish.modbus.unit_blocks import CONDITION, UNIT
+from altd.publish.modbus.unit_blocks import CONDITION, RELATIVE, UNIT
 from altd.publish.modbus.values import DISCRETE_INPUTS, Snapshot
 from altd.status.board import Board
 from altd.status.health import Component, Health
 from altd.status.proof import Stamps
-from altd.status.services import NoSelfCheckError, SelfCheckService
+from altd.status.services import NoSelfCheckError
+from altd.status.zero import NoZeroError
 
 log = logging.getLogger("altd")
 
 WRITE_SINGLE_REGISTER = 6
 """6.6: function, address, value; the response is the request again."""
 
-SELF_CHECK_ADDRESS = 1000
-"""Beyond the registers that are read, so that no read block reaches it."""
+SELF_CHECK_ADDRESS, ZERO_ADDRESS = 1000, 1001
+"""Beyond the registers that are read, so that no read block reaches them."""
 SELF_CHECK_NOW = 1
 
 _REQUEST = struct.Struct(">BHH")
-
-
-def command_response(request: bytes, service: SelfCheckService) -> bytes:
-    """The response to a request with function 6, from the function code on."""
-    refusal = _refusal(request, service)
-    return request if refusal is None else bytes([WRITE_SINGLE_REGISTER | 0x80, refusal])
-
-
-def _refusal(request: bytes, service: SelfCheckService) -> ExcCodes | None:
-    """Carry a request out; the code of the exception where that cannot be."""
-    if len(request) != _REQUEST.size:
-        return ExcCodes.ILLEGAL_VALUE
-    _, address, value = _REQUEST.unpack(request)
-    if address != SELF_CHECK_ADDRESS:
-        return ExcCodes.ILLEGAL_ADDRESS
-    if value != SELF_CHECK_NOW:
-        return ExcCodes.ILLEGAL_VALUE
-    try:
-        service.ask("modbus")
-    except NoSelfCheckError:
-        return ExcCodes.DEVICE_FAILURE
-    return None
-
 
 READ_DEVICE_IDENTIFICATION = 43
 MEI_TYPE = 14
@@ -122,7 +101,7 @@ MAX_READ = 125
 """Registers in one response (6.3)."""
 
 
-TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION)
+TABLES = (MEASUREMENT, BLOCK, UNIT, CONDITION, RELATIVE)
 """All that functions 3 and 4 read; a read stays within one of them."""
 
 _SHARES_EVERY_S = 10.0
@@ -132,12 +111,17 @@ _SHARES_EVERY_S = 10.0
 class Responder:
     """Answers requests and counts them; each is answered from one reading of the board.
 
-    ``health`` knows the unit and its condition.
+    ``health`` knows the unit and its condition, and carries commands out, those that ``settings`` allow.
     """
 
     def __init__(
-        self, board: Board, component: Component, health: Health, order: WordOrder = WordOrder.ABCD
+        self,
+        board: Board,
+        component: Component,
+        health: Health,
+        settings: ModbusTcpSettings | ModbusRtuPortSettings,
     ) -> None:
+        order = WordOrder(settings.word_order)
         self._board = board
         self._health = health
         self._component = component
@@ -147,11 +131,19 @@ class Responder:
         self._stamps = Stamps(board)
         self._shares: Mapping[str, float | None] = {}
         self._shares_s = -_SHARES_EVERY_S
+        allowed = {SELF_CHECK_ADDRESS: settings.allow_self_check, ZERO_ADDRESS: settings.allow_zero}
+        self._commands = {address for address, is_allowed in allowed.items() if is_allowed}
 
-    def answer(self, request: bytes) -> bytes:
-        """The response to a request, both from the function code on and not empty."""
+    def answer(self, request: bytes, may_command: bool = True) -> bytes:
+        """The response to a request, both from the function code on and not empty.
+
+        ``may_command``: whether this client may give the commands that the settings allow.
+        """
         try:
-            response = self._response(request)
+            if request[0] == WRITE_SINGLE_REGISTER and self._commands and may_command:
+                response = self._command(request)
+            else:
+                response = self._response(request)
         except Exception:  # a defect costs the request that meets it, never the other clients
             log.exception("modbus: a defect, at request %s", request.hex())
             response = ExcCodes.DEVICE_FAILURE
@@ -181,6 +173,26 @@ class Responder:
             return ExcCodes.ILLEGAL_ADDRESS
         return struct.pack(f">BB{count}H", function, 2 * count, *words)
 
+    def _command(self, request: bytes) -> bytes | ExcCodes:
+        """Carry a write out; the request again, or the code of the exception, and then nothing is changed."""
+        self._component.count("commands")
+        if len(request) != _REQUEST.size:
+            return ExcCodes.ILLEGAL_VALUE
+        _, address, value = _REQUEST.unpack(request)
+        if address not in self._commands:
+            return ExcCodes.ILLEGAL_ADDRESS
+        zero = self._health.zero
+        if value != (SELF_CHECK_NOW if address == SELF_CHECK_ADDRESS else zero.next_number):
+            return ExcCodes.ILLEGAL_VALUE
+        try:
+            if address == SELF_CHECK_ADDRESS:
+                self._health.self_check.ask("modbus")
+            else:
+                zero.set(self._board, "modbus")
+        except (NoSelfCheckError, NoZeroError):
+            return ExcCodes.DEVICE_FAILURE
+        return request
+
     def _discrete_inputs(self, address: int, count: int) -> bytes | ExcCodes:
         rows = DISCRETE_INPUTS[address : address + count]
         if len(rows) < count:
@@ -208,6 +220,9 @@ class Responder:
                 self._shares = shares
             found = self._snapshot(health=self._health, report=report, shares=self._shares)
             return image(found, CONDITION, self._order)[place]
+        if place := RELATIVE.place(address, count):
+            known = self._snapshot(health=self._health, identity=self._board.identity)
+            return image(known, RELATIVE, self._order)[place]
         return None
 
     def _running_s(self) -> float:

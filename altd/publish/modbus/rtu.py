@@ -20,7 +20,6 @@ from typing import Self
 from pymodbus.framer import FramerRTU
 
 from altd.config import ModbusRtuPortSettings
-from altd.publish.modbus.registers import WordOrder
 from altd.publish.modbus.responder import Responder
 from altd.publish.modbus.serial_functions import LineCounters, serial_response
 from altd.serial_port.port import Port, describe, opened, seconds_on_line
@@ -243,7 +242,7 @@ class ModbusRtuPublisher:
         health: Health,
     ) -> None:
         self._settings = settings
-        self._responder = Responder(board, component, health, WordOrder(settings.word_order))
+        self._responder = Responder(board, component, health, settings)
         self._component = component
         self._health = health
 

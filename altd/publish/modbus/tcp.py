@@ -1,10 +1,10 @@
-"""Modbus TCP: requests in their MBAP frames, for a few controllers at once, and which of them makes room.
+"""Modbus TCP: requests in their MBAP frames, for a few controllers at once, with or without TLS.
 
-Three quarters of the places belong to the clients that have asked for longest. An address keeps its time when
-its connection ends, so that a controller that reconnects is not new. The last quarter goes to new connections
-in turn: each gets a place until as many have come after it as there are such places, time enough to ask.
+With a certificate the interface is Modbus/TCP Security: a client gets a place once its TLS handshake is over.
+Handshakes in progress have places of their own, for which the same rule chooses who makes room (``places``).
 
-"Messaging" is the Modbus Messaging on TCP/IP Implementation Guide V1.0b.
+"Messaging" is the Modbus Messaging on TCP/IP Implementation Guide V1.0b, "Security" the MODBUS/TCP Security
+Protocol Specification v36.
 """
 
 from __future__ import annotations
@@ -12,135 +12,36 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
-import math
+import logging
 import socket
+import ssl
 import struct
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from pymodbus.constants import ExcCodes
 
 from altd.config import ModbusTcpSettings
-from altd.publish.modbus.registers import WordOrder
-from altd.publish.modbus.responder import WRITE_SINGLE_REGISTER, Responder, command_response
+from altd.credentials.certificates import RenewedContext, role_of, server_context
+from altd.publish.modbus.places import Addresses, Connection, connection_to_displace
+from altd.publish.modbus.responder import Responder
 from altd.status.board import Board
 from altd.status.health import Component, Health, State
-from altd.tcp_port import Networks, accept, address_of, group_of, is_among_last, listen
+from altd.tcp_port import (
+    CONNECTIONS,
+    HANDSHAKE_TIMEOUT_S,
+    MAX_HANDSHAKES,
+    SHUTDOWN_TIMEOUT_S,
+    Buckets,
+    Networks,
+    accept,
+    address_of,
+    group_of,
+    is_among_last,
+    listen,
+)
 
-QUIET_S = 60.0
-"""A connection without a request for so long has no claim to its place; a longer gap counts as this one."""
-
-FIRST_REQUEST_S = 5.0
-"""A new connection without a request for so long makes room before others."""
-
-KEPT_SHARE = 0.75
-MAX_KEPT_OF_ONE_ADDRESS = 8
-
-MAX_REMEMBERED = 1024
-"""Addresses whose time is kept when the memory, twice as large, is full."""
-
-
-@dataclass(slots=True)
-class Asking:
-    """For how long a client has been asking: the sum of the gaps between its requests, none above a limit."""
-
-    total_s: float = 0.0
-    """Until the last request."""
-    gap_s: float = 0.0
-    """Before the last request."""
-    last_s: float | None = None
-
-    def ask(self, now_s: float) -> None:
-        """Count a request."""
-        if self.last_s is not None:
-            self.gap_s = min(now_s - self.last_s, QUIET_S)
-            self.total_s += self.gap_s
-        self.last_s = now_s
-
-    def until_s(self, now_s: float) -> float:
-        """The total until now while the next request is not overdue: slow clients count as fast ones do."""
-        return 0.0 if self.last_s is None else self.total_s + min(now_s - self.last_s, self.gap_s)
-
-
-@dataclass(slots=True, eq=False)
-class Connection:
-    """A connection since ``since_s``; ``of_address`` is shared by the connections of its address."""
-
-    address: str
-    since_s: float
-    of_address: Asking
-    is_reserved: bool = False
-    itself: Asking = field(default_factory=Asking)
-
-    def ask(self, now_s: float) -> None:
-        """Count a request."""
-        self.itself.ask(now_s)
-        self.of_address.ask(now_s)
-
-    def is_quiet(self, now_s: float) -> bool:
-        """Whether it has not asked for too long."""
-        if self.itself.last_s is None:
-            return now_s - self.since_s > FIRST_REQUEST_S
-        return now_s - self.itself.last_s > QUIET_S
-
-
-def connection_to_displace(
-    present: Sequence[Connection], newcomer: Connection, now_s: float
-) -> Connection | None:
-    """The connection that makes room for a newcomer; None: the newcomer gets no place."""
-    displaceable = [connection for connection in present if not connection.is_reserved]
-    if newcomer.is_reserved and not displaceable:
-        displaceable = list(present)
-    kept = _kept(displaceable, now_s)
-    others = [connection for connection in displaceable if connection not in kept]
-    if not others:
-        return kept[-1] if newcomer.is_reserved and kept else None
-    crowd = Counter(connection.address for connection in others)
-
-    def claim(connection: Connection) -> tuple[bool, int, float]:
-        return not connection.is_quiet(now_s), -crowd[connection.address], connection.since_s
-
-    return min(others, key=claim)
-
-
-def _kept(connections: Sequence[Connection], now_s: float) -> list[Connection]:
-    """Three quarters of the connections at most: of those that ask, those of the longest asking addresses."""
-    asking = [
-        connection
-        for connection in connections
-        if connection.of_address.last_s is not None and not connection.is_quiet(now_s)
-    ]
-    asking.sort(key=lambda each: (-each.of_address.until_s(now_s), -each.itself.until_s(now_s), each.since_s))
-    kept, of_address = list[Connection](), Counter[str]()
-    for connection in asking:
-        of_address[connection.address] += 1
-        if of_address[connection.address] <= MAX_KEPT_OF_ONE_ADDRESS:
-            kept.append(connection)
-    return kept[: math.ceil(len(connections) * KEPT_SHARE)]
-
-
-class Addresses:
-    """For how long each address has been asking, in a bounded memory."""
-
-    def __init__(self) -> None:
-        self._asking: dict[str, Asking] = {}
-
-    def __len__(self) -> int:
-        return len(self._asking)
-
-    def asking(self, address: str) -> Asking:
-        """The record of an address, which its connections share."""
-        if address not in self._asking:
-            if len(self._asking) >= 2 * MAX_REMEMBERED:
-                self._forget()
-            self._asking[address] = Asking()
-        return self._asking[address]
-
-    def _forget(self) -> None:
-        by_time = sorted(self._asking.items(), key=lambda item: (item[1].total_s, item[1].last_s or 0.0))
-        self._asking = dict(by_time[-MAX_REMEMBERED:])
-
+log = logging.getLogger("altd")
 
 MBAP = struct.Struct(">HHHB")
 """Transaction, protocol (0), bytes that follow the length, unit (Messaging 3.1.3)."""
@@ -164,8 +65,14 @@ READ_AHEAD_BYTES = 1024
 """While more than twice as many bytes wait for their answers, nothing more is read from a client."""
 
 
+_Tasks = dict[Connection, asyncio.Task[None]]
+
+
 class ModbusTcpPublisher:
-    """Serves board and health over Modbus TCP; takes self-checks that controllers may ask for."""
+    """Serves board and health over Modbus TCP, with or without TLS.
+
+    Raises BadInputError for a certificate that cannot be used.
+    """
 
     def __init__(
         self,
@@ -175,49 +82,107 @@ class ModbusTcpPublisher:
         health: Health,
     ) -> None:
         self._settings = settings
-        self._service = health.self_check if settings.allow_self_check else None
-        self._responder = Responder(board, component, health, WordOrder(settings.word_order))
+        self._responder = Responder(board, component, health, settings)
         self._component = component
-        self._clients: dict[Connection, asyncio.Task[None]] = {}
+        self._clients: _Tasks = {}
+        self._handshakes: _Tasks = {}
+        self._handshakes_begun = Buckets(CONNECTIONS, component.clock)
+        self._context: RenewedContext | None = None
+        if settings.certificate and settings.key and settings.client_ca:
+            files = settings.certificate, settings.key, settings.client_ca
+            self._context = RenewedContext(functools.partial(server_context, *files), files, self._tell)
         self._addresses = Addresses()
         self._reserved = Networks(settings.reserved)
         self._response_turn = asyncio.Lock()
         """One answer a turn of the loop, whoever asks: no crowd of clients holds the rest of the unit up."""
-        self.port = settings.port
+        self.port = settings.port_or_default
         """The port that is served; it differs from the setting when that is 0, once it listens."""
 
     async def run(self, ready: Callable[[], None]) -> None:
         """Serve until cancelled; raises OSError when the address cannot be had."""
-        with listen(self._settings.host, self._settings.port) as listener:
+        with listen(self._settings.host, self._settings.port_or_default) as listener:
             _detect_dead_peers(listener)
             self.port = listener.getsockname()[1]
             async with asyncio.TaskGroup() as clients:
                 ready()
-                self._component.set_state(State.OK, f"Modbus TCP on port {self.port}")
+                self._tell("")
                 admit = functools.partial(self._admit, clients)
                 await accept(listener, self._component, admit, ACCEPT_INTERVAL_S)
 
+    def _tell(self, complaint: str) -> None:
+        """Set the state; ``complaint`` says why a renewed certificate cannot be used."""
+        if complaint:
+            log.warning("%s: %s", self._component.name, complaint)
+        tls = " with TLS" if self._context is not None else ""
+        state = State.DEGRADED if complaint else State.OK
+        self._component.set_state(state, complaint or f"Modbus TCP on port {self.port}{tls}")
+
     async def _admit(self, tasks: asyncio.TaskGroup, connection: socket.socket) -> None:
-        """Serve a connection; where there are enough, another one makes room, or it is closed."""
-        loop = asyncio.get_running_loop()
-        client = self._client(connection.getpeername()[0], loop.time())
-        if len(self._clients) >= MAX_CLIENTS or is_among_last(connection, RESERVED_DESCRIPTORS):
-            displaced = connection_to_displace(list(self._clients), client, loop.time())
-            if displaced is None:
-                self._component.count("connections_refused")
-                connection.close()
-                return
-            self._component.count("clients_displaced")
-            self._clients.pop(displaced).cancel()
+        """Serve a connection, or begin its handshake, or close it."""
+        client = self._client(connection.getpeername()[0], asyncio.get_running_loop().time())
+        if self._context is None:
+            await self._connect(tasks, client, connection, {})
+        elif not client.is_reserved and self._handshakes_begun.take(client.address):
+            self._component.count("connections_limited")
+            connection.close()
+        elif self._has_room(self._handshakes, MAX_HANDSHAKES, client, connection):
+            shaking = self._shake_hands(tasks, client, connection, self._context())
+            self._handshakes[client] = tasks.create_task(shaking, name="modbus tls handshake")
+            await asyncio.sleep(0)  # it begins: a task that is cancelled before would leave the socket open
+        else:
+            connection.close()
+
+    def _has_room(self, present: _Tasks, limit: int, client: Connection, connection: socket.socket) -> bool:
+        """Whether a client gets a place; where there are enough, another one makes room."""
+        if len(present) < limit and not is_among_last(connection, RESERVED_DESCRIPTORS):
+            return True
+        displaced = connection_to_displace(list(present), client, asyncio.get_running_loop().time())
+        if displaced is None:
+            self._component.count("connections_refused")
+            return False
+        self._component.count("clients_displaced")
+        present.pop(displaced).cancel()
+        return True
+
+    async def _shake_hands(
+        self, tasks: asyncio.TaskGroup, client: Connection, connection: socket.socket, context: ssl.SSLContext
+    ) -> None:
+        tls = {
+            "ssl": context,
+            "ssl_handshake_timeout": HANDSHAKE_TIMEOUT_S,
+            "ssl_shutdown_timeout": SHUTDOWN_TIMEOUT_S,
+        }
+        try:
+            await self._connect(tasks, client, connection, tls)
+        except OSError:  # no TLS, no certificate that is accepted, or it left; ssl's errors are among these
+            self._component.count("handshakes_failed")
+        finally:
+            self._handshakes.pop(client, None)
+
+    async def _connect(
+        self, tasks: asyncio.TaskGroup, client: Connection, connection: socket.socket, tls: Mapping[str, Any]
+    ) -> None:
+        """Serve a connection once it is there, with ``tls`` after the handshake; raises OSError."""
 
         def begin(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            self._handshakes.pop(client, None)  # from here on nothing displaces it as a handshake
+            if not self._has_room(self._clients, MAX_CLIENTS, client, connection):
+                writer.transport.abort()
+                return
+            client.may_command = not tls or self._has_role(writer)
             serving = tasks.create_task(self._serve(client, reader, writer), name="modbus tcp client")
             serving.add_done_callback(lambda _: self._dismiss(client, writer))
             self._clients[client] = serving
             self._component.count("clients")
 
         streams = asyncio.StreamReaderProtocol(asyncio.StreamReader(READ_AHEAD_BYTES), begin)
-        await loop.connect_accepted_socket(lambda: streams, connection)
+        loop = asyncio.get_running_loop()
+        await loop.connect_accepted_socket(lambda: streams, connection, **tls)
+
+    def _has_role(self, writer: asyncio.StreamWriter) -> bool:
+        """Whether a client's certificate has a role that may command (Security 8.4)."""
+        certificate = writer.get_extra_info("ssl_object").getpeercert(binary_form=True)
+        return certificate is not None and role_of(certificate) in self._settings.roles
 
     def _client(self, host: str, now_s: float) -> Connection:
         address = address_of(host)
@@ -242,18 +207,15 @@ class ModbusTcpPublisher:
                     return
                 request = await reader.readexactly(length - 1)
                 async with self._response_turn:
-                    answer = self._answer(unit, request)
+                    answer = self._answer(unit, request, client.may_command)
                     client.ask(clock())
                     writer.write(MBAP.pack(transaction, 0, len(answer) + 1, unit) + answer)
                     await asyncio.sleep(0)
                 await writer.drain()
 
-    def _answer(self, unit: int, request: bytes) -> bytes:
+    def _answer(self, unit: int, request: bytes, may_command: bool) -> bytes:
         if unit == self._settings.unit_id or unit in _DIRECT:
-            if self._service is not None and request[0] == WRITE_SINGLE_REGISTER:
-                self._component.count("commands")
-                return command_response(request, self._service)
-            return self._responder.answer(request)
+            return self._responder.answer(request, may_command)
         self._component.count("other_units")
         return bytes([request[0] | 0x80, ExcCodes.GATEWAY_NO_RESPONSE])
 

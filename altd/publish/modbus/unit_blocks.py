@@ -1,4 +1,4 @@
-"""Two blocks beside the measurement, one request each: which unit this is, and in which condition."""
+"""Three blocks, one request each: which unit this is, in which condition, and values relative to the zero."""
 
 from __future__ import annotations
 
@@ -68,9 +68,21 @@ _UNIT_ROWS = (
     Register(304, "session", Type.U32, "", "as at address 204", values.of_identity("session")),
     Register(306, "uptime", Type.U32, "s", "since the daemon started", values.uptime_s),
     Register(
-        308, "calibration_date", Type.U32, "", "UTC as a number, 20261102", _of_health(_calibration_date)
+        308,
+        "calibration_date",
+        Type.U32,
+        "",
+        "in UTC as a number: 2026-11-02 is 20261102",
+        _of_health(_calibration_date),
     ),
-    Register(310, "calibration_age", Type.U16, "d", "whole days", _of_health(_calibration_age_days)),
+    Register(
+        310,
+        "calibration_age",
+        Type.U16,
+        "d",
+        "age of the calibration file in whole days",
+        _of_health(_calibration_age_days),
+    ),
     Register(
         312,
         "calibration_checksum",
@@ -187,16 +199,16 @@ def _condition_rows() -> Iterator[Register]:
     """In the order of their addresses."""
     version = values.constant(BLOCK_VERSION)
     yield Register(400, "block_version", Type.U16, "", "version of this block", version)
-    yield Register(401, "state", Type.U16, "", "NAMUR NE 107, as at address 201", values.state)
+    yield Register(401, "state", Type.U16, "", values.STATE_MEANING, values.state)
     meaning = "0 none yet, " + ", ".join(f"{number} {verdict}" for verdict, number in VERDICTS.items())
     yield Register(402, "self_check", Type.U16, "", f"last verdict: {meaning}", _of_health(_verdict))
     yield Register(404, "self_check_age", Type.U32, "s", "since that check ended", _of_health(_check_age_s))
     for place, span in enumerate(SPANS):
-        text = f"share of time valid, {span.replace('_', ' ')}, as far as it was observed"
+        text = f"share of the observed time with a valid measurement, {span.replace('_', ' ')}"
         yield Register(406 + place, f"valid_{span}", Type.U16, "0.01 %", text, _share(span))
     text = "frames that a camera's driver or the daemon lost since the start"
     yield Register(410, "lost_frames", Type.U32, "", text, _of_health(_lost_frames))
-    text = "frames that came after their exposure was given up"
+    text = "frames that came too late to be paired"
     yield Register(412, "late_frames", Type.U32, "", text, _of_health(_late_frames))
     row = 414
     for target in TARGETS:
@@ -221,5 +233,56 @@ def _condition_rows() -> Iterator[Register]:
     yield Register(row + 4, "roll_age", Type.U16, "ms", "of roll", _roll_age_ms)
 
 
+_RELATIVE_AXES = (
+    ("dx", "mm", "x_mm"),
+    ("dy", "mm", "y_mm"),
+    ("dyaw", "°", "yaw_deg"),
+    ("dpitch", "°", "pitch_deg"),
+)
+
+
+def _zero_sequence(health: Health) -> int | None:
+    zero = health.zero.measurement
+    return None if zero is None else zero.sequence % 0xFFFF_FFFF
+
+
+def _zero_age_s(health: Health) -> float | None:
+    zero = health.zero.measurement
+    return None if zero is None else (health.clock.monotonic_ns() - zero.t_ns) * 1e-9
+
+
+def _difference(key: str, is_sigma: bool) -> Reading:
+    def read(snapshot: Snapshot) -> float | None:
+        found = snapshot.health and snapshot.health.zero.difference(key, snapshot.measurement)
+        return (found.sigma if is_sigma else found.value) if found else None
+
+    return read
+
+
+def _relative_rows() -> Iterator[Register]:
+    """In the order of their addresses."""
+    version = values.constant(BLOCK_VERSION)
+    yield Register(500, "block_version", Type.U16, "", "version of this block", version)
+    text = "zeros set since the daemon started"
+    yield Register(501, "zeros", Type.U16, "", text, _of_health(lambda health: health.zero.count % 0xFFFF))
+    text = "the value that sets the next zero"
+    yield Register(502, "next_zero", Type.U16, "", text, _of_health(lambda health: health.zero.next_number))
+    yield Register(503, "status", Type.U16, "", "status word as at address 0", values.status)
+    yield Register(504, "session", Type.U32, "", "as at address 204", values.of_identity("session"))
+    yield Register(506, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence)
+    text = "time since the middle of the measurement's exposures"
+    yield Register(508, "age", Type.U32, "ms", text, values.age_ms)
+    yield Register(510, "zero_sequence", Type.U32, "", "`sequence` of the zero", _of_health(_zero_sequence))
+    text = "time since the middle of the zero's exposures"
+    yield Register(512, "zero_age", Type.U32, "s", text, _of_health(_zero_age_s))
+    row = 514
+    for sigma, text in (("", "{} less that of the zero"), ("sigma_", "standard deviation of {}")):
+        for name, unit, key in _RELATIVE_AXES:
+            meaning = text.format(name if sigma else f"`{name[1:]}`")
+            yield Register(row, sigma + name, Type.F32, unit, meaning, _difference(key, bool(sigma)))
+            row += 2
+
+
 UNIT = Table(_UNIT_ROWS, 300, 50)
+RELATIVE = Table(tuple(_relative_rows()), 500, 30)
 CONDITION = Table(tuple(_condition_rows()), 400, 60)

@@ -92,7 +92,9 @@ def status_word(measurement: Measurement | None) -> int:
 
 def reason_code(measurement: Measurement | None, target: str | None) -> int:
     """The code of the first reason, warnings aside, that concerns this target (None: the whole unit)."""
-    for fault in measurement.status if measurement else ():
+    if measurement is None:
+        return Reason.WARMING_UP.modbus_code if target is None else 0
+    for fault in measurement.status:
         if fault.target == target and not fault.reason.is_warning:
             return fault.reason.modbus_code
     return 0
@@ -134,6 +136,12 @@ def has(measurement: Measurement, *reasons: Reason) -> bool:
 def state(snapshot: Snapshot) -> int | None:
     """The number of the unit's signal."""
     return None if snapshot.report is None else snapshot.report.signal.number
+
+
+STATE_MEANING = "NAMUR NE 107: " + ", ".join(
+    f"{signal.number} {signal.replace('_', ' ')}" for signal in sorted(Signal, key=lambda each: each.number)
+)
+"""Of a register with ``state``."""
 
 
 def of_identity(name: str) -> Reading:
@@ -258,9 +266,13 @@ def _shows(signal: Signal) -> Callable[[Snapshot], bool]:
 DISCRETE_INPUTS = (
     DiscreteInput("valid", "as bit 0 of `status`; steer only while `not_live` is 0", _is_valid),
     DiscreteInput("failure", "NAMUR NE 107: failure", _shows(Signal.FAILURE)),
-    DiscreteInput("check_function", "check function", _shows(Signal.CHECK_FUNCTION)),
-    DiscreteInput("out_of_specification", "out of specification", _shows(Signal.OUT_OF_SPECIFICATION)),
-    DiscreteInput("maintenance_required", "maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)),
+    DiscreteInput("check_function", "NAMUR NE 107: check function", _shows(Signal.CHECK_FUNCTION)),
+    DiscreteInput(
+        "out_of_specification", "NAMUR NE 107: out of specification", _shows(Signal.OUT_OF_SPECIFICATION)
+    ),
+    DiscreteInput(
+        "maintenance_required", "NAMUR NE 107: maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)
+    ),
     DiscreteInput("not_live", "frames or calibration are played or simulated", _says(*NOT_FROM_CAMERAS)),
     DiscreteInput("rehearsal", "the daemon was started with `--rehearsal`", _says(Reason.REHEARSAL)),
 )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 import socket
 import ssl
 import struct
+from collections.abc import AsyncIterator
 from types import TracebackType
 from typing import Any, Self
 
@@ -18,6 +20,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from altd.config import MqttSettings
 from altd.errors import one_line
 
 KEEP_ALIVE_S = 10
@@ -39,6 +42,9 @@ MAX_RECEIVED_BYTES_PER_MESSAGE = 256
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
 """``tcpi_bytes_received`` in ``struct tcp_info`` of linux/tcp.h."""
+
+Login = tuple[str, str] | None
+"""User name and password."""
 
 _log = logging.getLogger("altd.mqtt")
 _log.disabled = True
@@ -65,17 +71,17 @@ class Broker(aiomqtt.Client):
 
     def __init__(
         self,
-        host: str,
-        port: int,
+        settings: MqttSettings,
         identifier: str,
         will: aiomqtt.Will,
-        login: tuple[str, str] | None = None,
+        login: Login = None,
         tls: ssl.SSLContext | None = None,
+        properties: Properties | None = None,
     ) -> None:
         user, password = login or (None, None)
         super().__init__(
-            host,
-            port,
+            settings.host,
+            settings.port_or_default,
             identifier=identifier,
             username=user,
             password=password,
@@ -83,11 +89,17 @@ class Broker(aiomqtt.Client):
             will=will,
             keepalive=KEEP_ALIVE_S,
             tls_context=tls,
+            properties=properties,
+            socket_options=[
+                (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            ],  # a ping waits for no acknowledgement
             timeout=math.inf,
             logger=_log,
         )
         self._will = will
         self._is_left = False
+        self.has_sent_connect = False
+        """Whether there was a server to which CONNECT was sent, whatever became of it."""
         self._watched: socket.socket | None = None
         self._sent = 0
 
@@ -115,14 +127,18 @@ class Broker(aiomqtt.Client):
     ) -> None:
         """Send the will and leave. Where that is not acknowledged, break off: then the broker sends it."""
         try:
-            will = self._will
-            async with asyncio.timeout(0.0 if self._disconnected.done() else GOODBYE_TIMEOUT_S):
-                await self.publish(will.topic, will.payload, will.qos, will.retain)
-                await super().__aexit__(kind, error, trace)
+            if self._sent and not self._disconnected.done():
+                async with asyncio.timeout(GOODBYE_TIMEOUT_S):
+                    await self._leave()
         except (TimeoutError, aiomqtt.MqttError):
             pass
         finally:
             self._close()
+
+    async def _leave(self) -> None:
+        will = self._will
+        await self.publish(will.topic, will.payload, will.qos, will.retain)
+        await super().__aexit__(None, None, None)
 
     async def send(self, topic: str, payload: str, *, expiry_s: int | None, retain: bool = False) -> None:
         """Publish with QoS 1 and wait for the acknowledgement; raises BrokerError.
@@ -132,10 +148,16 @@ class Broker(aiomqtt.Client):
         properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
         if expiry_s is not None:
             properties.MessageExpiryInterval = expiry_s
+        async with self._acknowledged():
+            await self.publish(topic, payload, 1, retain, properties)
+
+    @contextlib.asynccontextmanager
+    async def _acknowledged(self) -> AsyncIterator[None]:
+        """Limit the time until the broker has acknowledged what is sent; raises BrokerError."""
         self._sent += 1
         try:
             async with asyncio.timeout(ACK_TIMEOUT_S):
-                await self.publish(topic, payload, 1, retain, properties)
+                yield
         except TimeoutError as error:
             text = f"the broker has not acknowledged a message for {ACK_TIMEOUT_S:g} s"
             raise BrokerError(text) from error
@@ -164,6 +186,7 @@ class Broker(aiomqtt.Client):
     def _client_connect(self) -> None:
         """Connect, in a thread; from then on the socket is touched in the event loop alone."""
         super()._client_connect()
+        self.has_sent_connect = True
         self._loop.call_soon_threadsafe(self._watch)
 
     def _watch(self) -> None:

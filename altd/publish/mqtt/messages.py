@@ -219,4 +219,7 @@ def schema_of(quantities: Quantities) -> Mapping[str, Any]:
     """The JSON Schema of the payloads of a unit with these quantities, one of ``$defs`` each."""
     models = (Birth, State, summary_model(quantities), measurement_model(quantities))
     _, schema = models_json_schema([(model, "serialization") for model in models])
+    for definition in schema["$defs"].values():
+        if definition.get("additionalProperties") is False:  # keys may be added in later versions
+            del definition["additionalProperties"]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

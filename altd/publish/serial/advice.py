@@ -17,7 +17,7 @@ class Advice(NamedTuple):
     remedy: str
 
 
-_CLEAN_THE_WINDOW = "clean the window, look for reflections and for what stands in the beam"
+_CLEAN_THE_WINDOW = "clean the window, look for reflections and for objects in the beam"
 _RIGHT_CAMERA = "swap the cameras' cables or put the old camera back"
 
 _LEDS = Advice(

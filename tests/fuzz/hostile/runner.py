@@ -9,20 +9,19 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from fuzz.hostile import frames, requests, served, typing_at
+from fuzz.hostile import broker, frames, modbus, requests, served, typing_at
 from fuzz.hostile.readers import look, poll
 from fuzz.hostile.requests import Address
 from fuzz.hostile.tally import MAX_WRONG, Tally
 from fuzz.served import Said
 
-from altd.publish.http.publisher import HttpPublisher
 from benchmarks.process_memory import resident_mb
 
 PROCESSES = 2
@@ -41,15 +40,18 @@ class Front:
     serve: Callable[[Path], AbstractAsyncContextManager[served.Served]]
     send: Send
     threads: int
+    poll: Callable[[Address, Tally], Awaitable[None]] = poll
 
 
 FRONTS = {
     "http": Front(served.http, requests.send, 16),
     "websocket": Front(served.websocket, frames.send, 8),  # with who looks, one more than may look at a time
     "local": Front(served.local, requests.send, 16),
+    "modbus": Front(served.modbus, modbus.send, 8, modbus.poll),
 }
-CONSOLE = "console"
-FACES = (*FRONTS, CONSOLE)
+ATTACKS = {"console": typing_at.attack, "mqtt": broker.attack}
+"""Those of which this process is the far end."""
+FACES = (*FRONTS, *ATTACKS)
 
 
 async def run(face: str, inputs: int, seed: int = 1) -> Tally:
@@ -58,8 +60,8 @@ async def run(face: str, inputs: int, seed: int = 1) -> Tally:
     before_mb, began_s = resident_mb(), time.monotonic()
     logging.getLogger().addHandler(said)
     try:
-        if face == CONSOLE:
-            await typing_at.attack(inputs, seed, tally)
+        if face in ATTACKS:
+            await ATTACKS[face](inputs, seed, tally)
             tally.seconds = time.monotonic() - began_s
         else:
             with tempfile.TemporaryDirectory() as folder:
@@ -74,7 +76,7 @@ async def run(face: str, inputs: int, seed: int = 1) -> Tally:
 async def _attack(face: str, inputs: int, seed: int, tally: Tally, folder: Path) -> None:
     front, ended = FRONTS[face], asyncio.Event()
     async with front.serve(folder) as unit:
-        await poll(unit.address, tally)
+        await front.poll(unit.address, tally)
         files, began_s = _open_files(), time.monotonic()
         with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
             loop = asyncio.get_running_loop()
@@ -88,7 +90,7 @@ async def _attack(face: str, inputs: int, seed: int, tally: Tally, folder: Path)
             if face == "websocket" and isinstance(unit.address, tuple):
                 watching.append(asyncio.create_task(look(unit.address, tally, ended)))
             while not all(each.done() for each in attacks):
-                await poll(unit.address, tally)
+                await front.poll(unit.address, tally)
                 await asyncio.sleep(POLL_INTERVAL_S)
             tally.seconds = time.monotonic() - began_s
             ended.set()
@@ -96,19 +98,15 @@ async def _attack(face: str, inputs: int, seed: int, tally: Tally, folder: Path)
             for answers, wrong in await asyncio.gather(*attacks):
                 tally.answers.update(answers)
                 tally.wrong += wrong
-        tally.wrong += await _left(unit.publisher, files)
-        await poll(unit.address, tally)
+        tally.wrong += await _left(unit, files)
+        await front.poll(unit.address, tally)
 
 
-async def _left(publisher: HttpPublisher, files: int) -> list[str]:
+async def _left(unit: served.Served, files: int) -> list[str]:
     """What is left of connections that have ended, some time after the last one."""
     give_up_s = time.monotonic() + _GONE_S
     while True:
-        counts = {
-            "descriptors": max(_open_files() - files, 0),
-            "viewers": publisher.answers.viewers.open,
-            "streams": publisher.answers.streams.open,
-        }
+        counts = {"descriptors": max(_open_files() - files, 0), **unit.left()}
         left = [f"{count} {name} are left" for name, count in counts.items() if count]
         if not left or time.monotonic() > give_up_s:
             return left

@@ -5,22 +5,26 @@ from __future__ import annotations
 import contextlib
 import os
 import tty
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from fuzz.hostile.modbus import NEXT_ZERO
 from fuzz.hostile.pictures import Maker
 from fuzz.hostile.requests import Address
+from fuzz.targets.modbus_tcp import UNIT
 from support.serving import serving
 
-from altd.config import ConsolePortSettings, HttpSettings
+from altd.config import ConsolePortSettings, HttpSettings, ModbusTcpSettings
 from altd.credentials.file import change
 from altd.credentials.hashes import PasswordHash
 from altd.publish.http.publisher import HttpPublisher, LocalPublisher
+from altd.publish.modbus.tcp import ModbusTcpPublisher
 from altd.publish.serial.publisher import ConsolePublisher
 from altd.runtime.clock import SystemClock
 from altd.runtime.supervision import Publisher
 from altd.status.health import MEASURING, Health, State
+from altd.status.zero import Zero
 from tools.pages.example import board
 from tools.pages.serial_examples import health as example_health
 
@@ -29,10 +33,10 @@ HOST = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Where an interface is, and who serves it."""
+    """Where an interface is; ``left`` counts what must be 0 at the end, by its name."""
 
     address: Address
-    publisher: HttpPublisher
+    left: Callable[[], Mapping[str, int]]
 
 
 @contextlib.asynccontextmanager
@@ -59,7 +63,7 @@ async def local(folder: Path) -> AsyncIterator[Served]:
     path = folder / "altd.sock"
     publisher = LocalPublisher(path, board(), health, health.component("local"))
     async with _running(publisher):
-        yield Served(str(path), publisher)
+        yield Served(str(path), _left_by(publisher))
 
 
 @contextlib.asynccontextmanager
@@ -91,7 +95,30 @@ async def _over_tcp(settings: HttpSettings) -> AsyncIterator[Served]:
     health = _health()
     publisher = HttpPublisher(settings, board(), health, health.component("http"))
     async with _running(publisher):
-        yield Served((HOST, publisher.port), publisher)
+        yield Served((HOST, publisher.port), _left_by(publisher))
+
+
+def _left_by(publisher: HttpPublisher) -> Callable[[], Mapping[str, int]]:
+    answers = publisher.answers
+    return lambda: {"viewers": answers.viewers.open, "streams": answers.streams.open}
+
+
+@contextlib.asynccontextmanager
+async def modbus(folder: Path) -> AsyncIterator[Served]:
+    """With all commands allowed, none of which an attacker gets right."""
+    health, checks = _health(), list[None]()
+    health.self_check.open(lambda: checks.append(None))
+    health.zero = Zero(health.events, first_number=NEXT_ZERO)
+    settings = ModbusTcpSettings(host=HOST, port=0, unit_id=UNIT, allow_self_check=True, allow_zero=True)
+    component = health.component("modbus")
+    publisher = ModbusTcpPublisher(settings, board(), component, health)
+
+    def left() -> Mapping[str, int]:
+        written = {"zeros": health.zero.count, "self-checks": len(checks)}
+        return {"clients": component.counters.get("clients", 0), **written}
+
+    async with _running(publisher):
+        yield Served((HOST, publisher.port), left)
 
 
 @contextlib.asynccontextmanager

@@ -12,6 +12,7 @@ from fuzz.spoil import spoilt_bytes
 from hypothesis import strategies as st
 from pymodbus.framer import FramerRTU
 
+from altd.config import ModbusTcpSettings
 from altd.publish.modbus.responder import Responder
 from altd.publish.modbus.rtu import Bus
 
@@ -70,7 +71,9 @@ EXAMPLES = st.lists(
 )
 """What is said, where its last frame is torn, and the silence before it."""
 
-_face = served(lambda faces: _Silent(Responder(faces.board, faces.component(NAME), faces.health)))
+_face = served(
+    lambda faces: _Silent(Responder(faces.board, faces.component(NAME), faces.health, ModbusTcpSettings()))
+)
 
 
 @dataclass

@@ -13,19 +13,25 @@ from hypothesis import strategies as st
 
 from altd.config import ModbusTcpSettings
 from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.status.zero import Zero
 
 NAME = "modbus_tcp"
 UNIT = 7
-MAPS = (range(120), range(200, 280), range(300, 350), range(400, 460))
+OWN = (UNIT, 0, 255)
+"""The unit ids that it answers."""
+MAPS = (range(120), range(200, 280), range(300, 350), range(400, 460), range(500, 530))
 """What can be read: a read stays in one of them."""
 CHECK_NOW = bytes.fromhex("0603e80001")
 TEST_READ = struct.pack(">HHHBBHH", 77, 0, 6, UNIT, 4, 102, 2)
 TEST_ANSWER = struct.pack(">HHHB", 77, 0, 7, UNIT) + bytes.fromhex("04 04 12345678")
 
-_PDUS = (
+PDUS = (
     *(struct.pack(">BHH", function, 0, count) for function in (3, 4) for count in (1, 120, 121, 125, 126)),
     *(struct.pack(">BHH", 4, address, 80) for address in (199, 200, 201)),
     *(struct.pack(">BHH", 3, address, 50) for address in (299, 300, 301, 400, 410, 411)),
+    *(struct.pack(">BHH", 4, address, 30) for address in (499, 500, 501)),
+    *(struct.pack(">BHH", 6, 1001, number) for number in (*range(8), 0xFFFF)),
+    *(struct.pack(">BHHBH", 16, address, 1, 2, 0) for address in (1001, 502)),
     *(struct.pack(">BHH", 2, address, count) for address in (0, 6) for count in (1, 7, 8, 2000, 2001)),
     *(bytes.fromhex(text) for text in ("2b0e0100", "2b0e0200", "2b0e0402", "2b0e04ff", "2b0d00", "2b")),
     *(bytes.fromhex(text) for text in ("0603e80001", "0603e80001", "0603e80002", "0603e90001", "06e8030001")),
@@ -38,13 +44,14 @@ _PDUS = (
 )
 
 
-def _frame(pdu: bytes, transaction: int, unit: int) -> bytes:
+def frame(pdu: bytes, transaction: int, unit: int) -> bytes:
+    """With its MBAP header."""
     return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
 
 
 _FRAMES = st.builds(
-    _frame,
-    st.sampled_from(_PDUS) | spoilt_bytes(st.sampled_from(_PDUS)).map(lambda pdu: pdu[:253] or b"\4"),
+    frame,
+    st.sampled_from(PDUS) | spoilt_bytes(st.sampled_from(PDUS)).map(lambda pdu: pdu[:253] or b"\4"),
     st.integers(0, 0xFFFF),
     st.sampled_from((UNIT, UNIT, 0, 255, 9)),
 )
@@ -65,7 +72,9 @@ class _Asked:
 
 def _publisher(faces: Faces) -> ModbusTcpPublisher:
     faces.health.self_check.open(_Asked.once_more)
-    settings = ModbusTcpSettings(host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True)
+    settings = ModbusTcpSettings(
+        host="127.0.0.1", port=0, unit_id=UNIT, allow_self_check=True, allow_zero=True
+    )
     return ModbusTcpPublisher(settings, faces.board, faces.component(NAME), faces.health)
 
 
@@ -75,26 +84,31 @@ _face = served(_publisher)
 def check(example: tuple[bytes, int]) -> None:
     """Each whole request has one answer of its own, up to where the bytes make no sense.
 
-    A self-check is asked for by nothing but what asks for one, byte for byte.
+    Nothing but a self-check's own request asks for one, byte for byte; only its number sets a zero.
     """
     faces, publisher = _face()
     before = _Asked.times
-    asked, is_garbled = _requests(example[0])
+    zero = faces.health.zero = Zero(faces.health.events, first_number=2)
+    next_number = 2
+    asked, is_garbled = requests_in(example[0])
     answers = faces.do(_exchange(publisher.port, *example))
     for transaction, unit, pdu in asked:
         if is_garbled and not answers:
             break  # lost with the connection that was closed: who still sends into it is reset
         got_transaction, protocol, length, got_unit = struct.unpack_from(">HHHB", answers)
         assert (got_transaction, protocol, got_unit) == (transaction, 0, unit)
-        _judge(pdu, unit, answers[7 : 6 + length])
+        is_zero = unit in OWN and pdu == struct.pack(">BHH", 6, 1001, next_number)
+        next_number += is_zero
+        judge(pdu, unit, answers[7 : 6 + length], is_zero or pdu == CHECK_NOW)
         answers = answers[6 + length :]
     assert answers == b""
-    for_checks = sum(pdu == CHECK_NOW and unit in (UNIT, 0, 255) for _, unit, pdu in asked)
+    assert is_garbled or zero.next_number == next_number
+    for_checks = sum(pdu == CHECK_NOW and unit in OWN for _, unit, pdu in asked)
     assert _Asked.times - before <= for_checks
     assert is_garbled or _Asked.times - before == for_checks
 
 
-def _requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bool]:
+def requests_in(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bool]:
     """Transaction, unit and protocol data unit of what can be answered; and whether nonsense follows."""
     requests = []
     while len(stream) >= 7:
@@ -108,9 +122,10 @@ def _requests(stream: bytes) -> tuple[list[tuple[int, int, bytes]], bool]:
     return requests, False
 
 
-def _judge(asked: bytes, unit: int, answer: bytes) -> None:
+def judge(asked: bytes, unit: int, answer: bytes, is_command: bool) -> None:
+    """Raise AssertionError unless that is the answer; ``is_command``: to a command that is carried out."""
     function = asked[0]
-    if unit not in (UNIT, 0, 255):
+    if unit not in OWN:
         assert answer == bytes([function | 0x80, 11])
     elif function in (3, 4) and len(asked) == 5:
         address, count = struct.unpack(">HH", asked[1:])
@@ -131,7 +146,7 @@ def _judge(asked: bytes, unit: int, answer: bytes) -> None:
     elif function == 43 and answer[0] == 43:
         _judge_identification(asked, answer)
     elif function == 6:
-        assert answer in ((asked,) if asked == CHECK_NOW else (b"\x86\x02", b"\x86\x03"))
+        assert answer in ((asked,) if is_command else (b"\x86\x02", b"\x86\x03"))
     elif function not in (2, 3, 4, 43):
         assert answer == bytes([function | 0x80, 1])
     else:

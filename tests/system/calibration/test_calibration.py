@@ -72,9 +72,8 @@ def test_a_dark_node_is_reported_and_survived(scan: Path, tmp_path: Path) -> Non
     places = [row.position_mm for row in open_recording(scan).rows if row.camera == "front"]
     shots = [(None if n == 7 else place, place, place) for n, place in enumerate(places)]
     result = calibrate([open_recording(write(tmp_path / "rec", "scan", shots))])
-    assert result.refused == (
-        "front node x -37.5 y -25 mm: spot_missing in front0007.png (nothing stands out of the background)",
-    )
+    why = "spot_missing in front0007.png (nothing is brighter than the background)"
+    assert result.refused == (f"front node x -37.5 y -25 mm: {why}",)
     target = result.calibration.target("front")
     assert target is not None
     point = target.point(*place_px("front", -37.5, -25.0))

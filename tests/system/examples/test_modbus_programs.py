@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -25,7 +26,7 @@ def test_an_answer_that_never_ends_is_given_up(language: str, tmp_path: Path) ->
     words = clients.command(language, tmp_path)
     with (
         answering([block(2), Wire.TRICKLE, block(3)]) as port,
-        clients.running([*words, "127.0.0.1", port, SERIAL, 10_000]) as told,
+        clients.running([*words, "127.0.0.1", port, SERIAL, 10_000]) as (_, told),
     ):
         assert next(told)[0] == GOOD
         begun_s = time.monotonic()
@@ -56,17 +57,29 @@ def test_the_program_follows_a_unit_that_stops_and_restarts(
     with playing(played_unit, tmp_path, subprocess.DEVNULL) as daemon:
         daemon.wait_until_valid()
         arguments = [*words, "127.0.0.1", daemon.modbus, "TEST-1", 3000]
-        with clients.running([*arguments, "--rehearsal"]) as told, clients.running(arguments) as not_told:
+        rehearsing = clients.running([*arguments, "--rehearsal"])
+        with rehearsing as (process, told), clients.running(arguments) as (_, not_told):
             assert _first_after("no answer", not_told) == ("not live", None)
-            assert next(verdict for verdict in told if verdict[0] == GOOD)[1] == TRUTH
+            assert _first_good(told, process) == TRUTH
             daemon.process.kill()
             daemon.process.wait()
             assert ("no answer", None) in told, "else the values stay in use for ever"
             with subprocess.Popen(daemon.process.args, stderr=subprocess.DEVNULL) as again:
                 try:
                     assert _first_after("no answer", told) == ("restarted", None)
+                    assert _first_good(told, process) == TRUTH
                 finally:
                     again.kill()
+
+
+def _first_good(told: Iterator[Verdict], process: subprocess.Popen[str]) -> tuple[float, ...] | None:
+    """The operator acknowledges each time that he sees a unit that was restarted or silent."""
+    for fault, values in told:
+        if fault == GOOD:
+            return values
+        if fault in ("restarted", "silent"):
+            process.send_signal(signal.SIGUSR1)
+    raise AssertionError("the program has ended")
 
 
 def _first_after(fault: str, told: Iterator[Verdict]) -> Verdict:

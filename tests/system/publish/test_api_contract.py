@@ -25,13 +25,13 @@ from altd.credentials.hashes import new_token, token_digest
 from altd.history.history import History
 from altd.instruments.beam.instrument import QUANTITIES
 from altd.publish.http import guard
-from altd.publish.http.limits import Rate
 from altd.publish.http.openapi import document_of
 from altd.publish.http.paths import PATHS
 from altd.publish.http.publisher import HttpPublisher
 from altd.status.board import Board
 from altd.status.health import Health
 from altd.status.services import SelfCheckReport
+from altd.tcp_port import Rate
 
 SCHEMATHESIS = (sys.executable, "-m", "schemathesis.cli", "run", "--no-color", "--checks", "all")
 OPTIONS = ("--max-examples", "20", "--request-timeout", "5", "--generation-deterministic")

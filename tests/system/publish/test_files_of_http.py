@@ -1,4 +1,4 @@
-"""The files that [http] names: what cannot be used is one line of `altd run` and of `altd check-config`."""
+"""Files that [http] and [modbus_tcp] name: a bad one is one line of `altd run` and `altd check-config`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,12 @@ def no_certificate(folder: Path) -> tuple[str, str]:
     return settings, f"{folder / 'unit.pem'}: holds no certificate (PEM)"
 
 
-@pytest.mark.parametrize("case", [open_credentials, no_credentials, no_certificate])
+def no_certificate_of_modbus(folder: Path) -> tuple[str, str]:
+    settings, said = no_certificate(folder)
+    return f'[modbus_tcp]\nport = {free_port()}\n{settings}\nclient_ca = "unit.pem"', said
+
+
+@pytest.mark.parametrize("case", [open_credentials, no_credentials, no_certificate, no_certificate_of_modbus])
 def test_what_cannot_be_used_is_one_line(
     tmp_path: Path, played_unit: PlayedUnit, case: Callable[[Path], tuple[str, str]]
 ) -> None:

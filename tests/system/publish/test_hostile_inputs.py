@@ -7,12 +7,21 @@ from fuzz.hostile.runner import run
 
 pytestmark = pytest.mark.real_time
 
-INPUTS = {"http": 25_000, "websocket": 5_000, "local": 20_000, "console": 1_500}
+INPUTS = {
+    "http": 25_000,
+    "websocket": 5_000,
+    "local": 20_000,
+    "modbus": 10_000,
+    "console": 1_500,
+    "mqtt": 2_000,
+}
 TRIED = {
     "http": {"200", "400", "401", "403", "404", "405", "415", "431"},
     "websocket": {"400", "404", "426", "431", "close 1003", "close 1009", "cut", "open"},
     "local": {"200", "400", "403", "404", "405", "431"},
+    "modbus": {"answered", "garbled", "silent"},
     "console": {"shown"},
+    "mqtt": {"packets", "connections ended"},
 }
 
 

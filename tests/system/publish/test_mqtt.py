@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
+import statistics
 import subprocess
+import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,22 +23,26 @@ from support.played_unit import PlayedUnit, playing
 from support.ports import free_port
 
 from altd.publish.mqtt import broker as connection
-from altd.publish.mqtt import publisher
+from altd.publish.mqtt import connecting, publisher
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.runtime import supervision
 from altd.status.health import State
 from altd.status.measurement_json import as_object
+from benchmarks.process_memory import resident_mb
 from tools.pages.example import MEASURED
 
 OPEN = "allow_anonymous true"
+RESTARTS = int(os.environ.get("ALTD_BENCH_RESTARTS", "20"))
+WARM_UP = 5
+"""Restarts after which nothing more is loaded."""
 
 
 @pytest.fixture(autouse=True)
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
     for place, name, value in (
-        (publisher, "SUMMARY_INTERVAL_S", 0.05),
-        (publisher, "MAX_JITTER_S", 0.0),
+        (connecting, "INTERVAL_S", 0.05),
+        (connecting, "MAX_JITTER_S", 0.0),
         (supervision, "MIN_BACKOFF_S", 0.02),
         (supervision, "MAX_BACKOFF_S", 0.02),
     ):
@@ -157,26 +164,45 @@ async def test_a_subscriber_that_was_away_gets_no_old_number(
     assert [each["sequence"] for each in back if each["valid"]] == [12]
 
 
-async def test_a_broker_that_is_absent_comes_goes_and_is_restarted_again_and_again(tmp_path: Path) -> None:
-    port, sessions, messages = free_port(), set[str](), list[int]()
-    unit = PublishingUnit.made(port)
+@pytest.mark.parametrize("settings", [{}, {"sparkplug": {"group": "plant-4"}}], ids=["JSON", "Sparkplug"])
+async def test_a_broker_that_is_absent_comes_goes_and_is_restarted_again_and_again(
+    tmp_path: Path, settings: dict[str, Any]
+) -> None:
+    """``ALTD_BENCH_RESTARTS=100 pytest -s`` restarts more often and prints figures."""
+    port, sessions, messages, back_s = free_port(), set[str](), list[int](), list[float]()
+    unit, hexadecimal = PublishingUnit.made(port, **settings), ("-F", "%t %q %r %x") if settings else ()
     async with unit.running():
         assert (await unit.until(State.FAILED)).startswith("Connection refused; next try in")
-        for sequence in range(20):
+        for sequence in range(RESTARTS):
             with mosquitto(tmp_path, OPEN, port=port) as (_, process):
+                began_s = time.monotonic()
                 await unit.until(State.OK)
-                unit.measure(sequence)
-                async with subscribed(port) as client:
-                    assert (await client.next("/availability"))[3] == "online"
-                    summary = checked((await client.next("/summary"))[3], "Summary")
-                sessions.add(summary["session"])
-                messages.append(summary["message"])
+                back_s.append(time.monotonic() - began_s)
+                async with subscribed(port, *hexadecimal, topic="#") as client:
+                    unit.measure(sequence)
+                    if settings:
+                        await client.next("/NDATA/ALT-0007")
+                    else:
+                        assert (await client.next("/availability"))[3] == "online"
+                        summary = checked((await client.next("/summary"))[3], "Summary")
+                        sessions.add(summary["session"])
+                        messages.append(summary["message"])
                 if sequence % 2:
                     process.kill()
             await unit.until(State.FAILED)
-    assert len(sessions) == 1
+            if sequence == WARM_UP:
+                before_mb, before = resident_mb(), _left()
+        assert _left() == before
+    assert len(sessions) == (not settings)
     assert messages == sorted(messages)
-    assert unit.component.counters["failures"] == 21
+    assert unit.component.counters["failures"] == RESTARTS + 1
+    back = f"back after {statistics.median(back_s):.3f} s, at most {max(back_s):.3f} s"
+    print(f"{RESTARTS} restarts, {back}; {before_mb:.1f} to {resident_mb():.1f} MB")
+
+
+def _left() -> tuple[int, int]:
+    """Descriptors and tasks."""
+    return len(list(Path("/proc/self/fd").iterdir())), len(asyncio.all_tasks())
 
 
 @pytest.fixture

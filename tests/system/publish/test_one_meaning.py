@@ -1,6 +1,6 @@
 """One measurement, read on every interface: the same numbers, time, reasons, state and validity.
 
-The readers are the standard library's: struct, json, zlib, and NMEA 0183 by hand.
+The readers are the standard library's: struct, json, zlib, and NMEA 0183 by hand; of OPC UA asyncua's client.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from typing import Any
 
 import numpy as np
 import pytest
+from asyncua import Client
 from support.clock import FakeClock
 from support.measurements import measured
+from support.opcua import OpcUaUnit, Written, connected
+from support.opcua import read as read_nodes
 from support.serving import serving
 from support.wire import Wire
 
 from altd.config import HttpSettings, ModbusRtuPortSettings, ModbusTcpSettings, TelegramPortSettings
-from altd.instruments.beam.instrument import QUANTITIES
 from altd.instruments.beam.solver import Beam
 from altd.publish.http.publisher import HttpPublisher
 from altd.publish.modbus.rtu import ModbusRtuPublisher
 from altd.publish.modbus.tcp import ModbusTcpPublisher
+from altd.publish.opcua.__main__ import ServedUnit
+from altd.publish.opcua.quality import Status
 from altd.publish.serial.publisher import TelegramPublisher
 from altd.reasons import Reason, Scope
 from altd.records import Fault, Measurement
-from altd.status.board import Board
-from altd.status.health import Health
-from altd.status.proof import Identity
-from altd.status.state import UnitState
 from tools.pages.example import NAMEPLATE
 
 MEASUREMENTS = 10_000
@@ -94,10 +94,8 @@ class Unit:
 
     def __init__(self, rehearsal: bool) -> None:
         self.clock = FakeClock(10**9)
-        identity = Identity.drawn("ALT-0007")
-        self.board = Board(self.clock, 1.0, QUANTITIES, identity, rehearsal=rehearsal)
-        self.health = Health(self.clock)
-        self.health.state = UnitState(self.board, self.health, self.clock).read
+        self.opcua = OpcUaUnit(self.clock, rehearsal=rehearsal)
+        self.board, self.health = self.opcua.board, self.opcua.health
 
     @contextlib.asynccontextmanager
     async def served(self) -> Any:
@@ -114,10 +112,14 @@ class Unit:
         )
         telegram = TelegramPublisher(nmea_line, self.board, component("serial b"), self.clock, NAMEPLATE)
         try:
-            async with serving(tcp), serving(http), serving(rtu), serving(telegram):
+            async with contextlib.AsyncExitStack() as stack:
+                for interface in (tcp, http, rtu, telegram):
+                    await stack.enter_async_context(serving(interface))
+                nodes = await stack.enter_async_context(self.opcua.served())
+                client = await stack.enter_async_context(connected(self.opcua.url))
                 on_tcp = await asyncio.open_connection("127.0.0.1", tcp.port)
                 try:
-                    yield Readers(on_tcp, http.port, *wires)
+                    yield Readers(on_tcp, http.port, *wires, self.opcua, nodes, client)
                 finally:
                     on_tcp[1].transport.abort()
         finally:
@@ -134,6 +136,16 @@ class Readers:
     http: int
     rtu: Wire
     nmea: Wire
+    unit: OpcUaUnit
+    nodes: ServedUnit
+    opcua: Client
+
+    async def values(self) -> dict[str, Written]:
+        """By the lines that the daemon sends its server."""
+        await self.nodes.take(self.unit.line())
+        await self.nodes.take(self.unit.state_line())
+        sigmas = [f"{key}.sigma" for key in KEYS]
+        return await read_nodes(self.opcua, *KEYS, *sigmas, "valid", "sequence", "frames", "status", "health")
 
     async def registers(self, function: int, address: int, count: int) -> bytes:
         reader, writer = self.tcp
@@ -246,7 +258,29 @@ def by_telegram(fields: list[list[str]], day: datetime) -> Said:
     )
 
 
-DIGITS = {"json": 5e-5, "checked": 1e-5, "plain": 1e-5, "scaled": 5.1e-5, "rtu": 1e-5, "telegram": 5.1e-4}
+def by_nodes(found: dict[str, Written]) -> Said:
+    assert found["sequence"].source is not None
+    return Said(
+        found["valid"].value,
+        found["sequence"].value,
+        (found["sequence"].source - EPOCH) // timedelta(milliseconds=1),
+        tuple(found[key].value for key in KEYS),
+        tuple(found[f"{key}.sigma"].value for key in KEYS),
+        found["frames"].value,
+        frozenset(found["status"].value),
+        found["health"].value,
+    )
+
+
+DIGITS = {
+    "opcua": 5e-5,
+    "json": 5e-5,
+    "checked": 1e-5,
+    "plain": 1e-5,
+    "scaled": 5.1e-5,
+    "rtu": 1e-5,
+    "telegram": 5.1e-4,
+}
 """How far a value may be off by its number of digits, mm and degrees."""
 
 
@@ -300,6 +334,13 @@ async def test_every_interface_says_the_same_of_ten_thousand_measurements(rehear
             }
             inputs = (await readers.registers(2, 0, 7))[0]
             assert bool(inputs & 1) == truth.valid
+            if count % 2 == 0:
+                found_nodes = await readers.values()
+                said["opcua"] = by_nodes(found_nodes)
+                statuses = {found_nodes[key].status for key in KEYS}
+                assert {status.is_bad for status in statuses} == {not truth.valid}
+                is_of_cameras = {"playback", "simulated", "rehearsal"}.isdisjoint(map(str, truth.status))
+                assert is_of_cameras or Status.GOOD not in statuses
             if count % 20 == 0:
                 said["rtu"] = by_checked_block(await readers.over_rtu(200, 80))
                 status = await readers.document("/api/status")

@@ -79,7 +79,7 @@ def test_each_error_is_told_and_what_follows_is_good_again() -> None:
         (500, block(6, 7500, session=SESSION + 1), "restarted"),
         (600, block(1, 20, session=SESSION + 1), "restarted"),
         (700, block(7, 7700, age_ms=501), "late"),
-        (800, block(8, 7800, age_ms=None, of=None), "late"),
+        (800, block(8, 7800, age_ms=None, of=None), "not valid"),
         (900, block(9, 7900, of=measurement(160, 0, Reason.SPOT_MISSING)), "not valid"),
         (1000, block(10, 8000, of=measurement(160, 0, Reason.PLAYBACK)), "not valid"),
         (1100, block(11, 8100, of=measurement(160, 0, Reason.SIMULATED)), "not valid"),
@@ -195,7 +195,8 @@ class TestPython:
         code = proof_code.python()
         check = code.Check(UNIT, 0.5)
         stamp = Stamp(Identity(UNIT, SESSION), 5, 120)
-        assert check.fault(code.from_telegram(with_proof(encode(None), None, stamp, None)), 0.0) == "late"
+        unmeasured = with_proof(encode(None), None, stamp, None)
+        assert check.fault(code.from_telegram(unmeasured), 0.0) == "not valid"
         assert check.fault(code.from_telegram(encode(self.measured)), 0.0) == "corrupt"
 
     @pytest.mark.parametrize(("late_s", "fault"), [(0.4, ""), (0.6, "late"), (-0.05, ""), (-0.2, "late")])

@@ -230,7 +230,7 @@ async def test_a_bad_node_is_refused_named_and_survived(unit: Unit, table: GrblT
     listener.at["node x -37.5 y 12.5 mm"] = shade  # for a moment only: it is tried again
     scan = SMALL.model_copy(update={"retries": 20})
     result = await scanned(unit, table, tmp_path / "scan", listener, scan)
-    why = "node x 37.5 y 12.5 mm: rear spot_missing (nothing stands out of the background)"
+    why = "node x 37.5 y 12.5 mm: rear spot_missing (nothing is brighter than the background)"
     assert result.refused == (why,)
     assert listener.said == [why.replace(" mm:", " mm refused:")]
     recording = open_recording(tmp_path / "scan")
@@ -238,7 +238,7 @@ async def test_a_bad_node_is_refused_named_and_survived(unit: Unit, table: GrblT
     assert (37.5, 12.5) not in nodes(recording)
     assert len(calibrate([recording]).calibration.targets) == 2
     refused = json.loads((tmp_path / "scan" / "scan.json").read_text())["refused"]
-    assert list(refused.values()) == ["rear spot_missing (nothing stands out of the background)"]
+    assert list(refused.values()) == ["rear spot_missing (nothing is brighter than the background)"]
 
 
 async def test_without_light_the_scan_stops_and_goes_on_with_light(

@@ -62,8 +62,8 @@ def test_a_wrong_argument_is_one_line(
     ("arguments", "line"),
     [
         (("dmeo",), "there is no command 'dmeo'; possible: scan, flat, "),
-        (("scan", "--seed", "x", "-o", "y"), "--seed: 'x' is no whole number from 0 on"),
-        (("scan", "--seed", "9" * 5000, "-o", "y"), " is no whole number from 0 on"),
+        (("scan", "--seed", "x", "-o", "y"), "--seed: 'x' is not a whole number from 0 on"),
+        (("scan", "--seed", "9" * 5000, "-o", "y"), " is not a whole number from 0 on"),
         (("gige", "--bits", "9"), "--bits: 9 is not possible; possible: 8, 10, 12, 16"),
         (("gige", "--bits", "x"), "--bits: 'x' is no whole number"),
         (("gige", "--pose", "0", "0", "0", "up"), "--pose: 'up' is no number"),

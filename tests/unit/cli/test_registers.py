@@ -23,13 +23,14 @@ def test_json_has_every_register_and_code() -> None:
     assert (x["block"], x["name"], x["scale"], x["unit"], x["registers"]) == ("scaled", "x", 0.0001, "mm", 2)
     assert table["reasons"]["29"] == "not_live"
     assert table["status_bits"]["0"] == "valid"
+    assert table["commands"] == {"1000": "self_check", "1001": "zero"}
     assert [row["name"] for row in table["discrete_inputs"]][:2] == ["valid", "failure"]
 
 
 def test_csv_has_the_same() -> None:
     rows = list(csv.DictReader(altd_here("registers", "--format", "csv").out.splitlines()))
     assert [(int(row["address"]), row["name"]) for row in rows] == [(row.address, row.name) for row in ROWS]
-    assert rows[-1]["unit"] == "ms"
+    assert rows[-1]["unit"] == "°"
 
 
 def test_structured_text_has_a_constant_for_each_and_no_name_twice() -> None:

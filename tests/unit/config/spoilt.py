@@ -14,7 +14,7 @@ _RECORDING = '[cameras.front]\ndriver = «"recording"\npath = "rec"\n\n'
 
 CASES: tuple[tuple[str, str, str, str], ...] = (
     # [unit]
-    ('serial = "TEST-1"', "serial = «4711", "unit.serial", "4711 is no text"),
+    ('serial = "TEST-1"', "serial = «4711", "unit.serial", "4711 is not text"),
     ('serial = "TEST-1"', 'serial = «""', "unit.serial", '"" is too short; possible: text, 1 to 64'),
     (
         'serial = "TEST-1"',
@@ -29,15 +29,15 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "no such key; possible: calibration, serial; did you",
     ),
     ('[unit]\nserial = "TEST-1"', "«[unit]", "unit.serial", "this key is missing"),
-    ('calibration = "cal.json"', "calibration = «3", "unit.calibration", "3 is no path"),
+    ('calibration = "cal.json"', "calibration = «3", "unit.calibration", "3 is not a path"),
     ("[unit]", "«[uint]", "uint", "no such table; "),
     # [[targets]]
-    ('name = "front"', 'name = «"Front"', "targets.0.name", "has letters that it may not have"),
+    ('name = "front"', 'name = «"Front"', "targets.0.name", "has characters that are not allowed"),
     ('name = "rear"', 'name = «"front"', "targets.1.name", '"front" is the name of targets.0 too'),
-    ("z_mm = 280.0", 'z_mm = «"far"', "targets.1.z_mm", '"far" is no number; possible: number from -100000'),
+    ("z_mm = 280.0", 'z_mm = «"far"', "targets.1.z_mm", '"far" is not a number; possible: number from'),
     ("z_mm = 280.0", "z_mm = «0.0", "targets.1.z_mm", "0 is not behind targets.0; possible: above 0"),
     ("z_mm = 280.0", "z_mm = «-280.0", "targets.1.z_mm", "-280 is not behind targets.0"),
-    ("z_mm = 0.0", "z_mm = «nan", "targets.0.z_mm", "nan is no number that can be reckoned with"),
+    ("z_mm = 0.0", "z_mm = «nan", "targets.0.z_mm", "nan is not a finite number"),
     ('camera = "rear"', 'camera = «"raer"', "targets.1.camera", "no table [cameras.raer]; "),
     ('camera = "rear"', 'camera = «"front"', "targets.1.camera", '"front" is the camera of targets.0 too'),
     # [cameras.…]
@@ -55,9 +55,9 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         "cameras.front.width",
         "32 is too small; possible: whole number from 64 to 16384",
     ),
-    ("width = 752", "width = «752.5", "cameras.front.width", "752.5 is no whole number"),
+    ("width = 752", "width = «752.5", "cameras.front.width", "752.5 is not a whole number"),
     ("fps = 20", "fps = «0", "cameras.front.fps", "0 is too small; possible: number from 1 to 1000"),
-    ("fps = 20", "fps = «true", "cameras.front.fps", "true is no number"),
+    ("fps = 20", "fps = «true", "cameras.front.fps", "true is not a number"),
     (
         "height = 480",
         "height = 480\nfps = «10",
@@ -65,7 +65,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
         '10 is not the rate of camera "front"; possible: 20',
     ),
     ('pixel_format = "GREY"', 'pixel_format = «"Mono8"', "cameras.front.pixel_format", '"GREY" or "Y10" or'),
-    ("{ gain = 16 }", '{ gain = «"much" }', "cameras.front.controls.gain", '"much" is no whole number'),
+    ("{ gain = 16 }", '{ gain = «"much" }', "cameras.front.controls.gain", '"much" is not a whole number'),
     ("{ gain = 16 }", "«16", "cameras.front.controls", "16 is no table"),
     (
         "{ Gamma = 1.0 }",
@@ -163,7 +163,7 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     # [installation]
     ("sign_x = -1", "sign_x = «0", "installation.sign_x", "0 is not possible; possible: -1 or 1"),
     ("offset_x_mm = 12.5", "offset_x_mm = «1e6", "installation.offset_x_mm", "1000000.0 is too large"),
-    ("offset_x_mm = 12.5", "offset_x_mm = «true", "installation.offset_x_mm", "true is no number"),
+    ("offset_x_mm = 12.5", "offset_x_mm = «true", "installation.offset_x_mm", "true is not a number"),
     ("offset_yaw_deg = 0.25", "offset_yaw_deg = «90", "installation.offset_yaw_deg", "90 is too large"),
     # [modbus_tcp], [http]
     (
@@ -196,20 +196,20 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is no network"),
     ('allow = ["10.0.0.0/8"', 'allow = [«"::ffff:10.0.0.0/104"', "http.allow.0", "write it as IPv4"),
     ('names = ["alt-0007', 'names = [«"http://alt-0007', "http.names.0", "is no name of a computer"),
-    ('allow = ["10.0.0.0/8", "fd00::/8"]', 'allow = «"10.0.0.0/8"', "http.allow", "is no list"),
+    ('allow = ["10.0.0.0/8", "fd00::/8"]', 'allow = «"10.0.0.0/8"', "http.allow", "is not a list"),
     (
         'certificate = "unit.pem"\nkey = "unit.key"',
         'key = «"unit.key"',
         "http.key",
-        "with certificate beside it",
+        "is set without certificate",
     ),
     (
         'certificate = "unit.pem"\nkey = "unit.key"',
         'certificate = «"unit.pem"',
         "http.certificate",
-        "with key beside it",
+        "is set without key",
     ),
-    ('credentials = "credentials"', "credentials = «7", "http.credentials", "is no path"),
+    ('credentials = "credentials"', "credentials = «7", "http.credentials", "is not a path"),
     # [mqtt]
     ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is no name of a computer"),
     ('host = "broker.plant', '«hsot = "broker.plant', "mqtt.hsot", "no such key; "),
@@ -222,16 +222,65 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ),
     ('topic = "plant/line-4"', 'topic = «"/plant"', "mqtt.topic", "is no beginning of topics"),
     ('topic = "plant/line-4"', 'topic = «"$SYS"', "mqtt.topic", "is no beginning of topics"),
-    ('= "homeassistant"', "= «true", "mqtt.home_assistant", "true is no text"),
-    ('ca = "plant-ca.pem"\n', "", "mqtt.certificate", "stands alone; possible: with ca beside it"),
-    ('key = "broker-unit.key"\n', "", "mqtt.certificate", "stands alone; possible: with key beside it"),
+    ('= "homeassistant"', "= «true", "mqtt.home_assistant", "true is not text"),
+    (
+        '= "homeassistant"',
+        '= «"homeassistant"\nsparkplug = {group = "line-4"}',
+        "mqtt.home_assistant",
+        "does not go with [mqtt.sparkplug]",
+    ),
+    ('home_assistant = "homeassistant"', "«sparkplug = {}", "mqtt.sparkplug.group", "is missing"),
+    (
+        'home_assistant = "homeassistant"',
+        'sparkplug = {group = «"plant/4"}',
+        "mqtt.sparkplug.group",
+        "is no identifier; possible: letters, digits",
+    ),
+    (
+        'home_assistant = "homeassistant"',
+        'sparkplug = {group = "4", node = «"+"}',
+        "mqtt.sparkplug.node",
+        "is no identifier",
+    ),
+    ('ca = "plant-ca.pem"\n', "", "mqtt.certificate", "is set without ca; possible: both"),
+    ('key = "broker-unit.key"\n', "", "mqtt.certificate", "is set without key; possible: both"),
     (
         "every_measurement = true",
         'every_measurement = «"each"',
         "mqtt.every_measurement",
         '"each" is neither true nor false',
     ),
+    # [opcua]
+    ("port = 4841", "port = «502", "opcua.port", "502 is the port of [modbus_tcp] too"),
+    ("port = 4841", "port = «8080", "opcua.port", "8080 is the port of [http] too"),
+    ('key = "opcua.key"\n', "", "opcua.certificate", "is set without key; possible: both"),
+    (
+        'certificate = "opcua.pem"\nkey = "opcua.key"\n',
+        "",
+        "opcua.credentials",
+        "is set without certificate; possible: both",
+    ),
     ("port = 8080", "port = «502", "http.port", "502 is the port of [modbus_tcp] too"),
+    (
+        'client_ca = "controllers.pem"\n',
+        "",
+        "modbus_tcp.certificate",
+        "is set without client_ca; possible: both",
+    ),
+    (
+        'key = "modbus-unit.key"\n',
+        "",
+        "modbus_tcp.certificate",
+        "is set without key; possible: both",
+    ),
+    (
+        'roles = ["operator"]\n',
+        "",
+        "modbus_tcp.allow_zero",
+        "is set without roles; possible: both: over TLS a client needs a role",
+    ),
+    ('roles = ["operator"]', 'roles = [«""]', "modbus_tcp.roles.0", "is too short"),
+    ("allow_zero = true", "allow_zero = «1.5", "modbus_tcp.allow_zero", "1.5 is neither true nor false"),
     (
         "port = 8080",
         "port = «70000",

@@ -40,6 +40,21 @@ def test_the_shipped_config_is_good() -> None:
     assert [target.name for target in config.targets] == ["front", "rear"]
 
 
+def test_modbus_has_the_port_of_its_specification_and_its_files_lie_beside_the_config(tmp_path: Path) -> None:
+    plain = load_config(write(tmp_path, f"{GOOD}\n[modbus_tcp]\n")).modbus_tcp
+    assert plain is not None
+    assert plain.port_or_default == 502
+    files = 'certificate = "u.pem"\nkey = "u.key"\nclient_ca = "ca.pem"\n'
+    secured = load_config(write(tmp_path, f"{GOOD}\n[modbus_tcp]\n{files}")).modbus_tcp
+    assert secured is not None
+    assert secured.port_or_default == 802
+    assert (secured.certificate, secured.client_ca) == (tmp_path / "u.pem", tmp_path / "ca.pem")
+    http = "[http]\nport = 802\n"
+    assert "802 is the port of [modbus_tcp] too" in complaint(
+        write(tmp_path, f"{GOOD}\n{http}[modbus_tcp]\n{files}")
+    )
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.7.2", "::", "::1", "fe80::1%eth0", "localhost"])
 def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
     config = load_config(write(tmp_path, f'{GOOD}\n[http]\nhost = "{host}"\n[modbus_tcp]\nhost = "{host}"\n'))
@@ -59,7 +74,7 @@ def test_a_face_listens_on_an_address(tmp_path: Path, host: str) -> None:
         (
             "z_mm = 280.0",
             'z_mm = "far"',
-            'targets.1.z_mm: "far" is no number; possible: number from -100000 to 100000',
+            'targets.1.z_mm: "far" is not a number; possible: number from -100000 to 100000',
         ),
         ("z_mm = 280.0", "", "targets.1.z_mm: this key is missing; possible: number"),
         (
@@ -275,11 +290,11 @@ def test_every_quantity_of_the_config_was_asked_for() -> None:
     [
         (
             "[installation]\noffset_x_mm = nan",
-            "installation.offset_x_mm: nan is no number that can be reckoned with",
+            "installation.offset_x_mm: nan is not a finite number",
         ),
         (
             "[installation]\nreference_plane_mm = inf",
-            "reference_plane_mm: inf is no number that can be reckoned with",
+            "reference_plane_mm: inf is not a finite number",
         ),
         (
             "[installation]\noffset_y_mm = 1e200",

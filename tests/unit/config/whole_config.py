@@ -47,6 +47,11 @@ host = "0.0.0.0"
 port = 502
 unit_id = 1
 reserved = ["192.168.1.10"]
+allow_zero = true
+certificate = "modbus-unit.pem"
+key = "modbus-unit.key"
+client_ca = "controllers.pem"
+roles = ["operator"]
 
 [http]
 host = "0.0.0.0"
@@ -67,6 +72,14 @@ ca = "plant-ca.pem"
 certificate = "broker-unit.pem"
 key = "broker-unit.key"
 credentials = "mqtt-login"
+
+[opcua]
+host = "0.0.0.0"
+port = 4841
+certificate = "opcua.pem"
+key = "opcua.key"
+credentials = "opcua-users"
+allow_self_check = true
 
 [local]
 socket = "/run/altd/altd.sock"

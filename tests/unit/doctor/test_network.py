@@ -217,6 +217,12 @@ class TestListening:
             assert f":{port}" in finding.remedy
         assert says(self.findings(configured, port, Machine(), host), Verdict.GOOD, "is free")
 
+    def test_the_address_of_opc_ua_is_looked_at(self, configured: Configured) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            settings = {"host": "127.0.0.1", "port": server.getsockname()[1]}
+            (finding,) = network.listening(configured(opcua=settings), Machine())
+        assert says([finding], Verdict.WRONG, "listens there").subject.startswith("opcua")
+
     def test_the_same_port_of_another_address_is_free(self, configured: Configured) -> None:
         with socket.create_server(("127.0.0.2", 0)) as server:
             port = server.getsockname()[1]
@@ -226,10 +232,11 @@ class TestListening:
         tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
         assert says(self.findings(configured, 8080, tree.machine), Verdict.BETTER, "altd itself?")
 
-    def test_altd_itself_may_listen(self, tree: Tree, configured: Configured) -> None:
+    @pytest.mark.parametrize("line", ["python\0/opt/altd/bin/altd\0run", "python\0-m\0altd.publish.opcua"])
+    def test_altd_itself_may_listen(self, tree: Tree, configured: Configured, line: str) -> None:
         tree.write("/proc/net/tcp", "head\n0: 00000000:1F90 00000000:0000 0A 0:0 0:0 0 0 0 777 1")
         tree.link("/proc/123/fd/5", "socket:[777]")
-        tree.write("/proc/123/cmdline", "python\0/opt/altd/bin/altd\0run")
+        tree.write("/proc/123/cmdline", line)
         assert says(
             self.findings(configured, 8080, tree.machine), Verdict.GOOD, "altd listens there (process 123)"
         )
@@ -270,3 +277,14 @@ class TestListening:
         for host in ("10.0.0.8", "10.0.0.0", "fe80::2%eth0"):
             words = "it has 10.0.0.7, fe80::200:ff:fe00:1"
             assert says(self.findings(configured, 8080, tree.machine, host), Verdict.WRONG, words)
+
+
+def test_a_broker_is_reached_or_not(configured: Configured) -> None:
+    assert list(network.broker(configured())) == []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        config = configured(mqtt={"host": "127.0.0.1", "port": server.getsockname()[1]})
+        assert says(list(network.broker(config)), Verdict.GOOD, "takes connections")
+    says(list(network.broker(config)), Verdict.WRONG, "cannot be reached: Connection refused")
+    config = configured(mqtt={"host": "broker.invalid"})
+    finding = says(list(network.broker(config)), Verdict.WRONG, "cannot be reached: ")
+    assert finding.subject == "mqtt broker.invalid:1883"

@@ -17,7 +17,7 @@ from altd.files.documents import parse_json, parse_toml
         (b"x = " + b"{a=" * 5000, "is nested too deeply"),
         (b"x = 0x" + b"f" * 20_000, "has more than 64 bits"),
         (b'a.b = [{c = "x\\u0000y"}]', "has a NUL"),
-        (b"a = 1\na = 2", "not TOML: this key stands twice"),
+        (b"a = 1\na = 2", "not TOML: this key is defined twice"),
         (b"x = 1\r\ny = \r\n", "not TOML: no value"),
         (b"\xef\xbb\xbfx = 1", "not TOML: neither a key nor"),
         (b"x = \xff", "is not UTF-8 text"),
@@ -49,7 +49,7 @@ def test_no_toml_of_a_config_s_size_takes_long() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b'{"a": 1, "b": 2, "a": 1}', "is not JSON: the key 'a' stands twice in one object"),
+        (b'{"a": 1, "b": 2, "a": 1}', "is not JSON: the key 'a' occurs twice in one object"),
         (b"[" * 100_000, "is nested too deeply"),
         (b'{"a":' * 100_000, "is nested too deeply"),
         (b"[" + b"9" * 5000 + b"]", "has 5000 digits"),

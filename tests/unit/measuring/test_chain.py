@@ -63,7 +63,7 @@ def test_what_the_cameras_see_is_told_in_words(calibration: Calibration) -> None
     measured.push(dark)
     front, rear = measured.seen().split("; ")
     assert front.startswith("front: spot at u 33")
-    assert rear == "rear: spot_missing, nothing stands out of the background"
+    assert rear == "rear: spot_missing, nothing is brighter than the background"
     figures = measured.spots()
     assert figures.pop("diameter_front_px") == pytest.approx(
         float(front.split("diameter ")[1].split()[0]), abs=0.6

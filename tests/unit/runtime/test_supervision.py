@@ -138,3 +138,46 @@ async def test_what_dies_again_and_again_does_not_fill_the_log(
         await clock.advance(0.1)
         assert len(caplog.records) == 2  # it had served for long: that is news
     await stop(task)
+
+
+class Grouped:
+    """Fails in a task of a group."""
+
+    def __init__(self) -> None:
+        self.fails = asyncio.Event()
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        async def fail() -> None:
+            await self.fails.wait()
+            raise OSError("lost")
+
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(fail())
+            tasks.create_task(asyncio.sleep(3600))
+            ready()
+
+
+async def test_a_failure_that_comes_with_the_end_does_not_prevent_it(clock: FakeClock) -> None:
+    """A TaskGroup of Python 3.11 raises the failure and drops the cancellation."""
+    publisher = Grouped()
+    task = asyncio.create_task(keep_running("grouped", publisher, Health(clock).component("grouped"), clock))
+    await settle()
+    publisher.fails.set()
+    task.cancel()
+    await settle()
+    assert task.cancelled()
+
+
+async def test_a_failure_in_a_group_of_tasks_is_none_of_the_end(clock: FakeClock) -> None:
+    """A TaskGroup of Python 3.11 that fails leaves its task as if it were cancelled."""
+    publisher, component = Grouped(), Health(clock).component("grouped")
+    task = asyncio.create_task(keep_running("grouped", publisher, component, clock))
+    for _ in range(3):
+        await settle()
+        assert component.state is State.OK
+        publisher.fails.set()
+        await settle()
+        assert component.state is State.FAILED
+        publisher.fails.clear()
+        await clock.advance(30.0)
+    await stop(task)

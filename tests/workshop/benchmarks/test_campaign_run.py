@@ -32,12 +32,12 @@ def run(cache: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.skipif(not RECORDINGS.exists(), reason="../shared/data/unit-a is not here")
 def test_a_run_on_the_recorded_unit_is_the_same_twice_and_writes_its_page(tmp_path: Path) -> None:
-    """A calibration of unit-a and forty of its measurements: some ten seconds."""
+    """A calibration of unit-a and forty of its measurements: some twenty seconds."""
     arguments = [
         "--units",
         "unit-a",
         "--ways",
-        "clean,deflected_laser",
+        "clean,clean_times,deflected_laser",
         "--measurements",
         "8",
         "--processes",
@@ -47,10 +47,12 @@ def test_a_run_on_the_recorded_unit_is_the_same_twice_and_writes_its_page(tmp_pa
     again = run(tmp_path, *arguments)
     assert first.returncode == 0, first.stderr
     assert first.stdout.splitlines()[:-1] == again.stdout.splitlines()[:-1]
-    clean = next(line.split() for line in first.stdout.splitlines() if line.startswith("clean "))
-    assert clean[1] == "good"
-    assert clean[3] == clean[5]
-    assert int(clean[3]) > 0
+    rows = {row[0]: row for line in first.stdout.splitlines() if (row := line.split())}
+    for way, kind in (("clean", "good"), ("clean_times", "times")):  # of frames, and through the board
+        _, found, _, measured, _, right, *_ = rows[way]
+        assert found == kind
+        assert measured == right
+        assert int(right) > 0
     page = (tmp_path / "page.md").read_text()
     assert "0 wrong ones were called valid" in page
     assert "- deflected_laser: the laser itself is turned away" in page

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from support.places import ROOT
 
+from benchmarks.measure import SERVED
+
 
 def numbers(value: object) -> Iterator[float]:
     if isinstance(value, dict):
@@ -64,13 +66,14 @@ def test_a_quick_run_prints_a_table_and_writes_all_its_figures(tmp_path: Path) -
     assert stages["memory pass: copy"]["passes"] == 1
     assert stages["coarse search"]["median_us"] > stages["background"]["median_us"]
 
-    idle, bare, faces = figures["loads"]
+    idle, bare, *served = figures["loads"]
     assert idle["pairs"] == 0
-    for load in (bare, faces):
+    assert [load["name"] for load in served] == [name for name, _, _ in SERVED]
+    for load in (bare, *served):
         assert load["pairs"] == load["latency"]["count"] > 0
         assert load["latency"]["p50_ms"] <= load["latency"]["p99_ms"] <= load["latency"]["max_ms"]
-    assert bare["answers"] == {}
-    assert all(faces["answers"][what] > 0 for what in ("modbus answers", "stream events", "telegrams"))
+    assert [load["answers"] for load in (bare, *served[:-1])] == [{}] * len(served)
+    assert all(served[-1]["answers"][what] > 0 for what in ("modbus answers", "stream events", "telegrams"))
 
     rate = figures["rate"]
     assert rate["held"] < rate["chain_alone"]

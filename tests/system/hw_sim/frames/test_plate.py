@@ -103,7 +103,7 @@ def test_its_axis_is_no_special_place() -> None:
         (["--tilt", "50"], "--tilt: 50 is not between 0 and 35 degrees"),
         (["--dark", "7,0"], "7,0 is not on the plate of 7 × 5 LEDs"),
         (["--dark", "middle"], "'middle' is not COLUMN,ROW"),
-        (["--exposures", "0"], "'0' is no whole number from 1 on"),
+        (["--exposures", "0"], "'0' is not a whole number from 1 on"),
     ],
 )
 def test_a_wrong_argument_gives_one_line_and_status_2(

@@ -148,7 +148,7 @@ def test_the_command_line_measures_the_same_twice(
         (["--faults", "gremlins"], "unknown fault 'gremlins'"),
         (["--truth", "/nowhere/truth.json"], "/nowhere/truth.json"),
         (["--truth", "/dev/null"], "/dev/null: is a device, not a file that can be replaced"),
-        (["--poses", "0"], "'0' is no whole number from 1 on"),
+        (["--poses", "0"], "'0' is not a whole number from 1 on"),
     ],
 )
 def test_a_wrong_argument_gives_one_line_and_status_2(

@@ -67,7 +67,7 @@ def test_good_exposures_give_the_mean_spots() -> None:
 @pytest.mark.parametrize(
     ("rear", "complaint"),
     [
-        (DARK, "rear spot_missing (nothing stands out of the background)"),
+        (DARK, "rear spot_missing (nothing is brighter than the background)"),
         (frame(light(Blob(200, 200), Blob(500, 200))), "rear ambiguous (a second spot has "),
         (spot(-4.0, 200.0), "rear cut_by_edge"),
         (spot(403.0, 210.0), "rear unsteady (its exposures lie up to 1.5 px off their mean)"),

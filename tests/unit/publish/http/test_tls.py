@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.foreign import need_program
+from support.certificates import Files, made
 
 from altd.credentials.certificates import server_context
 from altd.errors import BadInputError
@@ -26,18 +26,6 @@ from altd.status.board import Board
 from altd.status.health import Component, State
 
 from .conftest import Served, Unit
-
-Files = tuple[Path, Path]
-
-
-def made(folder: Path, name: str, *more: str) -> Files:
-    """A self-signed certificate and its key, as docs/http.md makes them."""
-    certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
-    line = [need_program("openssl"), "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256"]
-    line += ["-noenc", "-days", "30", "-subj", f"/CN={name}", "-addext", "subjectAltName=IP:127.0.0.1"]
-    subprocess.run([*line, *more, "-keyout", key, "-out", certificate], check=True, capture_output=True)
-    key.chmod(0o600)
-    return certificate, key
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,7 @@ import pytest
 from support.clock import FakeClock
 from support.modbus_wire import EVERYTHING, Client, Measured, words
 
+from altd.config import ModbusTcpSettings
 from altd.publish.modbus.checked_block import FIRST, ROWS, SIZE, CheckedBlock
 from altd.publish.modbus.responder import Responder
 from altd.publish.modbus.values import Snapshot
@@ -197,7 +198,7 @@ async def test_the_state_is_the_signal_of_the_moment_of_each_reading(
 ) -> None:
     shown, nothing_observed = Signal.GOOD, Availability(0)
     health.state = lambda: StateReport(shown, 0, 0, (), nothing_observed)
-    responder = Responder(board, health.component("modbus"), health)
+    responder = Responder(board, health.component("modbus"), health, ModbusTcpSettings())
     board.publish(measured())
     first = words(responder.answer(BLOCK))
     shown = signal

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from altd.publish.modbus.tcp import (
+from altd.publish.modbus.places import (
     FIRST_REQUEST_S,
     MAX_REMEMBERED,
     QUIET_S,

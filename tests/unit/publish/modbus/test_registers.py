@@ -103,7 +103,7 @@ def test_the_test_registers_never_change(measured: Measured) -> None:
 def test_before_the_first_measurement_nothing_is_known() -> None:
     words = read(None, age_s=None, published=0)
     assert words[0] == 0b10
-    assert words[2:5] == [0, 0, 0]
+    assert words[2:5] == [Reason.WARMING_UP.modbus_code, 0, 0]
     assert words[5] == 0
     assert words[6:8] == [0xFFFF, 0xFFFF]
     assert words[8:13] == [0xFFFF] * 5

@@ -15,7 +15,7 @@ from support.mqtt import CONNECTED, DISCONNECT, PUBLISH, ChosenBroker, Published
 
 from altd.errors import BadInputError
 from altd.publish.mqtt import broker as connection
-from altd.publish.mqtt import publisher
+from altd.publish.mqtt import connecting, publisher
 from altd.reasons import Reason
 from altd.records import Fault
 from altd.runtime import supervision
@@ -27,8 +27,8 @@ PUBLISH_TO_UNIT = bytes.fromhex("30 06 00 01 61 00 78 79")
 @pytest.fixture(autouse=True)
 def fast(monkeypatch: pytest.MonkeyPatch) -> None:
     for place, name, value in (
-        (publisher, "SUMMARY_INTERVAL_S", 0.02),
-        (publisher, "MAX_JITTER_S", 0.0),
+        (connecting, "INTERVAL_S", 0.02),
+        (connecting, "MAX_JITTER_S", 0.0),
         (supervision, "MIN_BACKOFF_S", 0.01),
         (supervision, "MAX_BACKOFF_S", 0.01),
     ):

@@ -29,10 +29,8 @@ def test_status_says_what_is_wrong_and_what_to_do() -> None:
     assert "measuring    NO: front and rear targets: no laser spot" in text
     assert "\ncamera rear        FAILED    0.0 s\n" in text
     one_line = re.sub(r"\s+", " ", text)
-    assert (
-        " - front and rear targets: no laser spot (nothing stands out of the background): switch the laser on"
-        in one_line
-    )
+    why = "no laser spot (nothing is brighter than the background): switch the laser on"
+    assert f" - front and rear targets: {why}" in one_line
     assert (
         " - camera rear failed: not found: /dev/video2; trying again: is it plugged in, and has it power?"
         in one_line

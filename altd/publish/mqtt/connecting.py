@@ -1,0 +1,135 @@
+"""What both profiles of MQTT share: one connection at a time, and one message on its way."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import ssl
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from altd.config import MqttSettings
+from altd.credentials.certificates import client_context
+from altd.credentials.file import load_login
+from altd.errors import BadInputError, unwrap_group
+from altd.publish.mqtt.broker import Broker, BrokerError, Login
+from altd.status.board import Board
+from altd.status.health import Component, Health, State
+
+INTERVAL_S = 1.0
+"""From one summary to the next; Home Assistant wants no more."""
+
+MAX_JITTER_S = 2.0
+"""Before each further try, beside the growing back-off of supervision: when a broker restarts, its units do
+not come all at once."""
+
+Connection = TypeVar("Connection", bound=Broker)
+
+
+class BrokerPublisher(ABC, Generic[Connection]):
+    """Publishes to one broker while it takes the messages; a profile says which.
+
+    Nothing is queued: what could not be sent is left out, and counted. Raises BadInputError for credentials
+    or certificates that cannot be used.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        board: Board,
+        health: Health,
+        component: Component,
+        chance: random.Random,
+    ) -> None:
+        self._settings = settings
+        self._board = board
+        self._health = health
+        self._component = component
+        self._clock = component.clock
+        self._chance = chance
+        self._serial = health.facts.get("serial", "")
+        self._identifier = f"altd_{board.identity.unit or 0:08x}"
+        self._unsent = board.cursor()
+        self._tries = 0
+        self._secrets()
+
+    @abstractmethod
+    def _connection(self, login: Login, tls: ssl.SSLContext | None) -> Connection:
+        """A connection that is not yet made."""
+
+    @abstractmethod
+    async def _introduce(self, broker: Connection) -> None:
+        """Send which unit this is."""
+
+    @abstractmethod
+    async def _listen(self, broker: Connection) -> None:
+        """Run beside the publishing, from before the first message, until cancelled."""
+
+    @abstractmethod
+    async def _each_second(self, broker: Connection) -> None:
+        """Send what is sent once in ``INTERVAL_S``."""
+
+    @abstractmethod
+    async def _send_measurement(self, broker: Connection) -> None:
+        """Send what the board shows if it is another measurement than was sent last."""
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve one connection until cancelled; raises BrokerError when there is none, or it was lost."""
+        if self._tries:
+            await self._clock.sleep(self._chance.uniform(0.0, MAX_JITTER_S))
+        self._tries += 1
+        try:
+            login, tls = self._secrets()
+        except BadInputError as error:  # a file was changed since the start
+            raise BrokerError(str(error)) from error
+        async with self._connection(login, tls) as broker:
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    tasks.create_task(broker.lost(), name="mqtt connection")
+                    tasks.create_task(self._listen(broker), name="mqtt beside")
+                    await self._introduce(broker)
+                    ready()
+                    self._component.set_state(State.OK, "connected" if tls else "connected, without TLS")
+                    await self._publish(broker)
+            except BaseExceptionGroup as group:
+                lost = unwrap_group(group, BrokerError)
+                if lost is None:
+                    raise
+                raise lost from None
+
+    def _secrets(self) -> tuple[Login, ssl.SSLContext | None]:
+        settings = self._settings
+        login = None if settings.credentials is None else load_login(settings.credentials)
+        if settings.ca is None:
+            return login, None
+        return login, client_context(settings.ca, settings.certificate, settings.key)
+
+    async def _publish(self, broker: Connection) -> None:
+        """One message after the other; time that was lost is not made up by a burst."""
+        due_ns = self._clock.monotonic_ns() + round(INTERVAL_S * 1e9)
+        while True:
+            left_s = (due_ns - self._clock.monotonic_ns()) * 1e-9
+            if left_s <= 0:
+                due_ns = max(due_ns + round(INTERVAL_S * 1e9), self._clock.monotonic_ns())
+                await self._each_second(broker)
+            elif self._settings.every_measurement:
+                await self._send_next(broker, left_s)
+            else:
+                await self._clock.sleep(left_s)
+
+    async def _send_next(self, broker: Connection, timeout_s: float) -> None:
+        """Wait for a measurement and send it; those that the broker was too slow for are counted."""
+        skipped = self._unsent.skipped
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._unsent.next()
+        except TimeoutError:
+            return
+        self._component.count("measurements_skipped", self._unsent.skipped - skipped)
+        await self._send_measurement(broker)
+
+    def _has_sent(self) -> None:
+        """Count a message that the broker has taken."""
+        self._component.count("messages_sent")
+        self._component.gave_data()

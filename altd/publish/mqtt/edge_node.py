@@ -1,0 +1,228 @@
+"""The profile Sparkplug B 3.0: the unit as an edge node, its numbers as metrics of the node."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import socket
+import ssl
+from collections.abc import Callable, Sequence
+from typing import Any
+from urllib.parse import quote
+
+import aiomqtt
+from paho.mqtt.client import Client as PahoClient
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from altd.config import MqttSettings
+from altd.publish.mqtt.broker import Broker, BrokerError, Login
+from altd.publish.mqtt.connecting import BrokerPublisher
+from altd.publish.mqtt.messages import birth_of
+from altd.publish.mqtt.metrics import identity_metrics, measurement_metrics, state_metrics, utc_ms
+from altd.publish.mqtt.sparkplug import NAMESPACE, REBIRTH, Metric, Type, commands_in, payload_of
+from altd.records import Measurement
+from altd.status.board import Board
+from altd.status.health import Component, Health
+
+REBIRTH_INTERVAL_S = 1.0
+"""From one birth to the next at least, however many are asked for."""
+
+MAX_PACKET_BYTES = 4096
+"""The broker drops larger packets to the unit (Maximum Packet Size of MQTT 5)."""
+
+MAX_UNACKNOWLEDGED = 8
+"""Commands on their way at once (Receive Maximum of MQTT 5)."""
+
+
+class EdgeNodeSession(Broker):
+    """A connection that takes messages on one topic, and sends data with QoS 0, as Sparkplug has it."""
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        identifier: str,
+        will: aiomqtt.Will,
+        login: Login = None,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.MaximumPacketSize = MAX_PACKET_BYTES
+        properties.ReceiveMaximum = MAX_UNACKNOWLEDGED
+        super().__init__(settings, identifier, will, login, tls, properties)
+        self._answered = asyncio.Event()
+        self._is_born = False
+        self._topic = ""
+        self._take: Callable[[bytes, bool], None] = lambda payload, is_retained: None
+
+    async def subscribe_to(self, topic: str, take: Callable[[bytes, bool], None]) -> None:
+        """Pass each message on ``topic`` to ``take``, with its retain flag; raises BrokerError."""
+        self._topic, self._take = topic, take
+        options = SubscribeOptions(
+            1, retainAsPublished=True, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND
+        )
+        async with self._acknowledged():
+            granted = [str(code) for code in await self.subscribe(topic, options=options)]
+        if granted != ["Granted QoS 1"]:
+            raise BrokerError(f"the broker refuses the subscription of {topic}: {', '.join(granted)}")
+
+    async def send_data(self, topic: str, payload: bytes) -> None:
+        """Publish with QoS 0, and wait until the broker has read it; raises BrokerError."""
+        self._is_born = True
+        async with self._acknowledged():
+            await self.publish(topic, payload)
+            await self._ping()
+
+    async def check(self) -> None:
+        """Wait for a sign of life; raises BrokerError."""
+        async with self._acknowledged():
+            await self._ping()
+
+    async def _ping(self) -> None:
+        """Let the broker answer: it reads in order, and so has read all that was sent before.
+
+        Without this, a broker that stops reading would get old numbers when it goes on: QoS 0 has no
+        acknowledgement.
+        """
+        self._answered.clear()
+        self._client._send_pingreq()  # noqa: SLF001  paho sends it by itself alone
+        await self._answered.wait()
+
+    def _read(self, sock: socket.socket) -> None:
+        super()._read(sock)
+        if self._client._in_messages:  # noqa: SLF001  paho keeps these until the broker releases them
+            self._fail(BrokerError("the broker sent a message with QoS 2, and the subscription has QoS 1"))
+        if not self._client._ping_t:  # noqa: SLF001  zero: there is no ping without an answer
+            self._answered.set()
+
+    def _on_message(self, client: PahoClient, userdata: Any, message: Any) -> None:
+        if message.topic != self._topic:
+            self._fail(BrokerError("the broker sent a message on another topic than that of commands"))
+        else:
+            self._take(message.payload, message.retain)
+
+    async def _leave(self) -> None:
+        """Send NDEATH if there was a birth. No DISCONNECT: so the broker sends the will in any case."""
+        if self._is_born:
+            will = self._will
+            await self.publish(will.topic, will.payload, will.qos, will.retain)
+
+
+class EdgeNodePublisher(BrokerPublisher[EdgeNodeSession]):
+    """Publishes births, deaths and data; takes the command to send the birth again, and no other."""
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        board: Board,
+        health: Health,
+        component: Component,
+        chance: random.Random,
+    ) -> None:
+        super().__init__(settings, board, health, component, chance)
+        assert settings.sparkplug is not None  # noqa: S101  it is chosen by this
+        self._group = settings.sparkplug.group
+        self._node = settings.sparkplug.node or quote(self._serial, safe="")
+        self._session: EdgeNodeSession | None = None
+        self._bd_seq = 0
+        self._seq = 0
+        self._sending = asyncio.Lock()
+        self._rebirth = asyncio.Event()
+        self._born_ns: int | None = None
+        self._told: Measurement | None = None
+        self._told_state: list[object] = []
+
+    def _topic(self, kind: str) -> str:
+        return f"{NAMESPACE}/{self._group}/{kind}/{self._node}"
+
+    def _connection(self, login: Login, tls: ssl.SSLContext | None) -> EdgeNodeSession:
+        """The number of NDEATH and of the births with it is one higher with each CONNECT.
+
+        It begins at 0 with the daemon: a broker ends the older connection of the same client, with its will,
+        before it answers the new one (MQTT 5, 3.1.4), so that no NDEATH of an earlier daemon follows a birth.
+        """
+        if self._session is not None and self._session.has_sent_connect:
+            self._bd_seq = (self._bd_seq + 1) % 256
+        now_ms = self._now_ms()
+        payload = payload_of([self._bd_seq_metric(now_ms)], now_ms, None, is_birth=True)
+        will = aiomqtt.Will(self._topic("NDEATH"), payload, qos=1, retain=False)
+        self._session = EdgeNodeSession(self._settings, self._identifier, will, login, tls)
+        return self._session
+
+    def _bd_seq_metric(self, now_ms: int) -> Metric:
+        return Metric("bdSeq", Type.INT64, self._bd_seq, now_ms)
+
+    async def _introduce(self, broker: EdgeNodeSession) -> None:
+        await broker.subscribe_to(self._topic("NCMD"), self._take_command)
+        async with self._sending:
+            await self._send_birth(broker)
+
+    def _take_command(self, payload: bytes, is_retained: bool) -> None:
+        """A retained command is none: it would come again with each connection."""
+        is_rebirth, refused = (False, 1) if is_retained else commands_in(payload)
+        self._component.count("commands_refused", refused)
+        if is_rebirth:
+            self._component.count("rebirths_requested")
+            self._rebirth.set()
+
+    async def _listen(self, broker: EdgeNodeSession) -> None:
+        """Answer requests for a birth. From the request to the birth no data is sent."""
+        while True:
+            await self._rebirth.wait()
+            async with self._sending:
+                if self._born_ns is not None:
+                    passed_s = (self._clock.monotonic_ns() - self._born_ns) * 1e-9
+                    await self._clock.sleep(max(REBIRTH_INTERVAL_S - passed_s, 0.0))
+                await self._send_birth(broker)
+
+    async def _send_birth(self, broker: EdgeNodeSession) -> None:
+        self._rebirth.clear()
+        self._born_ns, self._seq = self._clock.monotonic_ns(), 0
+        now_ms = self._now_ms()
+        identity = identity_metrics(birth_of(self._board, self._health, self._clock), now_ms)
+        self._told, self._told_state = None, []
+        metrics = [
+            self._bd_seq_metric(now_ms),
+            Metric(REBIRTH, Type.BOOLEAN, False, now_ms),
+            *identity,
+            *self._new_state(now_ms),
+            *(self._new_measurement() or measurement_metrics(None, self._board, self._clock)),
+        ]
+        await self._send(broker, "NBIRTH", metrics)
+
+    async def _each_second(self, broker: EdgeNodeSession) -> None:
+        async with self._sending:
+            metrics = [*self._new_state(self._now_ms()), *self._new_measurement()]
+            if metrics:
+                await self._send(broker, "NDATA", metrics)
+            else:
+                await broker.check()
+
+    async def _send_measurement(self, broker: EdgeNodeSession) -> None:
+        async with self._sending:
+            if metrics := self._new_measurement():
+                await self._send(broker, "NDATA", metrics)
+
+    def _new_state(self, now_ms: int) -> list[Metric]:
+        """The metrics of the state, if one of them is another than was sent last."""
+        metrics = state_metrics(self._health.state(), now_ms)
+        values: list[object] = [each.value for each in metrics]
+        before, self._told_state = self._told_state, values
+        return [] if before == values else metrics
+
+    def _new_measurement(self) -> list[Metric]:
+        """All metrics of the measurement, if it is another than was sent last; also one that went stale."""
+        shown = self._board.read()
+        before, self._told = self._told, shown
+        return [] if before == shown else measurement_metrics(shown, self._board, self._clock)
+
+    async def _send(self, broker: EdgeNodeSession, kind: str, metrics: Sequence[Metric]) -> None:
+        is_birth = kind == "NBIRTH"
+        payload = payload_of(metrics, self._now_ms(), self._seq, is_birth=is_birth)
+        self._seq = (self._seq + 1) % 256
+        await broker.send_data(self._topic(kind), payload)
+        self._has_sent()
+
+    def _now_ms(self) -> int:
+        return utc_ms(self._clock, self._clock.monotonic_ns())

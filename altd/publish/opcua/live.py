@@ -1,0 +1,144 @@
+"""The daemon's lines become values: which are fresh, of when they are, and how good."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Set
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from altd.publish.opcua.nodes import VARIABLES, UnitNodes
+from altd.publish.opcua.quality import Status, status_of, status_of_sensor
+from altd.publish.opcua.start import Start
+from altd.status.proof import crc32
+
+LINK_TIMEOUT_S = 2.0
+"""The daemon sends a line at least each 0.5 s; without one for so long nothing is known of the unit."""
+
+_CLOCK_MS = 0xFFFF_FFFF
+"""What ``clock_ms`` and registers count by (``altd.status.proof``)."""
+
+
+class LiveUnit:
+    """Takes lines and writes nodes. Its own clock says what is stale, whatever the lines say.
+
+    A line says when it was sent, by the monotonic clock that both processes share. A measurement is stale
+    ``stale_after_s`` after it was first sent, however often it is sent again. So a line that waited in the
+    pipe, while this process was held up, is as old as it is.
+    """
+
+    def __init__(
+        self,
+        nodes: UnitNodes,
+        start: Start,
+        monotonic_ns: Callable[[], int],
+        utc: Callable[[], datetime] = lambda: datetime.now(UTC),
+    ) -> None:
+        self._nodes = nodes
+        self._start = start
+        self._monotonic_ns = monotonic_ns
+        self._utc = utc
+        self._published = -1
+        self._first_sent_ns = self._sent_ns = 0
+        self._numbers_known = self._linked = False
+        self.lines_refused = 0
+        """Lines that are none of this run of the daemon, or that are damaged."""
+
+    async def take(self, line: bytes) -> None:
+        """A measurement, or the unit's state."""
+        document = self._document(line)
+        if document is None:
+            self.lines_refused += 1
+            return
+        self._sent_ns = self._start.started_ns + self._sent_ms(document["clock_ms"]) * 1_000_000
+        if not self._is_within(self._sent_ns, LINK_TIMEOUT_S):
+            return
+        self._linked = True
+        if "causes" in document:
+            now = self._utc()
+            await self._nodes.write("health", document["number"], Status.GOOD, now, now)
+            causes = [cause["code"] for cause in document["causes"]]
+            await self._nodes.write("causes", causes, Status.GOOD, now, now)
+        elif "sequence" in document:
+            await self._measurement(document)
+
+    async def look(self) -> None:
+        """Take back what has become stale; to be called several times a second, and before a read."""
+        if self._numbers_known and not self._is_within(self._first_sent_ns, self._start.stale_after_s):
+            self._numbers_known = False
+            await self._take_back(self._nodes.keys - (VARIABLES.keys() | {"health"}) | {"valid"})
+        if self._linked and not self._is_within(self._sent_ns, LINK_TIMEOUT_S):
+            self._linked = False
+            await self._take_back(self._nodes.keys)
+
+    async def _measurement(self, document: Mapping[str, Any]) -> None:
+        if document["published"] != self._published:
+            self._published, self._first_sent_ns = document["published"], self._sent_ns
+        is_fresh = self._is_within(self._first_sent_ns, self._start.stale_after_s)
+        codes, text = document["status"], document["time"]
+        source = None if text is None else datetime.fromisoformat(text)
+        status = status_of(document["valid"], codes, self._start.targets, source is not None)
+        if not is_fresh:
+            status = Status.BAD_NO_COMMUNICATION
+        self._numbers_known = is_fresh
+        now, write = self._utc(), self._nodes.write
+        for quantity in self._start.quantities.of_unit:
+            key, of_value, at = quantity.key, status, source
+            if quantity.is_from_sensor or quantity.is_optional:
+                said = document.get("sensors", {}).get(key)
+                of_value = status_of_sensor(said, status) if is_fresh else status
+                at = now - timedelta(
+                    seconds=self._since_s(self._first_sent_ns) + ((said or {}).get("age_s") or 0)
+                )
+            for place, value in (
+                (key, document[key]),
+                (f"{key}.sigma", document["sigma"].get(key)),
+                (f"{key}.sigma_now", document["sigma_now"].get(key)),
+            ):
+                if place in self._nodes.keys:
+                    await write(place, value, _known(value, of_value), at, now)
+        for target in self._start.targets:
+            for quantity in self._start.quantities.of_target:
+                value = document[target][quantity.key]
+                await write(f"targets.{target}.{quantity.key}", value, _known(value, status), source, now)
+        simulated = Status.UNCERTAIN_SIMULATED_VALUE
+        of_valid = status if not is_fresh or status is simulated else Status.GOOD
+        await write("valid", document["valid"], of_valid, source, now)
+        await write("sequence", document["sequence"] % _CLOCK_MS, Status.GOOD, source, now)
+        await write("frames", document["frames"], Status.GOOD, source, now)
+        await write("status", codes, Status.GOOD, source, now)
+        age_s = document["age_s"]
+        age_ms = None if age_s is None else round(1000 * (age_s + self._since_s(self._sent_ns)))
+        of_age = Status.BAD_WAITING_FOR_INITIAL_DATA if age_ms is None else Status.GOOD
+        await write(
+            "age_ms", None if age_ms is None else max(min(age_ms, 2**31 - 1), -(2**31)), of_age, now, now
+        )
+
+    async def _take_back(self, keys: Set[str]) -> None:
+        now = self._utc()
+        for key in keys:
+            await self._nodes.write(key, None, Status.BAD_NO_COMMUNICATION, now, now)
+
+    def _document(self, line: bytes) -> dict[str, Any] | None:
+        """A whole line of this run of the daemon; None: it is none."""
+        checked, _, crc = line.rstrip(b"\n").rpartition(b', "crc32": "')
+        if crc != b'%08X"}' % crc32(checked):
+            return None
+        document: dict[str, Any] = json.loads(line)
+        return document if document["session"] == self._start.session else None
+
+    def _sent_ms(self, clock_ms: int) -> int:
+        """Milliseconds from the start of the daemon until a line was sent; ``clock_ms`` begins again at 0."""
+        running_ms = (self._monotonic_ns() - self._start.started_ns) // 1_000_000
+        return running_ms - (running_ms - clock_ms) % _CLOCK_MS
+
+    def _since_s(self, t_ns: int) -> float:
+        return (self._monotonic_ns() - t_ns) * 1e-9
+
+    def _is_within(self, t_ns: int, seconds: float) -> bool:
+        return self._since_s(t_ns) <= seconds
+
+
+def _known(value: object, status: Status) -> Status:
+    """A value that is missing is Bad, whatever is said of the measurement."""
+    return Status.BAD if value is None and not status.is_bad else status

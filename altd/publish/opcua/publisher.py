@@ -1,0 +1,282 @@
+"""Runs the server in a process of its own, and tells it measurements and state.
+
+asyncua parses requests in Python: in the daemon's process, a client that browses would hold up the measuring.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import json
+import logging
+import math
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Callable
+from importlib.util import find_spec
+
+from altd.config import Installation, OpcUaSettings
+from altd.credentials.certificates import server_context
+from altd.credentials.file import load_credentials
+from altd.errors import BadInputError, one_line, unwrap_group
+from altd.history.history import History
+from altd.instruments.beam.instrument import MAX_PITCH_MM_PER_M, MAX_YAW_MM_PER_M
+from altd.publish.opcua.start import Start
+from altd.status.board import Board
+from altd.status.cause import StateReport
+from altd.status.health import Component, Health, State
+from altd.status.measurement_json import checked_line, with_proof
+from altd.status.proof import Stamps
+from altd.status.services import NoSelfCheckError
+from altd.status.target_area import AREA_MM
+from altd.tcp_port import listen
+
+MAX_INTERVAL_S = 0.5
+"""Between two measurements for the server; without a client it gets no more."""
+STATE_INTERVAL_S = 1.0
+"""The state is sent when it changes, and at least so often."""
+TAKE_TIMEOUT_S = 10.0
+"""A server that takes nothing, or says nothing, for so long is started again."""
+START_TIMEOUT_S = 60.0
+END_TIMEOUT_S = 2.0
+PIPE_BYTES = 4096
+"""Of lines that wait in the kernel: two measurements; more would be old when they are read."""
+MAX_LINE_BYTES = 1 << 16
+MAX_ERROR_LINES = 20
+
+log = logging.getLogger("altd")
+
+
+class ServerError(Exception):
+    """The process of the server has ended, or hangs; the sentence says why."""
+
+
+def check_opcua(settings: OpcUaSettings) -> None:
+    """Raise BadInputError where the server's package is missing, or a file cannot be used."""
+    if find_spec("asyncua") is None:
+        raise BadInputError("[opcua]", "needs asyncua, which comes with the extra: pip install 'altd[opcua]'")
+    if settings.credentials is not None:
+        load_credentials(settings.credentials)
+    if settings.certificate is not None and settings.key is not None:
+        server_context(settings.certificate, settings.key)
+
+
+class OpcUaPublisher:
+    """Serves OPC UA. Raises BadInputError as ``check_opcua`` does.
+
+    A server that does not take its lines loses measurements, which are counted: it gets the newest only.
+    """
+
+    def __init__(  # noqa: PLR0913  the parts of a unit
+        self,
+        settings: OpcUaSettings,
+        board: Board,
+        health: Health,
+        component: Component,
+        history: History,
+        stale_after_s: float,
+        installation: Installation = Installation(),  # noqa: B008  frozen
+    ) -> None:
+        check_opcua(settings)
+        self.port = settings.port
+        """Where it serves; for port 0, what the system chose."""
+        self.process: Process | None = None
+        self._settings = settings
+        self._board = board
+        self._health = health
+        self._component = component
+        self._history = history
+        self._stale_after_s = stale_after_s
+        self._installation = installation
+        self._stamps = Stamps(board)
+        self._patience_s = START_TIMEOUT_S
+        self._answers: list[str] = []
+        self._has_clients = asyncio.Event()
+
+    async def run(self, ready: Callable[[], None]) -> None:
+        """Serve until cancelled; raises OSError for an address, ServerError when the server has ended."""
+        with listen(self._settings.host, self._settings.port) as listener:
+            self.port = listener.getsockname()[1]
+            listener.setblocking(False)
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "altd.publish.opcua", str(listener.fileno())),
+                stdin=PIPE,
+                stdout=PIPE,
+                stderr=PIPE,
+                pass_fds=[listener.fileno()],
+                limit=MAX_LINE_BYTES,
+            )
+        self.process, self._patience_s = process, START_TIMEOUT_S
+        self._has_clients.clear()
+        said: list[str] = []
+        errors = asyncio.create_task(self._errors(process, said), name="opcua errors")
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._tell(process), name="opcua lines")
+                tasks.create_task(self._listen(process, ready), name="opcua answers")
+        except BaseExceptionGroup as group:
+            if (ended := unwrap_group(group, ServerError, ConnectionError)) is None:
+                raise
+            if isinstance(ended, ConnectionError):
+                await self._end(process)
+                await errors
+                ended = ServerError(said[-1] if said else f"it has ended with status {process.returncode}")
+            raise ended from None
+        finally:
+            await self._end(process)
+            await errors
+
+    async def _end(self, process: Process) -> None:
+        """Leave no process behind: it ends with its input, or is killed."""
+        if process.stdin is not None:
+            process.stdin.close()
+        try:
+            async with asyncio.timeout(END_TIMEOUT_S):
+                await process.wait()
+        except (TimeoutError, asyncio.CancelledError) as error:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+            if isinstance(error, asyncio.CancelledError):
+                raise
+
+    async def _tell(self, process: Process) -> None:
+        """One line after the other, each made when the one before was taken."""
+        assert process.stdin is not None  # noqa: S101  a pipe
+        pipe = process.stdin
+        pipe.transport.set_write_buffer_limits(high=0)
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(pipe.get_extra_info("pipe"), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        pipe.write(self._start().to_line())
+        cursor, told, due_ns = self._board.cursor(), None, 0
+        while True:
+            try:
+                async with asyncio.timeout(self._patience_s):
+                    await pipe.drain()
+            except TimeoutError:
+                raise ServerError("it hangs: it takes no measurements") from None
+            is_read, skipped = self._has_clients.is_set(), cursor.skipped
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(MAX_INTERVAL_S):
+                    await self._has_clients.wait()
+                    await cursor.next()
+            if is_read:
+                self._component.count("measurements_skipped", cursor.skipped - skipped)
+            else:
+                cursor = self._board.cursor()
+            for answer in self._answers:
+                pipe.write(json.dumps({"self_check": answer}).encode() + b"\n")
+            self._answers.clear()
+            if (measurement := self._board.read()) is not None:
+                pipe.write(checked_line(self._board, measurement, self._stamps.next()).encode() + b"\n")
+            state, now_ns = self._health.state(), self._component.clock.monotonic_ns()
+            if (shown := _shown(state)) != told or now_ns >= due_ns:
+                told, due_ns = shown, now_ns + round(STATE_INTERVAL_S * 1e9)
+                document = {} if state is None else state.as_object()
+                pipe.write(with_proof(document, self._board, self._stamps.next()).encode() + b"\n")
+
+    def _start(self) -> Start:
+        board, health = self._board, self._health
+        calibration = health.calibration.summary
+        return Start(
+            settings=self._settings,
+            port=self.port,
+            serial=health.facts.get("serial", ""),
+            version=health.facts.get("version", ""),
+            session=f"{board.identity.session or 0:08X}",
+            started_ns=health.clock.monotonic_ns() - board.running_ns(),
+            stale_after_s=self._stale_after_s,
+            quantities=board.quantities,
+            ranges=ranges_of(self._installation),
+            targets={
+                area.name: {
+                    key: (min(at), max(at))
+                    for key, at in zip(("x_mm", "y_mm"), zip(*area.valid_mm, strict=True), strict=True)
+                }
+                for area in health.targets
+            },
+            calibration={
+                "created": calibration.get("created"),
+                "checksum": calibration.get("file", {}).get("checksum"),
+                "simulated": calibration.get("simulated"),
+            },
+            history=self._history.path,
+        )
+
+    async def _listen(self, process: Process, ready: Callable[[], None]) -> None:
+        assert process.stdout is not None  # noqa: S101  a pipe
+        while True:
+            try:
+                async with asyncio.timeout(self._patience_s):
+                    line = await process.stdout.readline()
+            except (TimeoutError, ValueError):
+                raise ServerError("it hangs: it says nothing, or too much") from None
+            if not line:
+                raise ConnectionResetError
+            document = json.loads(line)
+            if "serving" in document:
+                self._patience_s = TAKE_TIMEOUT_S
+                ready()
+                self._component.set_state(State.OK, f"port {self.port}{_openness(self._settings)}")
+            elif "has_clients" in document:
+                (self._has_clients.set if document["has_clients"] else self._has_clients.clear)()
+            elif "figures" in document:
+                self._component.is_alive()
+                self._component.observe(document["figures"])
+            elif "self_check" in document:
+                self._answers.append(self._ask(document["self_check"]))
+
+    def _ask(self, by: str) -> str:
+        """Ask for a self-check; why there is none, or nothing."""
+        if not self._settings.allow_self_check:
+            return "not allowed"
+        try:
+            self._health.self_check.ask(one_line(by))
+        except NoSelfCheckError as error:
+            return str(error)
+        return ""
+
+    async def _errors(self, process: Process, said: list[str]) -> None:
+        """What the server writes on standard error: its end is the reason why it has ended."""
+        assert process.stderr is not None  # noqa: S101  a pipe
+        lines = 0
+        while piece := await process.stderr.read(MAX_LINE_BYTES):
+            for line in piece.decode(errors="replace").splitlines():
+                lines += 1
+                if line.strip():
+                    said[:] = [one_line(line.strip())]
+                if lines <= MAX_ERROR_LINES:
+                    log.warning("%s: %s", self._component.name, one_line(line))
+
+
+def _shown(report: StateReport | None) -> object:
+    if report is None:
+        return None
+    return report.signal, [(shown.cause.kind, shown.cause.of, shown.is_active) for shown in report.causes]
+
+
+def _openness(settings: OpcUaSettings) -> str:
+    """What a person should know of who can read here."""
+    if settings.certificate is None:
+        return ", without encryption, open to every network that reaches it"
+    return "" if settings.credentials is not None else ", encrypted, open to every network that reaches it"
+
+
+def ranges_of(installation: Installation) -> dict[str, tuple[float, float]]:
+    """The ranges that are stated for the unit, as a controller reads them."""
+    ranges = {"roll_deg": (-180.0, 180.0)}
+    for key, offset, half in (
+        ("x_mm", installation.offset_x_mm, AREA_MM[0] / 2),
+        ("y_mm", installation.offset_y_mm, AREA_MM[1] / 2),
+        ("yaw_deg", installation.offset_yaw_deg, math.degrees(math.atan(MAX_YAW_MM_PER_M / 1000))),
+        ("pitch_deg", installation.offset_pitch_deg, math.degrees(math.atan(MAX_PITCH_MM_PER_M / 1000))),
+    ):
+        ranges[key] = (offset - half, offset + half)
+    for angle in ("yaw", "pitch"):
+        low, high = ranges[f"{angle}_deg"]
+        ranges[f"{angle}_mm_per_m"] = (
+            1000 * math.tan(math.radians(low)),
+            1000 * math.tan(math.radians(high)),
+        )
+    return ranges

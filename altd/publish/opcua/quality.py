@@ -1,0 +1,131 @@
+"""The status code of a value: one table of reasons, another of what sensors say.
+
+Names and numbers are those of OPC 10000-4 and 10000-8. Where these leave a choice, the codes follow tables 14
+and 15 of OPC 30142, which map the states of NE 107: what is wrong with the beam is no fault of the unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from enum import IntEnum
+from typing import Any
+
+from altd.reasons import Reason, Scope
+from altd.records.sensors import Quality
+
+
+class Status(IntEnum):
+    """The status codes that values have."""
+
+    GOOD = 0x0000_0000
+    UNCERTAIN = 0x4000_0000
+    UNCERTAIN_SENSOR_NOT_ACCURATE = 0x4093_0000
+    UNCERTAIN_SENSOR_CALIBRATION = 0x420A_0000
+    UNCERTAIN_SIMULATED_VALUE = 0x4209_0000
+    BAD = 0x8000_0000
+    BAD_NO_COMMUNICATION = 0x8031_0000
+    BAD_WAITING_FOR_INITIAL_DATA = 0x8032_0000
+    BAD_OUT_OF_RANGE = 0x803C_0000
+    BAD_CONFIGURATION_ERROR = 0x8089_0000
+    BAD_NOT_CONNECTED = 0x808A_0000
+    BAD_DEVICE_FAILURE = 0x808B_0000
+    BAD_SENSOR_FAILURE = 0x808C_0000
+    BAD_OUT_OF_SERVICE = 0x808D_0000
+
+    @property
+    def is_bad(self) -> bool:
+        """Whether a value with it is no value."""
+        return self >= Status.BAD
+
+
+OF_REASON: Mapping[Reason, Status] = {
+    Reason.STALE: Status.BAD_NO_COMMUNICATION,
+    Reason.NOT_LIVE: Status.BAD_OUT_OF_SERVICE,
+    Reason.CHECK_FAILED: Status.BAD_DEVICE_FAILURE,
+    Reason.GEOMETRY_DRIFT: Status.BAD_DEVICE_FAILURE,
+    Reason.GEOMETRY_UNVERIFIED: Status.BAD_DEVICE_FAILURE,
+    Reason.WRONG_CAMERA: Status.BAD_CONFIGURATION_ERROR,
+    Reason.IMPLAUSIBLE: Status.BAD_CONFIGURATION_ERROR,
+    Reason.CAMERA_SILENT: Status.BAD_SENSOR_FAILURE,
+    Reason.FRAME_REPEATED: Status.BAD_SENSOR_FAILURE,
+    Reason.OUT_OF_STEP: Status.BAD_SENSOR_FAILURE,
+    Reason.SELF_CHECKING: Status.BAD_WAITING_FOR_INITIAL_DATA,
+    Reason.WARMING_UP: Status.BAD_WAITING_FOR_INITIAL_DATA,
+    Reason.EXPOSURE_CHANGING: Status.BAD_WAITING_FOR_INITIAL_DATA,
+    Reason.OUT_OF_RANGE: Status.BAD_OUT_OF_RANGE,
+    Reason.SPOT_MISSING: Status.BAD,
+    Reason.AMBIGUOUS: Status.BAD,
+    Reason.SATURATED: Status.BAD,
+    Reason.CUT_BY_EDGE: Status.BAD,
+    Reason.WRONG_SIZE: Status.BAD,
+    Reason.WRONG_SHAPE: Status.BAD,
+    Reason.DISTORTED: Status.BAD,
+    Reason.UNSTEADY: Status.BAD,
+    Reason.REHEARSAL: Status.UNCERTAIN_SIMULATED_VALUE,
+    Reason.PLAYBACK: Status.UNCERTAIN_SIMULATED_VALUE,
+    Reason.SIMULATED: Status.UNCERTAIN_SIMULATED_VALUE,
+    Reason.GEOMETRY_SUSPECT: Status.UNCERTAIN_SENSOR_CALIBRATION,
+    Reason.GEOMETRY_UNKNOWN: Status.UNCERTAIN_SENSOR_CALIBRATION,
+    Reason.PITCH_DIVERGES: Status.UNCERTAIN_SENSOR_NOT_ACCURATE,
+    Reason.COMPENSATED: Status.GOOD,
+    Reason.EXPOSURES_LOST: Status.GOOD,
+    Reason.ROLL_MISSING: Status.GOOD,
+}
+"""Of several, the first counts. A warning is Good where sigma covers what it means."""
+
+OF_SENSOR: Mapping[Quality, Status] = {
+    Quality.GOOD: Status.GOOD,
+    Quality.REDUCED: Status.UNCERTAIN_SENSOR_NOT_ACCURATE,
+    Quality.STARTING: Status.BAD_WAITING_FOR_INITIAL_DATA,
+    Quality.NO_PORT: Status.BAD_NO_COMMUNICATION,
+    Quality.NO_ANSWER: Status.BAD_NO_COMMUNICATION,
+    Quality.OLD: Status.BAD_NO_COMMUNICATION,
+    Quality.BAD_ANSWER: Status.BAD_NO_COMMUNICATION,
+    Quality.WRONG_SENSOR: Status.BAD_CONFIGURATION_ERROR,
+    Quality.INVALID_SETTING: Status.BAD_CONFIGURATION_ERROR,
+    Quality.OUT_OF_RANGE: Status.BAD_OUT_OF_RANGE,
+    Quality.FROZEN: Status.BAD_SENSOR_FAILURE,
+    Quality.NOISY: Status.BAD_SENSOR_FAILURE,
+    Quality.DEFECT: Status.BAD_SENSOR_FAILURE,
+}
+
+_RANK = {reason: rank for rank, reason in enumerate(OF_REASON)}
+_BY_CODE = {str(reason): reason for reason in Reason}
+
+
+def status_of(valid: bool, codes: Iterable[str], targets: Collection[str], has_time: bool) -> Status:
+    """The status of the numbers of a measurement with these codes of reasons and warnings.
+
+    Numbers that are not valid are Bad whatever the codes. Valid ones with a code that is none of a
+    warning are Uncertain, and so are those without a capture time: their age is not known.
+    """
+    reasons = [_reason(code, targets) for code in codes]
+    known = sorted((each for each in reasons if each is not None), key=_RANK.__getitem__)
+    if not valid:
+        worst = next((OF_REASON[reason] for reason in known), Status.BAD)
+        return worst if worst.is_bad else Status.BAD
+    statuses = [OF_REASON[reason] for reason in known if OF_REASON[reason] is not Status.GOOD]
+    status = next(iter(statuses), Status.GOOD)
+    if status.is_bad or (status is Status.GOOD and (None in reasons or not has_time)):
+        return Status.UNCERTAIN
+    return status
+
+
+def status_of_sensor(said: Mapping[str, Any] | None, of_measurement: Status) -> Status:
+    """The status of a value of another sensor; ``said`` is its entry in ``sensors``, None: none is fitted."""
+    if said is None:
+        return Status.BAD_NOT_CONNECTED
+    status = OF_SENSOR.get(said["quality"], Status.BAD)
+    if status.is_bad or of_measurement is not Status.UNCERTAIN_SIMULATED_VALUE:
+        return status
+    return of_measurement
+
+
+def _reason(code: str, targets: Collection[str]) -> Reason | None:
+    """The reason of a code, which begins with the name of a target where it concerns one."""
+    for target in targets:
+        reason = _BY_CODE.get(code.removeprefix(f"{target}_"))
+        if reason is not None and str(reason) != code and reason.scope is Scope.TARGET:
+            return reason
+    reason = _BY_CODE.get(code)
+    return None if reason is None or reason.scope is Scope.TARGET else reason

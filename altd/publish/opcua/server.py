@@ -1,0 +1,256 @@
+"""asyncua's server on a socket that listens already, with limits for connections.
+
+Private parts of asyncua that are touched here: ``OPCUAProtocol._buffer``, ``UaProcessor._connection``,
+``InternalServer._external_sessions``, ``InternalSession._last_activity``, and those of ``BinaryServer`` and
+``Server`` that start listening.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from asyncua import Server, ua
+from asyncua.common.connection import TransportLimits
+from asyncua.common.utils import ServiceError
+from asyncua.crypto.permission_rules import PermissionRuleset, User, UserRole
+from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+from asyncua.server.user_managers import UserManager
+
+from altd.credentials.file import CredentialsKeeper
+from altd.publish.opcua.sessions import MAX_QUEUED_VALUES, MAX_SUBSCRIPTIONS, SESSION_TIMEOUT_S, Session
+from altd.tcp_port import address_of, group_of
+
+MAX_CONNECTIONS = 16
+MAX_CONNECTIONS_OF_ONE_ADDRESS = 8
+MAX_SESSIONS = 2 * MAX_CONNECTIONS
+MAX_SESSIONS_BEGUN = 20
+"""By one connection: each leaves a task of asyncua behind."""
+ACTIVATION_TIMEOUT_S = 10.0
+IDLE_TIMEOUT_S = 120.0
+"""A connection without a byte for so long is closed."""
+
+MAX_REQUEST_BYTES = 1 << 16
+MIN_BUFFER_BYTES = 8192
+"""Of a client (OPC 10000-6, 7.1.2.3); with less, every answer would fall into countless pieces."""
+MAX_UNSENT_BYTES = 4 << 20
+"""Answers that a client does not take; then its connection is closed."""
+
+_NO_SECURITY = "http://opcfoundation.org/UA/SecurityPolicy#None"
+_KEEP_ALIVE = {socket.TCP_KEEPIDLE: 10, socket.TCP_KEEPINTVL: 5, socket.TCP_KEEPCNT: 3}
+"""A client that has lost its power or network holds its place for 25 s."""
+
+
+class _Connection(OPCUAProtocol):
+    """A client's connection. asyncua buffers what a header announces, up to 4 GB, and answers unread."""
+
+    heard_s = 0.0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Admit the client, or close."""
+        self.heard_s = time.monotonic()
+        of_address = _group(transport)
+        same = sum(_group(each.transport) == of_address for each in self.clients)
+        if same >= MAX_CONNECTIONS_OF_ONE_ADDRESS or len(self.clients) >= MAX_CONNECTIONS:
+            _iserver(self).refuse("connections")
+            transport.close()
+            return
+        super().connection_made(transport)
+        _iserver(self).clients_changed.set()
+        sock = transport.get_extra_info("socket")
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in _KEEP_ALIVE.items():
+            sock.setsockopt(socket.IPPROTO_TCP, option, value)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 25_000)
+        self.transport.set_write_buffer_limits(high=MAX_UNSENT_BYTES)
+        if not any(policy.matches(_NO_SECURITY) for policy in self.policies):
+            # asyncua lets clients open such a channel all the same, and then asks for no permission
+            connection = self.processor._connection  # noqa: SLF001
+            connection.security_policy.permissions = _Nothing()
+
+    def connection_lost(self, ex: BaseException | None) -> None:
+        """Forget the client."""
+        _iserver(self).begun.pop(self.peer_name, None)
+        if self.processor is not None and self.processor.session is not None:
+            self.processor.session.is_left = True
+        super().connection_lost(ex)
+        _iserver(self).clients_changed.set()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; a chunk that is larger than agreed ends the connection before it is complete."""
+        self.heard_s = time.monotonic()
+        if self.transport is None or self.transport.is_closing():
+            return
+        super().data_received(data)
+        if len(self._buffer) > self.limits.max_recv_buffer:
+            self.abort()
+
+    def pause_writing(self) -> None:
+        """The client does not take its answers."""
+        self.abort()
+
+    def abort(self) -> None:
+        """End the connection at once."""
+        _iserver(self).refuse("connections")
+        if self.transport is not None:
+            self.transport.abort()
+
+
+class _Nothing(PermissionRuleset):
+    """What may be done over a channel without security that the unit does not offer: find its endpoints."""
+
+    def check_validity(self, user: User, action_type: ua.NodeId, body: Any) -> bool:
+        """Refuse."""
+        return False
+
+
+class _Limits(TransportLimits):
+    """asyncua divides answers by whatever buffer a client names."""
+
+    def create_acknowledge_and_set_limits(self, msg: ua.Hello) -> ua.Acknowledge:
+        """Answer the client's limits; raises ServiceError for impossible ones."""
+        if min(msg.ReceiveBufferSize, msg.SendBufferSize) < MIN_BUFFER_BYTES:
+            raise ServiceError(ua.StatusCodes.BadTcpInternalError)
+        return super().create_acknowledge_and_set_limits(msg)
+
+
+class _Users(UserManager):
+    """Names and passwords of a file; without a file everybody reads."""
+
+    def __init__(self, keeper: CredentialsKeeper | None) -> None:
+        self._keeper = keeper
+
+    def get_user(
+        self,
+        iserver: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: Any = None,
+    ) -> User | None:
+        """A client that may read; None: it may not. asyncua's own manager makes any "admin" one."""
+        if self._keeper is None:
+            return User(UserRole.User)
+        is_known = username and password and self._keeper.current().is_password(username, password)
+        return User(UserRole.User, username) if is_known else None
+
+
+class LimitedServer(InternalServer):
+    """What clients share.
+
+    asyncua keeps sessions that are never activated, and servers that strangers register. It decrypts
+    passwords by RSA with PKCS #1 1.5 and answers differently where the padding is wrong, by which a client
+    could decrypt what others have sent.
+    """
+
+    def __init__(self, keeper: CredentialsKeeper | None) -> None:
+        super().__init__(user_manager=_Users(keeper))
+        self.allow_remote_admin = False
+        self.max_connections = MAX_CONNECTIONS
+        self.max_pending_activation_seconds = ACTIVATION_TIMEOUT_S
+        self.max_session_timeout_ms = 1000 * SESSION_TIMEOUT_S
+        self.max_unacked_messages_per_subscription = MAX_QUEUED_VALUES
+        self.max_monitored_item_queue_size = MAX_QUEUED_VALUES
+        self.max_subscriptions = MAX_SESSIONS * MAX_SUBSCRIPTIONS
+        self.max_pending_messages_per_connection = 64
+        named = (ua.UserNameIdentityToken,)
+        self.supported_tokens = (ua.AnonymousIdentityToken,) if keeper is None else named
+        self._ending: set[asyncio.Future[None]] = set()
+        self.begun: Counter[Any] = Counter()
+        self.clients_changed = asyncio.Event()
+        self.failed_logins: dict[str, float] = {}
+        self.refused: Counter[str] = Counter()
+        """Requests over a limit, by what they wanted."""
+        self.look: Callable[[], Awaitable[None]]
+        self.read_history: Callable[[ua.HistoryReadParameters], Awaitable[list[ua.HistoryReadResult]]]
+
+    def refuse(self, what: str) -> None:
+        """Count a refusal."""
+        self.refused[what] += 1
+
+    def create_session(self, name: Any, user: User = User(), external: bool = False) -> InternalSession:  # noqa: B008
+        """A session of the connection with this peer name; raises ServiceError where there are too many."""
+        now_s = time.monotonic()
+        for session in list(self._external_sessions.values()):
+            waited_s = now_s - session._last_activity  # noqa: SLF001
+            if not session.is_activated() and waited_s > ACTIVATION_TIMEOUT_S:
+                self.unregister_external_session(session)
+        self.begun[name] += 1
+        if len(self._external_sessions) >= MAX_SESSIONS:
+            self._end_one_that_is_left()
+        sessions = self._external_sessions.values()
+        is_open = any(session.name == name and not session.is_left for session in sessions)
+        if is_open or self.begun[name] > MAX_SESSIONS_BEGUN or len(self._external_sessions) >= MAX_SESSIONS:
+            self.refuse("sessions")
+            raise ServiceError(ua.StatusCodes.BadTooManySessions)
+        return Session(self, self.aspace, self.subscription_service, name, user=user, external=external)
+
+    def _end_one_that_is_left(self) -> None:
+        """Clients that vanish have some time to come back, but take no place from those that are there."""
+        left = [session for session in self._external_sessions.values() if session.is_left]
+        if left:
+            oldest = min(left, key=lambda session: session._last_activity)  # noqa: SLF001
+            self.unregister_external_session(oldest)
+            self._ending = {each for each in self._ending if not each.done()}
+            self._ending.add(asyncio.ensure_future(oldest.close_session()))
+
+    def register_server(self, server: Any, conf: Any = None) -> None:
+        """Refuse: the unit is no discovery server."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
+
+    def decrypt_user_token(self, isession: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:
+        """Name and password; raises ServiceError for an algorithm that is not safe."""
+        if token.EncryptionAlgorithm and token.EncryptionAlgorithm.endswith("#rsa-1_5"):
+            raise ServiceError(ua.StatusCodes.BadSecurityPolicyRejected)
+        return super().decrypt_user_token(isession, token)
+
+
+class OpcUaServer(Server):
+    """The server on a socket that listens already."""
+
+    def __init__(self, listener: socket.socket, keeper: CredentialsKeeper | None) -> None:
+        self.limited = LimitedServer(keeper)
+        super().__init__(iserver=self.limited)
+        self._listener = listener
+        self.limits = _Limits(MAX_REQUEST_BYTES - 1, MAX_REQUEST_BYTES - 1, 4, MAX_REQUEST_BYTES)
+
+    async def start(self) -> None:
+        """Serve clients."""
+        await self._setup_server_nodes()
+        await self.iserver.start()
+        self.bserver = _Listening(self.iserver, "", 0, self.limits)
+        self.bserver.set_policies(self._policies)
+        await self.bserver.listen(self._listener)
+
+    def close_idle(self) -> None:
+        """Close connections that are silent; asyncua ends their sessions and keeps the connections."""
+        now_s = time.monotonic()
+        for client in list(self.bserver.clients) if self.bserver else ():
+            if isinstance(client, _Connection) and now_s - client.heard_s > IDLE_TIMEOUT_S:
+                client.abort()
+
+
+class _Listening(BinaryServer):
+    async def listen(self, listener: socket.socket) -> None:
+        """Accept connections."""
+        self._server = await asyncio.get_running_loop().create_server(self._make_protocol, sock=listener)
+        self.cleanup_task = asyncio.create_task(self._close_task_loop())
+
+    def _make_protocol(self) -> OPCUAProtocol:
+        return _Connection(self.iserver, self._policies, self.clients, self.closing_tasks, self.limits)
+
+
+def _group(transport: asyncio.BaseTransport | None) -> str:
+    peer = transport.get_extra_info("peername") if transport is not None else None
+    address = address_of(peer[0]) if peer else None
+    return "" if address is None else group_of(address)
+
+
+def _iserver(connection: OPCUAProtocol) -> LimitedServer:
+    assert isinstance(connection.iserver, LimitedServer)  # noqa: S101  made by OpcUaServer
+    return connection.iserver

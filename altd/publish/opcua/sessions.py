@@ -1,0 +1,245 @@
+"""Sessions of clients with limits: who may log in, what a session may hold, and what it may touch.
+
+asyncua 2.1 leaves open what the class says. Private parts of it are touched in ``server.py`` and here:
+``MonitoredItemService._monitored_items``.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
+from typing import Any
+
+from asyncua import ua
+from asyncua.common.utils import ServiceError
+from asyncua.server.internal_session import InternalSession
+
+from altd.tcp_port import address_of
+
+SESSION_TIMEOUT_S = 60.0
+"""A session without a request for so long is closed with its subscriptions; clients may ask for less."""
+
+MAX_OPERATIONS = 500
+"""Of one request: nodes to read, browse, monitor, and so on."""
+MAX_HISTORY_NODES = 16
+
+MAX_SUBSCRIPTIONS = 8
+MAX_MONITORED_ITEMS = 256
+"""Of one session."""
+MIN_PUBLISHING_INTERVAL_MS = 50.0
+MAX_PUBLISHING_INTERVAL_MS = 10_000.0
+MAX_QUEUED_VALUES = 20
+"""Of one monitored item: a second of measurements."""
+
+LOGIN_INTERVAL_S = 2.0
+"""After a wrong password, until the address may try again: each try takes 0.2 s of the process."""
+
+caller: ContextVar[str] = ContextVar("caller")
+"""Who calls a method: address, and name where there is one."""
+
+
+class Session(InternalSession):
+    """A client's session.
+
+    asyncua numbers the tokens of sessions, and an activation that fails leaves the session to the connection
+    that tried; it lets any session delete, move and fill those of others, and leaves subscriptions that are
+    never due. A deadband is compared with the value before and not with the one that was sent, so that slow
+    motion is never sent, and it cannot be compared with a value that has become Bad: that is lost.
+    """
+
+    iserver: Any
+    """``LimitedServer``."""
+
+    is_left = False
+    """Whether its connection has ended: a client may come back to it on another one."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.iserver.unregister_external_session(self)
+        self.auth_token = ua.NodeId(secrets.token_bytes(32), 0)
+        self.iserver.register_external_session(self)
+
+    def activate_session(
+        self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
+    ) -> ua.ActivateSessionResult:
+        """Log in; after a wrong password the address waits."""
+        logins, now_s = self.iserver.failed_logins, time.monotonic()
+        for address in [each for each, at_s in logins.items() if now_s - at_s > LOGIN_INTERVAL_S]:
+            del logins[address]
+        address = str(address_of(self.name[0]))
+        has_password = isinstance(params.UserIdentityToken, ua.UserNameIdentityToken)
+        if has_password and address in logins:
+            self.iserver.refuse("logins")
+            raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+        try:
+            result = super().activate_session(params, peer_certificate)
+        except (ServiceError, ua.UaStatusCodeError):
+            if has_password:
+                logins[address] = now_s
+            self.iserver.refuse("logins")
+            raise
+        self.is_left = False
+        return result
+
+    async def close_session(self, delete_subs: bool = True) -> None:
+        """End the session; none of its subscriptions stays."""
+        await super().close_session(True)
+
+    async def read(self, params: ua.ReadParameters) -> list[ua.DataValue]:
+        """Read attributes; a value that became stale while this process was held up is taken back first."""
+        self._check_number(params.NodesToRead)
+        await self.iserver.look()
+        return await super().read(params)
+
+    async def browse(self, params: ua.BrowseParameters) -> list[ua.BrowseResult]:
+        """Browse nodes."""
+        self._check_number(params.NodesToBrowse)
+        return await super().browse(params)
+
+    async def translate_browsepaths_to_nodeids(
+        self, params: list[ua.BrowsePath]
+    ) -> list[ua.BrowsePathResult]:
+        """Find nodes by their paths."""
+        self._check_number(params)
+        return await super().translate_browsepaths_to_nodeids(params)
+
+    async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
+        """Write nothing for a client, whatever the nodes of the standard say of themselves."""
+        self._check_number(params.NodesToWrite)
+        return [ua.StatusCode(ua.StatusCodes.BadNotWritable)] * len(params.NodesToWrite)
+
+    async def call(self, params: list[ua.CallMethodRequest]) -> list[ua.CallMethodResult]:
+        """Call methods."""
+        self._check_number(params, 1)
+        caller.set(f"opcua {self.name[0]}" + (f", {self.user.name}" if self.user.name else ""))
+        return await super().call(params)
+
+    async def history_read(self, params: ua.HistoryReadParameters) -> list[ua.HistoryReadResult]:
+        """Read stored values."""
+        self._check_number(params.NodesToRead, MAX_HISTORY_NODES)
+        return await self.iserver.read_history(params)
+
+    async def create_subscription(
+        self,
+        params: ua.CreateSubscriptionParameters,
+        callback: Callable[..., Any],
+        request_callback: Callable[..., Any] | None = None,
+    ) -> ua.CreateSubscriptionResult:
+        """Subscribe; interval and lifetime are revised so that the subscription ends with its client."""
+        if len(self._own()) >= MAX_SUBSCRIPTIONS:
+            self.iserver.refuse("subscriptions")
+            raise ServiceError(ua.StatusCodes.BadTooManySubscriptions)
+        wanted_ms = params.RequestedPublishingInterval
+        interval_ms = wanted_ms if math.isfinite(wanted_ms) else MIN_PUBLISHING_INTERVAL_MS
+        interval_ms = min(max(interval_ms, MIN_PUBLISHING_INTERVAL_MS), MAX_PUBLISHING_INTERVAL_MS)
+        lifetime = max(int(1000 * SESSION_TIMEOUT_S / interval_ms), 3)
+        params.RequestedPublishingInterval = interval_ms
+        params.RequestedLifetimeCount = min(params.RequestedLifetimeCount or lifetime, lifetime)
+        params.RequestedMaxKeepAliveCount = min(params.RequestedMaxKeepAliveCount or lifetime, lifetime // 3)
+        return await super().create_subscription(params, callback, request_callback)
+
+    async def create_monitored_items(
+        self, params: ua.CreateMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemCreateResult]:
+        """Monitor attributes of nodes."""
+        self._check_own(params.SubscriptionId)
+        self._check_number(params.ItemsToCreate)
+        held = sum(len(_items(self._own()[number])) for number in self._own())
+        asked, results = params.ItemsToCreate, list[ua.MonitoredItemCreateResult]()
+        for item in asked:
+            if held + len(results) >= MAX_MONITORED_ITEMS:
+                self.iserver.refuse("monitored_items")
+                refused = ua.StatusCodes.BadTooManyMonitoredItems
+            elif not _is_possible(item.RequestedParameters.Filter, item.ItemToMonitor.AttributeId):
+                refused = ua.StatusCodes.BadMonitoredItemFilterUnsupported
+            else:
+                params.ItemsToCreate = [item]
+                results += await super().create_monitored_items(params)
+                continue
+            results.append(ua.MonitoredItemCreateResult(ua.StatusCode(refused)))
+        return results
+
+    async def modify_monitored_items(
+        self, params: ua.ModifyMonitoredItemsParameters
+    ) -> list[ua.MonitoredItemModifyResult]:
+        """Change monitored items; asyncua takes a queue of any length here."""
+        self._check_own(params.SubscriptionId)
+        self._check_number(params.ItemsToModify)
+        items = _items(self.subscription_service.subscriptions[params.SubscriptionId])
+        for item in params.ItemsToModify:
+            wanted = item.RequestedParameters
+            known = items.get(item.MonitoredItemId)
+            if known is None:
+                raise ServiceError(ua.StatusCodes.BadMonitoredItemIdInvalid)
+            if not _is_possible(wanted.Filter, known.read_value_id.AttributeId):
+                raise ServiceError(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
+            wanted.QueueSize = min(wanted.QueueSize or MAX_QUEUED_VALUES, MAX_QUEUED_VALUES)
+        return await super().modify_monitored_items(params)
+
+    async def delete_monitored_items(self, params: ua.DeleteMonitoredItemsParameters) -> list[ua.StatusCode]:
+        """Monitor items no longer."""
+        self._check_own(params.SubscriptionId)
+        return await super().delete_monitored_items(params)
+
+    async def set_monitoring_mode(self, params: ua.SetMonitoringModeParameters) -> list[ua.StatusCode]:
+        """Switch monitored items."""
+        self._check_own(params.SubscriptionId)
+        return await super().set_monitoring_mode(params)
+
+    async def set_publishing_mode(self, params: ua.SetPublishingModeParameters) -> list[ua.StatusCode]:
+        """Switch subscriptions."""
+        self._check_own(*params.SubscriptionIds)
+        return await super().set_publishing_mode(params)
+
+    def modify_subscription(self, params: ua.ModifySubscriptionParameters) -> ua.ModifySubscriptionResult:
+        """Answer what the subscription has; asyncua changes nothing."""
+        self._check_own(params.SubscriptionId)
+        return super().modify_subscription(params)
+
+    async def delete_subscriptions(self, ids: list[int]) -> list[ua.StatusCode]:
+        """End subscriptions."""
+        self._check_own(*ids)
+        return await super().delete_subscriptions(ids)
+
+    def republish(self, params: ua.RepublishParameters) -> ua.NotificationMessage:
+        """Send a message again."""
+        self._check_own(params.SubscriptionId)
+        return super().republish(params)
+
+    async def transfer_subscriptions(
+        self, params: ua.TransferSubscriptionsParameters, callback: Callable[..., Any]
+    ) -> list[ua.TransferResult]:
+        """Leave subscriptions with their sessions: a client that reconnects activates its session again."""
+        raise ServiceError(ua.StatusCodes.BadServiceUnsupported)
+
+    def _own(self) -> dict[int, Any]:
+        subscriptions = self.subscription_service.subscriptions.items()
+        return {number: each for number, each in subscriptions if each.session_id == self.session_id}
+
+    def _check_own(self, *ids: int) -> None:
+        if not set(ids) <= self._own().keys():
+            raise ServiceError(ua.StatusCodes.BadSubscriptionIdInvalid)
+
+    def _check_number(self, operations: list[Any] | None, most: int = MAX_OPERATIONS) -> None:
+        if not operations or len(operations) > most:
+            self.iserver.refuse("operations")
+            code = ua.StatusCodes.BadTooManyOperations if operations else ua.StatusCodes.BadNothingToDo
+            raise ServiceError(code)
+
+
+def _is_possible(wanted: Any, attribute: int) -> bool:
+    """Whether a filter is one that loses nothing: a DataChangeFilter without a deadband.
+
+    asyncua has two classes of that name, and decodes into the other one.
+    """
+    if attribute == ua.AttributeIds.EventNotifier:
+        return hasattr(wanted, "SelectClauses")
+    return not wanted or getattr(wanted, "DeadbandType", None) == ua.DeadbandType.None_
+
+
+def _items(subscription: Any) -> Mapping[int, Any]:
+    items: Mapping[int, Any] = subscription.monitored_item_srv._monitored_items  # noqa: SLF001
+    return items

@@ -1,0 +1,70 @@
+"""All interfaces of a unit on ports of this computer, and the other ends of them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks.poller import connected
+from benchmarks.wire_errors.polled import raw_terminal
+from hw_sim.ports import free_port
+
+BAUD = 115200
+HOST = "127.0.0.1"
+BROKER = shutil.which("mosquitto") or ""
+"""The broker of the measurements with MQTT; empty: it is not installed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interfaces:
+    """The tables of a config; TCP ports, and descriptors of the other ends of the serial lines."""
+
+    tables: dict[str, Any]
+    modbus_port: int
+    http_port: int
+    mqtt_port: int
+    opcua_port: int
+    telegram: int
+    rtu: tuple[int, ...]
+
+
+@contextlib.contextmanager
+def interfaces(rtu_lines: int = 1) -> Iterator[Interfaces]:
+    """Free TCP ports, and pseudo terminals for the telegram and for so many lines of Modbus RTU."""
+    modbus_port, http_port, mqtt_port, opcua_port = (free_port() for _ in range(4))
+    terminals = [raw_terminal() for _ in range(1 + rtu_lines)]
+    telegram, *rtu = [{"device": os.ttyname(device), "baud": BAUD} for _, device in terminals]
+    tables = {
+        "modbus_tcp": {"host": HOST, "port": modbus_port},
+        "http": {"host": HOST, "port": http_port},
+        "mqtt": {"host": HOST, "port": mqtt_port, "every_measurement": True},
+        "opcua": {"host": HOST, "port": opcua_port},
+        "serial": [
+            telegram | {"speaks": "telegram", "interval_s": 0.1},
+            *(line | {"speaks": "modbus_rtu"} for line in rtu),
+        ],
+    }
+    ends = tuple(end for end, _ in terminals)
+    try:
+        yield Interfaces(tables, modbus_port, http_port, mqtt_port, opcua_port, ends[0], ends[1:])
+    finally:
+        for terminal in terminals:
+            for end in terminal:
+                os.close(end)
+
+
+@contextlib.contextmanager
+def broker(port: int) -> Iterator[None]:
+    """Mosquitto on this port, in the idle scheduling class: a plant's broker has a computer of its own."""
+    with subprocess.Popen([BROKER, "-p", str(port)], stderr=subprocess.DEVNULL) as process:  # noqa: S603
+        os.sched_setscheduler(process.pid, os.SCHED_IDLE, os.sched_param(0))
+        try:
+            connected(port).close()
+            yield
+        finally:
+            process.terminate()

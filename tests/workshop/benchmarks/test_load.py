@@ -1,0 +1,34 @@
+"""``make bench-load`` reads every interface and prints what came. How fast anything is belongs to no test."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from support.foreign import need_program
+from support.places import ROOT
+
+from benchmarks.load import CLIENTS
+
+
+def test_each_interface_is_read_and_the_ages_of_its_messages_are_plausible() -> None:
+    need_program("mosquitto")
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.load", "--seconds", "2"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    _, heads, *rows = (line.split() for line in done.stdout.splitlines())
+    assert heads == ["clients", "s", "pairs", "lost", "core", "more", "MB"]
+    assert [row[0] for row in rows[: len(CLIENTS) + 2]] == ["none", *CLIENTS, "all"]
+    for count, kind, answers, *figures in rows[len(CLIENTS) + 3 : -2]:
+        assert (int(count), bool(int(answers))) == (CLIENTS[kind], kind.startswith("modbus"))
+        messages, behind_p50, _, _, age_p50, _, _ = map(float, figures[-7:])
+        assert messages > 10
+        assert -1.5 < behind_p50 < 1000, "a clock or an age is wrong"
+        assert 400 < age_p50 < 1500, "a mean of one second is half a second old"
+    assert rows[-2][0] == "pictures"
+    assert int(rows[-2][1]) > 10
