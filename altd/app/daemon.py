@@ -190,6 +190,7 @@ class Daemon:
                     if self._inclination is not None:
                         tasks.create_task(self._inclination.run(), name="inclinometer")
                     await self._lights()  # inside: told to end, they are dark before a camera is closed
+                    await asyncio.Event().wait()  # a unit without lamps needs the real-time interpreter, too
         except BaseExceptionGroup as group:
             refused = unwrap_group(group, BadInputError)
             if refused is None:
