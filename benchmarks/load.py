@@ -4,7 +4,8 @@ With history and kept frames, as on a unit; the cameras deliver from memory. The
 their own, in the idle scheduling class. Printed are, for the daemon without clients, with those of each
 interface alone, and with all of them: exposures lost, and the CPU of the daemon's process. The difference
 from the daemon without clients ("more") is the CPU of an interface, that of the process of OPC UA included.
-MQTT and OPC UA are configured where they have a client; the broker's CPU is not counted.
+MQTT and OPC UA are configured where they have a client; the broker's CPU is not counted. "stolen" is the
+time for which the hypervisor gave a core of this machine to another one (0 on a machine of its own).
 
 Of each interface beside all others: how soon requests are answered, and how old messages are. A message has
 its capture time, and its age when it was sent. The clients know the age at arrival, for their clock is the
@@ -48,6 +49,7 @@ class LoadedFigures:
     pairs: int
     lost: int
     cpu_share: float
+    stolen_s: float
     memory_mb: float
     seen: dict[str, Seen]
     picture_ages_ms: list[float]
@@ -68,9 +70,9 @@ async def measure(
         await asyncio.sleep(SETTLE_S)
         counters = unit.daemon.health.component("measuring").counters
         before, lost_before = counters.get("measurements", 0), lost(unit.daemon)
-        begun_s, cpu_s = time.monotonic(), _cpu_s()
+        begun_s, cpu_s, stolen_s = time.monotonic(), _cpu_s(), _stolen_s()
         await asyncio.sleep(seconds)
-        wall_s, cpu_s = time.monotonic() - begun_s, _cpu_s() - cpu_s
+        wall_s, cpu_s, stolen_s = time.monotonic() - begun_s, _cpu_s() - cpu_s, _stolen_s() - stolen_s
         measured, lost_now = counters["measurements"] - before, lost(unit.daemon) - lost_before
         printed = {kind: (await client.communicate(b""))[0] for kind, client in clients.items()}
         seen = {kind: Seen(**json.loads(text)) for kind, text in printed.items()}
@@ -80,7 +82,10 @@ async def measure(
             for each in seen.values()
             for number, came_ms in each.pictures
         ]
-        return LoadedFigures(wall_s, measured, lost_now, cpu_s / wall_s, resident_mb(), seen, picture_ages_ms)
+        cpu_share = cpu_s / wall_s
+        return LoadedFigures(
+            wall_s, measured, lost_now, cpu_share, stolen_s, resident_mb(), seen, picture_ages_ms
+        )
 
 
 async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subprocess.Process:
@@ -111,6 +116,11 @@ def _cpu_s() -> float:
                 user, system = (process / "stat").read_text().rpartition(")")[2].split()[11:13]
                 ticks += int(user) + int(system)
     return own_s + ticks / os.sysconf("SC_CLK_TCK")
+
+
+def _stolen_s() -> float:
+    """Of all cores, since the machine was started (Linux, ``Documentation/filesystems/proc.rst``)."""
+    return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def _percentiles(values_ms: Sequence[float]) -> str:
@@ -152,7 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     material = make_material(_PAIRS, 1)
     print(f"{FPS:g} pairs/s of 752 × 480, browsers {options.browsers}")
-    print(f"{'clients':>14}{'s':>7}{'pairs':>8}{'lost':>6}{'core':>8}{'more':>8}{'MB':>6}")
+    print(f"{'clients':>14}{'s':>7}{'pairs':>8}{'lost':>6}{'core':>8}{'more':>8}{'MB':>6}{'stolen s':>10}")
     unread_share = None
     for name, kinds in ("none", []), *((kind, [kind]) for kind in CLIENTS), ("all", list(CLIENTS)):
         seconds = options.seconds if name == "all" else options.seconds / 20
@@ -162,7 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
         unread_share = figures.cpu_share if unread_share is None else unread_share
         print(
             f"{name:>14}{figures.seconds:7.0f}{figures.pairs:8}{figures.lost:6}{figures.cpu_share:8.3f}"
-            f"{figures.cpu_share - unread_share:+8.3f}{figures.memory_mb:6.0f}",
+            f"{figures.cpu_share - unread_share:+8.3f}{figures.memory_mb:6.0f}{figures.stolen_s:10.2f}",
             flush=True,
         )
     print("\n".join(lines(figures)))

@@ -124,9 +124,10 @@ async def harmless(unit: Unit) -> AsyncIterator[None]:
             await asyncio.sleep(0.5)
             yield
     lost = {name: count - before[name] for name, count in unit.counted.items()}
-    assert max(lost.values()) <= stalls.periods(PERIOD_S), (lost, stalls)
+    stalled = stalls.periods(PERIOD_S)
+    assert max(lost.values()) <= stalled, (lost, stalls)
     assert len(poller.answers) > LONG_S / 0.2
-    assert all(status & 1 for status, _ in poller.answers)
+    assert sum(not status & 1 for status, _ in poller.answers) <= stalled, (poller.answers, stalls)
     numbers = [number for _, number in poller.answers]
     assert numbers == sorted(numbers), "an older measurement came after a newer one"
     assert resident_mb() - unit.began_mb < MAX_GROWTH_MB, "of all that came so far"
