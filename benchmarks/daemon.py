@@ -149,6 +149,9 @@ async def _load(
     async with running(source, config) as daemon:
         waits_ns: list[int] = []
         watching = asyncio.create_task(watch(daemon, source, waits_ns))
+        cursor = daemon.board.cursor()
+        while pairs_per_s and not (await cursor.next()).valid:
+            pass  # interfaces start first, some of them in a second
         await asyncio.sleep(SETTLE_S)
         seen, cpu_s, wall_s = len(waits_ns), time.process_time(), time.monotonic()
         await asyncio.sleep(seconds)

@@ -5,7 +5,8 @@ their own, in the idle scheduling class. Printed are, for the daemon without cli
 interface alone, and with all of them: exposures lost, and the CPU of the daemon's process. The difference
 from the daemon without clients ("more") is the CPU of an interface, that of the process of OPC UA included.
 MQTT and OPC UA are configured where they have a client; the broker's CPU is not counted. "stolen" is the
-time for which the hypervisor gave a core of this machine to another one (0 on a machine of its own).
+time for which the hypervisor gave a core of this machine to another one (0 on a machine of its own); the last
+lines name what it took around each loss.
 
 Of each interface beside all others: how soon requests are answered, and how old messages are. A message has
 its capture time, and its age when it was sent. The clients know the age at arrival, for their clock is the
@@ -24,6 +25,7 @@ import os
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +52,8 @@ class LoadedFigures:
     lost: int
     cpu_share: float
     stolen_s: float
+    losses: list[str]
+    """When, how many, and what the hypervisor took in the second around."""
     memory_mb: float
     seen: dict[str, Seen]
     picture_ages_ms: list[float]
@@ -71,7 +75,7 @@ async def measure(
         counters = unit.daemon.health.component("measuring").counters
         before, lost_before = counters.get("measurements", 0), lost(unit.daemon)
         begun_s, cpu_s, stolen_s = time.monotonic(), _cpu_s(), _stolen_s()
-        await asyncio.sleep(seconds)
+        losses = await _losses(unit, seconds)
         wall_s, cpu_s, stolen_s = time.monotonic() - begun_s, _cpu_s() - cpu_s, _stolen_s() - stolen_s
         measured, lost_now = counters["measurements"] - before, lost(unit.daemon) - lost_before
         printed = {kind: (await client.communicate(b""))[0] for kind, client in clients.items()}
@@ -84,8 +88,24 @@ async def measure(
         ]
         cpu_share = cpu_s / wall_s
         return LoadedFigures(
-            wall_s, measured, lost_now, cpu_share, stolen_s, resident_mb(), seen, picture_ages_ms
+            wall_s, measured, lost_now, cpu_share, stolen_s, losses, resident_mb(), seen, picture_ages_ms
         )
+
+
+async def _losses(unit: ServedUnit, seconds: float) -> list[str]:
+    """Wait so long, and note each loss with the time stolen within the second that ends with it."""
+    losses, stolen_s = [], deque([_stolen_s()], maxlen=5)
+    begun_s, lost_before = time.monotonic(), lost(unit.daemon)
+    while (now_s := time.monotonic() - begun_s) < seconds:
+        await asyncio.sleep(min(0.25, seconds - now_s))
+        stolen_s.append(_stolen_s())
+        if (lost_now := lost(unit.daemon)) > lost_before:
+            took_ms = 1e3 * (stolen_s[-1] - stolen_s[0])
+            losses.append(
+                f"{now_s:.0f} s: {lost_now - lost_before} lost, {took_ms:.0f} ms stolen within a second"
+            )
+            lost_before = lost_now
+    return losses
 
 
 async def _started(kind: str, unit: ServedUnit, chromium: bool) -> asyncio.subprocess.Process:
@@ -142,6 +162,7 @@ def lines(figures: LoadedFigures) -> Iterator[str]:
     ages_ms = figures.picture_ages_ms
     yield f"{'pictures':>14}{'':34}{len(ages_ms):>10}{'':30}{_percentiles(ages_ms)}"
     yield f"{'aim':>14}{ANSWER_AIM_MS:>26g}{BEHIND_AIM_MS:>34g}"
+    yield from figures.losses
     for seen in figures.seen.values():
         if seen.cores:
             yield f"Chromium: {seen.cores:.2f} cores, {seen.memory_mb:.0f} MB"

@@ -16,6 +16,7 @@ MAX_LINE = 120
 PEERS = "peers.md"
 CAMPAIGN = "campaign.md"
 WIRE_ERRORS = "wire-errors.md"
+LOAD = "load.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -91,6 +92,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
         lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
     if (folder / WIRE_ERRORS).is_file():
         lines += ["", f"Errors on wires to a reader: [wire errors]({WIRE_ERRORS}), by `make bench-wires`."]
+    if (folder / LOAD).is_file():
+        lines += ["", f"Clients of all interfaces at once: [load]({LOAD}), by `make bench-load`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:
