@@ -24,8 +24,6 @@ _MAX_TRIES = 2
 _DISCOVERY_TIMEOUT_S = 0.5
 _CONNECT_TIMEOUT_S = 2.0
 _LISTEN_STATE = "0A"
-_IPV4_BYTES = 4
-_LOOPBACK_NET = 127
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +260,7 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
 def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
     """Whether no interface has the address: then altd waits for it, as it must while a computer starts."""
     wanted = _bytes_of(host)
-    if host == "localhost" or not any(wanted) or (wanted[0] == _LOOPBACK_NET and len(wanted) == _IPV4_BYTES):
+    if host == "localhost" or not any(wanted) or ipaddress.ip_address(wanted).is_loopback:
         return
     ours = _addresses(machine)
     if ours and wanted not in ours:
@@ -320,16 +318,11 @@ def _routes(machine: Machine) -> list[_Route]:
     routes = []
     for line in machine.text("/proc/net/route").splitlines()[1:]:
         name, destination, gateway, flags, _, _, metric, mask = line.split()[:8]
-        network = ipaddress.IPv4Network(
-            (_from_kernel(destination), _prefix(_from_kernel(mask))), strict=False
-        )
+        prefix_bits = int(mask, 16).bit_count()
+        network = ipaddress.IPv4Network((_from_kernel(destination), prefix_bits), strict=False)
         if int(flags, 16) & 1:
             routes.append(_Route(name, network, int(gateway, 16) == 0, int(metric)))
     return sorted(routes, key=lambda route: (-route.network.prefixlen, route.metric))
-
-
-def _prefix(mask: bytes) -> int:
-    return int.from_bytes(mask, "big").bit_count()
 
 
 def _neighbour(address: ipaddress.IPv4Address) -> ipaddress.IPv4Address:
