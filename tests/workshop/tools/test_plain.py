@@ -1,0 +1,47 @@
+"""Which phrases the language check finds, where, and what it counts as a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tools.plain import findings, main, sentences
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "expected"),
+    [
+        ("a.md", "Fine.\n\nIt goes\non.", [(3, "goes on")]),
+        ("a.md", "`who says so` is code.\n\n    nobody\n\n```\nanew\n```\nLoaded anew.", [(8, "anew")]),
+        ("a.md", "[a page](stands.md)", []),
+        (
+            "a.md",
+            "A rule for who reads: Who asks, waits.",
+            [(1, ": Who asks, waits."), (1, "for who"), (1, ": Who asks")],
+        ),
+        (
+            "a.py",
+            'x = 1\nnobody = """One.\n\n    It is told of it.\n    """  # by itself',
+            [(4, "is told"), (5, "by itself")],
+        ),
+        ("a.py", 'stands = f"{nobody} whoever"', [(1, "whoever")]),
+        ("a.js", "let a = 'for ever';", [(1, "for ever")]),
+        ("a.md", "The two faces of the instrument; the bit stands\n", [(1, "stands")]),
+    ],
+)
+def test_phrases(name: str, text: str, expected: list[tuple[int, str]]) -> None:
+    assert [(finding.line, finding.phrase) for finding in findings(name, text)] == expected
+
+
+def test_sentences_are_those_of_paragraphs_and_items() -> None:
+    page = "# A heading\n\nOne two. Three `four. five` six? (Seven\neight.)\n\n| a row |\n\n- An item.\n- b c"
+    assert [len(sentence.split()) for sentence in sentences(page)] == [2, 3, 2, 2, 2]
+
+
+def test_a_finding_names_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "page.md").write_text("One.\n\nNobody knows.\n")
+    assert main([str(tmp_path / "page.md")]) == 1
+    assert capsys.readouterr().err == f"{tmp_path}/page.md:3: “Nobody”: do not, none, again, a person\n"
+    (tmp_path / "page.md").write_text("One.\n")
+    assert main([str(tmp_path / "page.md")]) == 0

@@ -1,0 +1,138 @@
+"""Plain English: no text that a person reads holds a phrase of the table below.
+
+``python -m tools.plain FILE…`` names each place, with the wording to use instead: in pages (``.md``), in
+strings, docstrings and comments of Python, and in files of the page in the browser (``.js``, ``.html``).
+``--sentences`` prints the words of each page, the mean length of its sentences, and those of more than 35.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+import tokenize
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+MAX_WORDS = 35
+"""A longer sentence is reported."""
+
+_PHRASES = (
+    (r"\b(?:whoever|whosoever|whatever is)\b", "name the subject: a client, a reader, the technician"),
+    (r"[.;:] (?-i:Who|Whose|Whom) (?!is\b|are\b)[^?.]*[.;]", "name the subject"),
+    (r"\b(?:for|to|of|by|from|with|than|and|or|as|that|but) who\b", "name the subject"),
+    (r"[,;:] who (?:reads|asks|has|wants|sends|polls|comes|knows|changes|writes|sees)\b", "name the subject"),
+    (r"\b(?:nobody|no one|anew|somebody)\b", "do not, none, again, a person"),
+    (r"\b(?:is|are|was|were|be|been|being) told\b(?! from)", "is reported, is configured, receives"),
+    (r"\b(?:say|says|said) so\b", "reports it"),
+    (r"\btold? apart\b|\btells? \w+ apart\b", "distinguish"),
+    (r"\bof now\b", "current"),
+    (r"\bin (?:its|their|his) own words\b", "as the program reports it"),
+    (r"\bfor ever\b", "indefinitely, for an unlimited time"),
+    (r"\b(?:stands?|stood)\b(?!-| still| alone)", "is, is listed, means"),
+    (r"\bfaced?\b(?! of| [IV1-4])|\bfaces\b(?! of)", "interface"),
+    (r"\bcall(?:s|ed)? (?:it |them |a wrong number |none of it )?valid\b", "marks valid"),
+    (r"\b(?:is|are|was|were|be) let go\b|\blets? (?:\w+ )?go\b", "release"),
+    (r"\bgo(?:es)? on\b", "continue"),
+    (r"\b(?:by|of) (?:itself|themselves)\b", "automatically, alone"),
+    (r"\b(?:to|can) be had\b", "is available"),
+    (r"\bha[sd] to say\b", "reports"),
+    (r"\bflatter\w*", "is optimistic"),
+    (r"\b(?:is|are) (?:deaf|blind) to\b", "cannot detect"),
+    (r"\b(?:upkeep|illness|trembl\w+|teller|farewell|patience|greeting)\b", "see the glossary"),
+    (r"\bno matter\b", "regardless of"),
+    (r"\b(?:comes?|came|becomes|became) of\b", "results from"),
+    (r"\bspoil(?:s|t|ed)?\b", "wrong, corrupted, disturbed"),
+    (r"\breckon\w*", "compute"),
+    (r"\bat hand\b", "available"),
+    (r"\bseen to\b(?! be)", "needs maintenance"),
+    (r"\bto and fro\b|\bever so\b|\bhence(?:forth)?\b|\bthereof\b|\bwherefore\b", "plain wording"),
+)
+_RULES = [(re.compile(phrase.replace(" ", r"\s+"), re.IGNORECASE), better) for phrase, better in _PHRASES]
+
+_FENCED = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+_HIDDEN = re.compile(r"``[^`]+``|`[^`]+`|(?<=\])\([^)]*\)|<[^>]+>|https?://\S+")
+_FIELD = re.compile(r"\{[^{}]*\}")  # of an f-string, or of a template
+_INDENTED = re.compile(r"(?<=\n\n)(?: {4,}[^\n]*\n|\n)+", re.MULTILINE)
+_SENTENCE_END = re.compile(r"(?<=[.!?])[\"”)]?\s+(?=[A-Z(\"“\[*_])")
+_PART = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. |#|\|))|(?<=\|)")
+
+
+class Finding(NamedTuple):
+    """A phrase to replace: the line (from 1), the phrase as it is written, and the advice."""
+
+    line: int
+    phrase: str
+    better: str
+
+
+def findings(name: str, text: str) -> Iterator[Finding]:
+    """The phrases in the text of a file; its ``name`` says what language it is in."""
+    for first_line, passage in _passages(name, text):
+        for rule, better in _RULES:
+            for match in rule.finditer(passage):
+                yield Finding(
+                    first_line + passage.count("\n", 0, match.start()), " ".join(match[0].split()), better
+                )
+
+
+def sentences(page: str) -> list[str]:
+    """The sentences of a page's paragraphs and list items; tables, headings and code do not count."""
+    parts = (part.strip().removeprefix("- ") for part in _PART.split(_without_code(page)))
+    texts = (
+        " ".join(part.split()) for part in parts if part and part[0] not in "#|<!" and not part.endswith("|")
+    )
+    return [sentence for text in texts for sentence in _SENTENCE_END.split(text) if len(sentence.split()) > 1]
+
+
+def _passages(name: str, text: str) -> Iterator[tuple[int, str]]:
+    if not name.endswith(".py"):
+        yield 1, _without_code(text) if name.endswith(".md") else text
+        return
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT or token.type == tokenize.STRING or _is_f_string(token.type):
+            yield token.start[0], _FIELD.sub(_blank, _HIDDEN.sub(_blank, token.string))
+
+
+def _is_f_string(token_type: int) -> bool:
+    return token_type == getattr(tokenize, "FSTRING_MIDDLE", None)
+
+
+def _without_code(page: str) -> str:
+    """The page with code, link targets and markup replaced by as many blanks and line ends."""
+    for pattern in (_FENCED, _INDENTED):
+        page = pattern.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), page)
+    return _HIDDEN.sub(_blank, page)
+
+
+def _blank(match: re.Match[str]) -> str:
+    return re.sub(r"[^\n]", "_", match[0])
+
+
+def _print_sentences(paths: Iterable[Path]) -> None:
+    for path in paths:
+        text = path.read_text()
+        lengths = [(len(sentence.split()), sentence) for sentence in sentences(text)]
+        mean = sum(length for length, _ in lengths) / max(1, len(lengths))
+        print(f"{path}: {len(text.split())} words, {mean:.1f} words a sentence")
+        for length, sentence in sorted(lengths, reverse=True):
+            if length > MAX_WORDS:
+                print(f"    {length}: {sentence}")
+
+
+def main(arguments: list[str]) -> int:
+    """Print what the arguments ask for; the exit status is 1 if a phrase was found."""
+    if arguments[:1] == ["--sentences"]:
+        _print_sentences(map(Path, arguments[1:]))
+        return 0
+    count = 0
+    for path in map(Path, arguments):
+        for finding in findings(path.name, path.read_text()):
+            count += 1
+            print(f"{path}:{finding.line}: “{finding.phrase}”: {finding.better}", file=sys.stderr)
+    return int(count > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
