@@ -14,6 +14,7 @@ from altd.recording.header import (
     MADE_BY,
     CameraHeader,
     Kind,
+    PlateHeader,
     RecordingHeader,
     TargetHeader,
     UnitHeader,
@@ -37,6 +38,8 @@ class RecordingPlan:
     kind: Kind = "measurement"
     by: str = "altd record"
     """The command, in the recording's note."""
+    plate: PlateHeader | None = None
+    """What is at the targets' places in a recording of kind ``plate``."""
 
 
 class ExposuresWriter:
@@ -118,6 +121,7 @@ class ExposuresWriter:
             cameras=self._headers,
             unit=self._plan.unit,
             targets=self._plan.targets,
+            plate=self._plan.plate,
             note=note_of(self._plan.by, self._cameras.values()),
             made_by=MADE_BY,
             start=self._utc(self._first_ns),

@@ -18,7 +18,7 @@ from altd.config import Config, LiveCameraSettings
 from altd.errors import BadInputError
 from altd.measuring.chain import View
 from altd.ports import Camera, Lamps
-from altd.recording.header import Kind, target_headers, unit_header
+from altd.recording.header import Kind, PlateHeader, target_headers, unit_header
 from altd.recording.writer import refuse_used_folder
 from altd.runtime.clock import SystemClock
 from altd.status.health import Health
@@ -29,15 +29,17 @@ async def record_of(
     place: Path,
     folder: Path,
     seconds: float,
-    kind: Kind,
+    shows: Kind | PlateHeader,
     progress: Callable[[int, int], None] = lambda done, planned: None,
 ) -> int:
     """Record from the config's cameras into ``folder``; returns the number of exposures.
 
     ``progress`` is told after each of them how many of how many there are. For a self-check the frame LEDs
     are switched off and on in turn; BadInputError where live cameras have none. Raises LampsError and
-    CameraError when they fail meanwhile.
+    CameraError when they fail meanwhile. ``shows`` is the kind, of a plate the plate itself.
     """
+    plate = shows if isinstance(shows, PlateHeader) else None
+    kind: Kind = "plate" if isinstance(shows, PlateHeader) else shows
     refuse_used_folder(folder)
     cameras = cameras_of(config, place)
     lamps = lamps_of(config, cameras, place) if kind == "self-check" else None
@@ -47,7 +49,8 @@ async def record_of(
     exposure = exposure_controls_of(config)
     sets = FrameSets(list(cameras.values()), config.measuring, Health(SystemClock()), exposure)
     unit, targets = unit_header(config.unit.serial, config.targets), target_headers(config.targets)
-    return await record(sets, folder, RecordingPlan(seconds, unit, targets, kind), progress, lamps)
+    plan = RecordingPlan(seconds, unit, targets, kind, plate=plate)
+    return await record(sets, folder, plan, progress, lamps)
 
 
 def scanner_of(

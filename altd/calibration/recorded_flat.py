@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from altd.calibration.lit_rows import lit_rows
 from altd.calibration.result import Progress
 from altd.calibration.target_frames import TargetFrames
 from altd.errors import BadInputError
@@ -29,7 +29,6 @@ _MIN_LEVEL = 0.05
 _MAX_CLIPPED_SHARE = 0.01
 _MIN_HOT_SHARE = 0.1
 _MAX_DARK_RATIO = 0.5
-_MAX_STEADY_SHARE = 0.1
 _MIN_CONTRAST = 0.02
 _TILES = 16, 10
 _MIN_UNIFORMITY = 0.2
@@ -98,12 +97,12 @@ def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
     """Raises ValueError when the pictures are no good."""
     header = recording.header.cameras[camera]
     full_scale = (1 << header.bits) - 1
-    lit_from, dark_to, levels = _lit_and_dark(recording, camera, progress)
-    lit = _mean(recording, camera, [level >= lit_from for level in levels], progress)
+    rows = lit_rows(recording, camera, _MAX_DARK_RATIO, progress)
+    lit = _mean(recording, camera, rows.lit, progress)
     usable = ~lit.clipped
     light = lit.counts
-    if min(levels) <= dark_to:
-        dark = _mean(recording, camera, [level <= dark_to for level in levels], progress).counts
+    if any(rows.dark):
+        dark = _mean(recording, camera, rows.dark, progress).counts
         usable &= dark < np.median(dark) + _MIN_HOT_SHARE * full_scale
         light = light - dark
     clipped = float(np.mean(lit.clipped))
@@ -118,25 +117,6 @@ def _flat(recording: Recording, camera: str, progress: Progress) -> Flat:
             f"too uneven to be a flat: half the picture gets {uniformity:.0%} of the light or less"
         )
     return Flat.of(np.where(usable, light, 0.0), "recording", header.origin)
-
-
-def _lit_and_dark(recording: Recording, camera: str, progress: Progress) -> tuple[float, float, array[float]]:
-    """From which level on a row is lit, up to which it is dark, and each row's level; between, it is neither.
-
-    By what the rows say, or by their light where they all say the same.
-    """
-    said = array("d", (float(row.leds_on) for row in recording.rows.of(camera)))
-    if min(said) < max(said):
-        return 1.0, 0.0, said
-    levels = array("d")
-    for row in recording.rows.of(camera):
-        levels.append(float(recording.frame(row).pixels.mean()))
-        progress(len(levels), len(said))
-    dimmest, brightest = min(levels), max(levels)
-    if dimmest > _MAX_DARK_RATIO * brightest:
-        return dimmest, -1.0, levels
-    margin = _MAX_STEADY_SHARE * (brightest - dimmest)
-    return brightest - margin, dimmest + margin, levels
 
 
 def _mean(recording: Recording, camera: str, taken: Sequence[bool], progress: Progress) -> _Mean:

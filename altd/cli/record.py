@@ -5,11 +5,16 @@ from __future__ import annotations
 import argparse
 import asyncio
 import logging
+from typing import TYPE_CHECKING
 
 from altd.cli.options import add_config, add_output, progress_on
+from altd.errors import BadInputError
 from altd.process.endings import EndedBySignal, until_signal
 from altd.process.logs import logging_to_stderr
 from altd.process.standard_streams import complain
+
+if TYPE_CHECKING:
+    from altd.recording.header import PlateHeader
 
 SUMMARY = "keep frames for replay"
 
@@ -21,9 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=_seconds, required=True, metavar="S")
     parser.add_argument(
         "--kind",
-        choices=("measurement", "flat", "self-check"),
+        choices=("measurement", "flat", "plate", "self-check"),
         default="measurement",
         help="what it shows (measurement)",
+    )
+    parser.add_argument(
+        "--plate",
+        type=_plate,
+        metavar="C,R,MM",
+        help="columns, rows and pitch of the LEDs of a plate",
     )
 
 
@@ -34,6 +45,13 @@ def run(options: argparse.Namespace) -> int:
     from altd.ports import CameraError, LampsError
     from altd.records import counted
 
+    if (options.kind == "plate") is not (options.plate is not None):
+        raise BadInputError(
+            "--plate",
+            "C,R,MM must follow `--kind plate`: columns, rows and pitch of its LEDs"
+            if options.plate is None
+            else "goes with `--kind plate` only",
+        )
     config = load_settings(options.config)
     show, kept = progress_on("exposures"), 0
 
@@ -43,7 +61,8 @@ def run(options: argparse.Namespace) -> int:
         show(done, planned)
 
     with logging_to_stderr(logging.WARNING):
-        work = record_of(config, options.config, options.output, options.seconds, options.kind, progress)
+        shows = options.plate or options.kind
+        work = record_of(config, options.config, options.output, options.seconds, shows, progress)
         try:
             exposures = asyncio.run(until_signal(work))
         except EndedBySignal:
@@ -68,3 +87,24 @@ def _seconds(text: str) -> float:
     if not 0 < value <= 86_400:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds up to one day")
     return value
+
+
+def _plate(text: str) -> PlateHeader:
+    """A plate whose middle is that of the target."""
+    from pydantic import ValidationError
+
+    from altd.recording.header import PlateHeader
+
+    try:
+        columns, rows, pitch_mm = text.split(",")
+        steps_x, steps_y, step_mm = int(columns) - 1, int(rows) - 1, float(pitch_mm)
+        return PlateHeader(
+            columns=steps_x + 1,
+            rows=steps_y + 1,
+            pitch_mm=step_mm,
+            origin_mm=(-steps_x / 2 * step_mm, -steps_y / 2 * step_mm),
+        )
+    except (ValueError, ValidationError):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a plate; possible: COLUMNS,ROWS,PITCH_MM such as 7,5,25, at least 4 × 4"
+        ) from None

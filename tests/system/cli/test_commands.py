@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from support.cli import altd, altd_here, refusal
 from support.frames import frame
+from support.plates import FRONT, REAR, plate_light, write_plate
 from support.ports import free_port
 from support.recordings import write, write_beams, write_scan
 from support.unit_toml import TARGETS, write_config
@@ -139,6 +140,41 @@ def test_a_flat_that_was_recorded_with_the_unit_goes_into_its_calibration(
         "replay", folder / "beams", "--calibration", output, "--window", 4, "--every", 4
     ).objects
     assert [line["valid"] for line in lines] == [True] * len(BEAMS)
+
+
+def test_a_plate_whose_leds_are_switched_by_hand_is_recorded_and_calibrated(
+    folder: Path, tmp_path: Path
+) -> None:
+    shown = write_plate(tmp_path / "plate", plate_light(FRONT), plate_light(REAR), pairs=6)
+    table = (shown / "frames.csv").read_text().splitlines()
+    dark, lit = ([line for line in table[1:] if f",{leds}," in line] for leds in ("off", "on"))
+    rows = [
+        f"{number // 2},{number // 2 / 20:.6f},{line.split(',', 2)[2].replace(',on,', ',off,')}"
+        for number, line in enumerate(dark + lit)
+    ]
+    (shown / "frames.csv").write_text("\n".join((table[0], *rows)) + "\n")
+    config = write_config(tmp_path / "altd.toml", folder / "cal.json", shown)
+    config.write_text(config.read_text().replace("repeat = true", 'pace = "fast"'))
+    kept, output = tmp_path / "kept", tmp_path / "new.json"
+    record = ("record", "--config", config, "-o", kept, "--seconds", "60", "--kind", "plate")
+    assert "altd record: --plate: C,R,MM must follow `--kind plate`" in refusal(altd_here(*record))
+    assert "--plate: goes with `--kind plate` only" in refusal(
+        altd_here(*record[:-1], "flat", "--plate", "7,5,25")
+    )
+    outcome = altd_here(*record, "--plate", "7,5,25")
+    assert outcome.status == 0, outcome.err
+    assert json.loads((kept / "recording.json").read_text())["plate"] == {
+        "columns": 7,
+        "rows": 5,
+        "pitch_mm": 25.0,
+        "origin_mm": [-75.0, -50.0],
+        "beam_mm": 12.0,
+    }
+    assert ",on," not in (kept / "frames.csv").read_text()
+    outcome = altd_here("calibrate", kept, "-o", output)
+    assert outcome.status == 0, outcome.err
+    assert outcome.err == ""
+    assert [target.name for target in load_calibration(output).targets] == ["front", "rear"]
 
 
 class TestBadInput:

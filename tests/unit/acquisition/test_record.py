@@ -110,7 +110,7 @@ async def test_a_recording_says_which_cameras_it_is_from(
     assert open_recording(tmp_path / "rec").header.cameras["rear"].identity == Source.identity
 
 
-@pytest.mark.parametrize("kind", ["measurement", "flat", "self-check"])
+@pytest.mark.parametrize("kind", ["measurement", "flat", "plate", "self-check"])
 async def test_a_recording_says_of_what_kind_it_is(kind: Kind, tmp_path: Path) -> None:
     await kept(tmp_path / "rec", CameraEndedError("the end"), kind)
     assert open_recording(tmp_path / "rec").header.kind == kind

@@ -36,6 +36,12 @@ REPLAY = ("replay", "rec", "--calibration", "cal.json")
             ("record", "-o", "x", "--seconds", "1", "--kind", "flta"),
             "--kind: 'flta' is not possible; possible: ",
         ),
+        (
+            ("record", "-o", "x", "--seconds", "1", "--plate", "7,5"),
+            "--plate: '7,5' is not a plate; possible",
+        ),
+        (("record", "-o", "x", "--seconds", "1", "--plate", "3,5,25"), "'3,5,25' is not a plate; possible"),
+        (("record", "-o", "x", "--seconds", "1", "--plate", "7,5,nan"), "'7,5,nan' is not a plate; possible"),
         (("lamps", "offf"), "'offf' is not possible; possible: off, on, test, stopped; did you mean `off`?"),
         (("devices", "\x1b[2J"), "'\\x1b[2J' is an argument too many"),
         (("selfcheck", "rec"), "altd selfcheck: rec: missing: --calibration FILE, to hold"),
