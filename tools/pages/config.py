@@ -109,7 +109,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[maintenance]", Maintenance, "All keys have defaults. What they lead to: `states.md`."),
     ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `kept-frames.md`."),
     ("[history]", HistorySettings, "All keys have defaults. What is kept, and for how long: `history.md`."),
-    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
+    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: [calibrate](calibrate.md)."),
     ("[scan]", Scan, "All keys have defaults."),
 )
 

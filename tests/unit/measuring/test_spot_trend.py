@@ -73,7 +73,7 @@ def test_light_is_not_known_without_the_exposure_or_with_a_peak_at_full_scale() 
 
 
 def test_residuals_are_a_share_of_what_makes_a_spot_distorted() -> None:
-    # 0.015 diameters of displacement by unexplained light: docs/accuracy.md
+    # 0.015 diameters of displacement by unexplained light: docs/calibration.md
     assert residual_share(Spot(0.0, 0.0, 0.01, 40.0, 100.0, excess_px=0.3)) == pytest.approx(0.5)
 
 
