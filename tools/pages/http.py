@@ -157,7 +157,8 @@ and {MAX_EVENTS} events come at once. Where the [history](history.md) cannot be 
 
 gives what the loaded calibration says of itself, in the words of [calibration](calibration.md): what it was
 made from, `expected_sigma`, and for each target the valid area, residuals, repeatability, cross-check, flat
-and fingerprint. Report and serial console show the same figures ([definitions](calibration.md#figures-of-a-calibration)).
+and fingerprint. Report and serial console show the same figures
+([definitions](calibration.md#figures-of-a-calibration)).
 The file is given as it was loaded: where another one lies in its place since, the answer is 409. `report`
 says whether the report that lies beside it is on this very calibration, by the checksum that both carry; only
 then `/api/v1/calibration/report` gives it, in a sandbox (Content Security Policy) where it runs and loads
