@@ -17,6 +17,7 @@ PEERS = "peers.md"
 CAMPAIGN = "campaign.md"
 WIRE_ERRORS = "wire-errors.md"
 LOAD = "load.md"
+CAMERAS = "cameras.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -94,6 +95,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
         lines += ["", f"Errors on wires to a reader: [wire errors]({WIRE_ERRORS}), by `make bench-wires`."]
     if (folder / LOAD).is_file():
         lines += ["", f"Clients of all interfaces at once: [load]({LOAD}), by `make bench-load`."]
+    if (folder / CAMERAS).is_file():
+        lines += ["", f"Forged packets, automatic exposure and bit depth: [cameras]({CAMERAS})."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

@@ -1,7 +1,7 @@
-"""Links of the documentation site to files of the repository outside ``docs/``: a hook of MkDocs (``mkdocs.yml``).
+"""A hook of MkDocs (``mkdocs.yml``): links of a page to files of the repository outside ``docs/``.
 
-Such a file is copied into the site under ``repository/``, and the link follows it. A link to a missing file stays
-as it is, so that the strict build names it.
+Such a file is copied into the site under ``repository/``, and the link follows it. A link to a missing file
+stays as it is, so that the strict build names it.
 """
 
 from __future__ import annotations

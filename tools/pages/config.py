@@ -107,7 +107,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ),
     ('[[thermometers]], driver = "hwmon"', HwmonThermometerSettings, "One table a temperature: `states.md`."),
     ("[maintenance]", Maintenance, "All keys have defaults. What they lead to: `states.md`."),
-    ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `kept-frames.md`."),
+    ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `history.md`."),
     ("[history]", HistorySettings, "All keys have defaults. What is kept, and for how long: `history.md`."),
     ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
     ("[scan]", Scan, "All keys have defaults."),

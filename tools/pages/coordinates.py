@@ -117,7 +117,7 @@ def _front() -> Iterable[str]:
 
 
 def _plane(title: str, origin: tuple[float, float], axis: int, name: str, *meaning: str) -> Iterable[str]:
-    """The plane of one axis and z: seen from above, z points up; seen from the side, z points to the right."""
+    """The plane of one axis and z; z points up in the view from above, right in the one from the side."""
     from_above = axis == 0
 
     def at(point: Point) -> tuple[float, float]:

@@ -90,7 +90,7 @@ COMMANDS = (
         SELF_CHECK_ADDRESS,
         "`allow_self_check`",
         SELF_CHECK_NOW,
-        "a self-check (`lamps.md`) within ten seconds; five seconds or more between two",
+        "a self-check (`selfcheck.md`) within ten seconds; five seconds or more between two",
     ),
     (
         ZERO_ADDRESS,

@@ -67,7 +67,7 @@ again.
 
 `/api/status` has `state` and `availability`; `status` on the [console](console.md) says both in words,
 `status all` what most time was lost to. On the housing, **Error** blinks while a cause of the second table
-below is true, see [lamps](lamps.md).
+below is true, see [lamps](selfcheck.md).
 
 ## The measurement's causes
 
