@@ -58,11 +58,11 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
             suggestion = did_you_mean(target.camera, draft.cameras)
             possible = ", ".join(map(shown, draft.cameras))
             text = f"there is no table [cameras.{target.camera}]; possible: {possible}{suggestion}"
-            yield Fault(("targets", number, "camera"), text)
+            yield Fault(("targets", number, "camera"), text, about=(("cameras",),))
     if len(named) == len(draft.targets) and named <= draft.cameras.keys():
         for name in draft.cameras.keys() - named:
             text = "no target has this camera: it is never opened; possible: a target for it, or no table"
-            yield Fault(("cameras", name), text, "key")
+            yield Fault(("cameras", name), text, "key", about=(("targets",),))
 
 
 def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:
