@@ -118,7 +118,8 @@ _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE 
 
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
-        raise complaint(((), f"{shown(text)} is no name of a computer; possible: one such as alt-0007.plant"))
+        possible = "one such as alt-0007.plant, without scheme and port"
+        raise complaint(((), f"{shown(text)} is no name of a computer; possible: {possible}"))
     return text
 
 

@@ -45,7 +45,10 @@ def client_context(ca: Path, certificate: Path | None, key: Path | None) -> ssl.
 
 def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
     _check_readable(certificate)
-    if _check_readable(key) & stat.S_IRWXO:
+    mode = _check_readable(key)
+    if _holds_key(certificate) and not _holds_key(key):
+        raise BadInputError(key, f"holds no private key, but {certificate} does: the two are swapped")
+    if mode & stat.S_IRWXO:
         raise BadInputError(key, f"everybody may read it, and it is a key: chmod 640 {key}")
     _load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), certificate)
     try:
@@ -93,6 +96,10 @@ def _check_readable(path: Path) -> int:
         raise BadInputError(path, error.strerror or "cannot be read") from error
     except ValueError as error:
         raise BadInputError(path, "is no path") from error
+
+
+def _holds_key(path: Path) -> bool:
+    return b"PRIVATE KEY-----" in path.read_bytes()
 
 
 class RenewedContext:

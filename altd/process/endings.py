@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
@@ -58,6 +59,10 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     except EndedBySignal as end:
         clear_counter()
         return end.status
+    except ModuleNotFoundError as error:
+        missing = f"the Python package {error.name!r} is missing in {sys.executable}"
+        complain(f"{name()}: {missing}: start the `altd` that was installed, see docs/install.md")
+        return 1
     except SystemExit as end:  # the parser has said what there was to say
         status = end.code if isinstance(end.code, int) else 1
     except OSError:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from altd.reasons import Reason, Signal
+from altd.status.advice import advice_of
 from altd.status.availability import Availability
 from altd.status.conditions import Condition
 
@@ -29,6 +30,12 @@ class Cause:
     kind: Kind
     of: str | None = None
     detail: str = ""
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it, as far as its detail tells."""
+        seen = advice_of(self.kind, self.detail) if isinstance(self.kind, Reason) else None
+        return self.kind.remedy if seen is None else seen.remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +150,7 @@ class StateReport:
                     "for_s": self._for_s(shown.since_ns),
                     "times": shown.times,
                     "brief": shown.cause.kind.brief,
-                    "remedy": shown.cause.kind.remedy,
+                    "remedy": shown.cause.remedy,
                     "detail": shown.cause.detail,
                 }
                 for shown in self.causes

@@ -121,7 +121,7 @@ class StateEvents:
         for key, shown in now.items():
             if key not in self._causes:
                 kind, cause = shown.cause.kind, shown.cause
-                detail = {"code": str(kind), "remedy": kind.remedy, "detail": cause.detail}
+                detail = {"code": str(kind), "remedy": cause.remedy, "detail": cause.detail}
                 self._log.note(
                     EventKind.CAUSE_CAME, kind.brief, shown.cause.of, shown.signal.severity, detail
                 )

@@ -81,7 +81,7 @@ _HEADERS = [
 
 
 def listen(settings: HttpSettings) -> socket.socket:
-    """The listening socket; raises OSError that names the address."""
+    """The listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
     listener = listen_tcp(settings.host, settings.port)
     # what is set here every accepted connection inherits
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)

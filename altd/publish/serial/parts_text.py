@@ -52,7 +52,7 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
     for shown in () if report is None else report.causes:
         kind = shown.cause.kind
         if kind in _ABOUT_CALIBRATION:
-            lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {kind.remedy}", 4))
+            lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {shown.cause.remedy}", 4))
     if summary := health.calibration.summary:
         file = summary["file"]
         lines.append(hanging("  file", f"{file['name']}, SHA-256 {file['sha256'] or 'not known'}", 13))

@@ -49,7 +49,7 @@ def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
 def state_steps(report: StateReport) -> list[str]:
     """What is wrong beside the measurement and the components, and what to do."""
     return [
-        f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.kind.remedy}"
+        f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.remedy}"
         for shown in report.causes
         if isinstance(shown.cause.kind, Condition) and shown.cause.kind not in _SAID_BY_COMPONENTS
     ]

@@ -212,6 +212,13 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('credentials = "credentials"', "credentials = «7", "http.credentials", "is not a path"),
     # [mqtt]
     ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is no name of a computer"),
+    (
+        '"broker.plant.example"',
+        '«"broker.plant:1883"',
+        "mqtt.host",
+        "alt-0007.plant, without scheme and port",
+    ),
+    ('topic = "plant/line-4"', 'topic = "a"\n«password = "b"', "mqtt.password", "`credentials` is its path"),
     ('host = "broker.plant', '«hsot = "broker.plant', "mqtt.hsot", "no such key; "),
     ("port = 8884", "port = «0", "mqtt.port", "0 is too small; possible: whole number from 1 to 65535"),
     (

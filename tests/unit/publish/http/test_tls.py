@@ -276,6 +276,7 @@ async def test_a_renewed_certificate_is_shown_without_a_restart(
         (lambda cert, key: key.write_text("nonsense"), "key", "holds no private key"),
         (lambda cert, key: key.unlink(), "key", "No such file"),
         (lambda cert, key: key.chmod(0o644), "key", "chmod 640"),
+        (lambda cert, key: _swap(cert, key), "key", "unit.pem does: the two are swapped"),
         (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is no file"),
         (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is no file"),
     ],
@@ -292,6 +293,12 @@ def test_files_that_cannot_be_used_are_one_clear_line(
         server_context(copies["cert"], copies["key"])
     assert str(caught.value).startswith(f"{copies[named]}: ")
     assert said in str(caught.value)
+
+
+def _swap(one: Path, other: Path) -> None:
+    content, content_of_other = one.read_bytes(), other.read_bytes()
+    one.write_bytes(content_of_other)
+    other.write_bytes(content)
 
 
 def test_a_key_of_another_certificate_and_one_with_a_passphrase_are_told_apart(
