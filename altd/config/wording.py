@@ -214,6 +214,8 @@ def _tables_with(name: str | int) -> dict[str, str]:
 
 
 def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
+    if kind == "tuple_type" and isinstance(value, str):
+        return f"; did you mean `[{shown(value)}]`?"
     if kind != "literal_error" or not isinstance(value, str):
         return ""
     return did_you_mean(

@@ -133,7 +133,7 @@ _AT_PLACE = (
         "Cannot overwrite",
         "^$",
         r"\[\[",
-        "this is [ ] further up, one table, and [[ ]] here, a list of tables",
+        "[ ] further up makes one table, [[ ]] here a list of tables: write both alike",
     ),
 )
 """How a message of tomllib begins, what is before and behind its place in the line, and our message then."""

@@ -21,7 +21,7 @@ NO_TOML: tuple[tuple[str, str, str], ...] = (
     (
         _FRONT_TARGET,
         _FRONT_TARGET[1:].replace("]]", "]", 1).replace("\n[[", "\n«[["),
-        "and [[ ]] here, a list",
+        "[[ ]] here a list of tables: write both alike",
     ),
     ("window = 20", "window «20", "the = after a key is missing"),
     ("window = 20\nevery = 1", "window = 20\n«window = 21", "this key is defined twice"),

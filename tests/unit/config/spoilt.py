@@ -196,7 +196,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is no network"),
     ('allow = ["10.0.0.0/8"', 'allow = [«"::ffff:10.0.0.0/104"', "http.allow.0", "write it as IPv4"),
     ('names = ["alt-0007', 'names = [«"http://alt-0007', "http.names.0", "is no name of a computer"),
-    ('allow = ["10.0.0.0/8", "fd00::/8"]', 'allow = «"10.0.0.0/8"', "http.allow", "is not a list"),
+    (
+        'allow = ["10.0.0.0/8", "fd00::/8"]',
+        'allow = «"10.0.0.0/8"',
+        "http.allow",
+        '; did you mean `["10.0.0.0/8"]`?',
+    ),
     (
         'certificate = "unit.pem"\nkey = "unit.key"',
         'key = «"unit.key"',
