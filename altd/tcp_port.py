@@ -152,7 +152,7 @@ MAX_KEYS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """So many at once, and so many a second for ever."""
+    """So many at once, and so many a second from then on."""
 
     burst: int
     per_s: float

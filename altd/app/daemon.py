@@ -58,7 +58,7 @@ _FACES_START_TIMEOUT_S = 1.0
 
 
 class Daemon:
-    """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them.
+    """One unit's daemon. ``cameras`` are by the config's camera names; the caller chooses them.
 
     ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs. Played
     and simulated frames give valid values only with ``rehearsal``.

@@ -173,7 +173,7 @@ def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:
 def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
     """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
 
-    ``alone``: nobody takes frames of these cameras. Raises BadInputError that names ``place``.
+    ``alone``: no daemon takes frames of these cameras. Raises BadInputError that names ``place``.
     """
     if config.lamps is None:
         return None

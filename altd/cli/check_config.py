@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say so, and which files are not there yet; 2 for what cannot be used."""
+    """Report it, and which files are not there yet; 2 for what cannot be used."""
     from altd.app.parts import check_files, missing_files
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings

@@ -1,7 +1,7 @@
 """What must fit between the tables of a config: each rule yields what does not.
 
 These are faults that are in the file, whatever computer it is on: what the daemon would refuse at its start,
-try for ever, or do so that nothing came of it. What only the computer can tell is for ``altd.doctor``.
+retry indefinitely, or do without any effect. What only the computer can tell is for ``altd.doctor``.
 """
 
 from __future__ import annotations

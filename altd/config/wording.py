@@ -26,7 +26,7 @@ class Fault:
     keys: Keys
     text: str
     at: Literal["value", "key", "table"] = "value"
-    """What of the key stands at the wrong place: its value, itself, or, where it is missing, its table."""
+    """What of the key the place is of: its value, itself, or, where it is missing, its table."""
     about: tuple[Keys, ...] = ()
     replaces: tuple[Keys, ...] = ()
     """The keys that an unknown name was probably meant for: a fault of one of these follows from this one."""
@@ -86,7 +86,7 @@ _SECRETS = ("login", "password", "token", "user", "username")
 
 
 def booleans_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
-    """Where true or false stands for a number: to Python, and so to pydantic, true is 1."""
+    """Where true or false is written for a number: to Python, and so to pydantic, true is 1."""
     nodes: list[tuple[Keys, Any]] = [((), document)]
     while nodes:
         keys, node = nodes.pop()
@@ -161,7 +161,7 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
 
 
 def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
-    """A table whose model cannot be told: its tag, such as ``driver``, is missing or has no such value."""
+    """A table whose model is not known: its tag, such as ``driver``, is missing or has no such value."""
     annotation = _type_at(keys, document)
     tag = tag_at(annotation)
     values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]

@@ -56,7 +56,9 @@ def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
     except ssl.SSLError as error:
         raise BadInputError(key, _why(error)) from error
     except _PassphraseError as error:
-        raise BadInputError(key, "asks for a passphrase, and nobody is there to type one") from error
+        raise BadInputError(
+            key, "asks for a passphrase, which a daemon cannot type: take a key without one"
+        ) from error
 
 
 def _load_authorities(context: ssl.SSLContext, certificates: Path) -> None:

@@ -1,6 +1,6 @@
 """The computer as the checks see it: its files under a root that a test may choose, its user, its service.
 
-What cannot be read is empty: a check says so, none of them raises.
+What cannot be read is empty: a check reports that, none of them raises.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _UNIT_FOLDERS = (
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """Somebody who runs altd."""
+    """A user who runs altd."""
 
     name: str
     uid: int

@@ -1,4 +1,4 @@
-"""How a command ends: by itself, by a signal, by an error; its exit status and its last word."""
+"""How a command ends: normally, by a signal, by an error; its exit status and its last word."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
         status = 1
     if (failure := output_failure()) is not None:
         status = status or 1
-        if not isinstance(failure, BrokenPipeError):  # the reader of our output went away: nobody to tell
+        if not isinstance(failure, BrokenPipeError):  # the reader of our output has ended
             complain(f"{name()}: standard output: {failure.strerror}")
     return status
 
@@ -105,7 +105,7 @@ async def until_signal(work: Coroutine[None, None, Result]) -> Result:
 def _signals_raised() -> Iterator[None]:
     """Within, a signal that asks to end raises EndedBySignal; a second one ends the process at once."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread is told of signals
+        yield  # only the main thread receives signals
         return
     before = {number: signal.getsignal(number) for number in _ending_signals()}
     for number in before:

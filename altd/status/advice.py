@@ -42,7 +42,7 @@ _SEEN: dict[Reason, dict[str, Advice]] = {
         "mm wide": Advice("the spot is too wide", "check the focus of the laser and clean the window"),
         "the spots differ": Advice(
             "the spots of the targets are unlike",
-            "look for what stands in the beam, for reflections, and clean both targets",
+            "look for objects in the beam, for reflections, and clean both targets",
         ),
         "light or view": Advice(
             "the spot's place is uncertain",

@@ -36,11 +36,11 @@ class EventKind(StrEnum):
     """A row of the table: code, severity where nothing else is said, meaning.
 
     The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the
-    least severe first, so what is rare and explains much stands higher than its harm.
+    least severe first, so what is rare and explains much ranks higher than its harm.
     """
 
     STARTED = "started", 2, "the daemon started"
-    STOPPED = "stopped", 2, "the daemon was told to end, and ended"
+    STOPPED = "stopped", 2, "the daemon was asked to end, and ended"
     NOT_ENDED = "not_ended", 4, "the daemon before this one was not told to end: a crash, or a power cut"
     STATE = "state", 0, "the unit's state changed"
     CAUSE_CAME = "cause_came", 0, "something is wrong that was not before"
@@ -49,7 +49,7 @@ class EventKind(StrEnum):
     CALIBRATION = "calibration", 3, "the calibration is another than at the last start"
     VERSION = "version", 3, "the program is another than at the last start"
     SELF_CHECK = "self_check", 0, "a self-check ended"
-    REQUEST = "request", 1, "somebody asked the unit for something"
+    REQUEST = "request", 1, "a user or client asked the unit for something"
     RECORDING = "recording", 1, "frames of the last seconds were kept as a recording, or could not be"
     CLOCK = "clock", 3, "the time of day was set"
     HISTORY = "history", 1, "the history itself: started again, moved aside, short of room, or with a gap"
@@ -102,7 +102,7 @@ class _Window:
 
 
 _Key = tuple[EventKind, str | None, object]
-"""What repeats is told by this: kind, what it is about, and the code of a cause."""
+"""A repeated event is recognised by this: kind, what it is about, and the code of a cause."""
 
 
 class EventLog:

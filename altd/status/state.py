@@ -21,7 +21,7 @@ from altd.status.health import Health
 from altd.status.services import SelfCheckService
 
 TICK_S = 0.25
-"""How often the state is looked at when nobody asks."""
+"""How often the state is determined without a request."""
 
 Watch = Callable[[int], Iterable[Cause]]
 """What is wrong at an instant of the monotonic clock, ns, by what is neither board nor component."""

@@ -39,8 +39,9 @@ def application_of(
     requests: Buckets,
     names: OwnNames | None = None,
 ) -> ASGIApp:
-    """What answers every request, whoever carries it. ``requests`` limits how often an address may ask.
+    """What answers every request, over TCP and the local socket.
 
+    ``requests`` limits how often an address may ask.
     ``names`` are those that the unit may be asked by; None: any.
     """
     routes: list[BaseRoute] = [
@@ -113,7 +114,7 @@ class _Gate:
 def _malformed(scope: Scope) -> Response | None:
     """Why a request is none that we answer; None: it may be.
 
-    No path of ours needs a percent sign: one that is written with it is read differently by what may stand
+    No path of ours needs a percent sign: one that is written with it is read differently by what may be
     before us. A body has no two lengths (RFC 9112, 6.1), and a header of one value comes once.
     """
     raw_path: bytes = scope["raw_path"]

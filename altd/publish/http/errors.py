@@ -19,7 +19,7 @@ def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None
 
 
 def error_body(sentence: str) -> bytes:
-    """The same object for who has no application, because what came is no HTTP."""
+    """The same object where no application is reached, because the request is no HTTP."""
     return json.dumps({"error": sentence}, separators=(",", ":")).encode()
 
 

@@ -41,7 +41,7 @@ def spots_text(measurement: Measurement | None, health: Health) -> str:
 
 
 def health_text(health: Health) -> str:
-    """Every component with all that it says, counts and measures of itself."""
+    """Every component with its message, counters and figures."""
     return "\n".join(component_lines(list(health), whole=True)) or "nothing has started so far"
 
 

@@ -310,5 +310,5 @@ def test_a_key_of_another_certificate_and_one_with_a_passphrase_are_told_apart(
     line = ["openssl", "ec", "-in", files[1], "-aes256", "-passout", "pass:secret", "-out", locked]
     subprocess.run(line, check=True, capture_output=True)
     locked.chmod(0o600)
-    with pytest.raises(BadInputError, match="passphrase, and nobody is there"):
+    with pytest.raises(BadInputError, match="passphrase, which a daemon cannot type"):
         server_context(files[0], locked)
