@@ -43,7 +43,7 @@ class ExposureSettings(Table):
     control: Literal["auto", "fixed", "camera"] = "auto"
     """``auto`` keeps the spot's peak in a band between starvation and saturation; ``fixed`` sets
     ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
-    to set is left alone, and its health says so."""
+    to set is left alone, and its health reports it."""
     exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
     """Where ``auto`` begins, or what is ``fixed``. `altd record` and `altd scan` hold it in both cases."""
     gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0

@@ -146,8 +146,8 @@ class Scan(Table):
     """The middle of the grid in the unit frame."""
     centre_y_mm: StageMillimetres = 0.0
     order: Literal["serpentine", "rows"] = "serpentine"
-    """``serpentine`` runs to and fro, the shortest way; ``rows`` begins each row at the smallest x, so that a
-    stage with play comes to every node from the same side."""
+    """``serpentine`` runs every second row backwards, the shortest way; ``rows`` begins each row at the
+    smallest x, so that a stage with play comes to every node from the same side."""
     exposures: Annotated[int, Field(ge=1, le=100)] = 2
     """Exposures a node."""
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.5
@@ -156,6 +156,6 @@ class Scan(Table):
     """LED reference pairs (off, on) before the grid, and as many after it. Those before it are a self-check
     against the calibration so far."""
     when_bad: Literal["stop", "warning"] = "stop"
-    """What follows where that self-check is bad; ``warning`` calibrates the unit as it stands now."""
+    """What follows where that self-check is bad; ``warning`` calibrates the unit as it is now."""
     retries: Annotated[int, Field(ge=0, le=100)] = 2
     """How often a node with a bad spot is exposed again before it is refused."""

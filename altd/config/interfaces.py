@@ -32,7 +32,7 @@ def _address(host: str) -> str:
 def _refusal(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
     """Why no computer can listen on an address; empty: one may."""
     if address.is_multicast:
-        return "is an address of groups, which nobody can connect to"
+        return "is an address of groups, which no client can connect to"
     if isinstance(address, ipaddress.IPv6Address):
         if address.ipv4_mapped is not None:
             return f"is IPv4 written as IPv6: write {address.ipv4_mapped}"
@@ -118,7 +118,8 @@ _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE 
 
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
-        raise complaint(((), f"{shown(text)} is no name of a computer; possible: one such as alt-0007.plant"))
+        possible = "one such as alt-0007.plant, without scheme and port"
+        raise complaint(((), f"{shown(text)} is no name of a computer; possible: {possible}"))
     return text
 
 
@@ -243,9 +244,9 @@ class OpcUaSettings(Table):
 
 
 class Rs485Settings(Table):
-    """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
+    """The kernel's RS485 mode: the port switches the direction of its transceiver with RTS.
 
-    For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
+    For a port that the kernel can do this with; an adapter that switches automatically needs none of it.
     """
 
     rts_while_sending: Literal["high", "low"] = "high"

@@ -37,7 +37,7 @@ class KeptFrames(Table):
     again_after_s: Annotated[float, Field(ge=10, le=86_400)] = 600.0
     """No second recording of the same cause before that."""
     disk_mb: Annotated[int, Field(ge=1, le=1_000_000)] = 2000
-    """What all recordings may take: the oldest go first; those that somebody marked stay."""
+    """What all recordings may take: the oldest go first; marked ones stay."""
     folder: Path | None = None
     """Where they are written; without it in `recordings` in the service's own folder
     (`StateDirectory`)."""

@@ -33,7 +33,7 @@ class Target(Table):
     """The name in the calibration file and in all outputs; small letters, digits and _, and no key of the
     measurement object."""
     z_mm: Millimetres
-    """Distance from the front target's printed face along the beam."""
+    """Distance from the front target's printed surface along the beam."""
     camera: Name
     """The camera that looks at it: a name under ``[cameras]``."""
 

@@ -28,7 +28,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
     """The folder and the room of the history, and whether its file is whole."""
     settings, subject = config.history, "history"
     if not settings.enabled:
-        yield skipped(subject, "off: [history] says so")
+        yield skipped(subject, "off: disabled in [history]")
         return
     path = settings.file or Path(STATE, FILE_NAME)
     if settings.file is None and machine.service() is None:

@@ -36,7 +36,7 @@ class EventKind(StrEnum):
     """A row of the table: code, severity where nothing else is said, meaning.
 
     The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the
-    least severe first, so what is rare and explains much stands higher than its harm.
+    least severe first, so what is rare and explains much ranks higher than its harm.
     """
 
     STARTED = "started", 2, "the daemon started"
@@ -102,7 +102,7 @@ class _Window:
 
 
 _Key = tuple[EventKind, str | None, object]
-"""What repeats is told by this: kind, what it is about, and the code of a cause."""
+"""A repeated event is recognised by this: kind, what it is about, and the code of a cause."""
 
 
 class EventLog:

@@ -155,7 +155,7 @@ and {MAX_EVENTS} events come at once. Where the [history](history.md) cannot be 
     curl http://UNIT:8080/api/v1/calibration
     curl -OJ http://UNIT:8080/api/v1/calibration/file
 
-gives what the loaded calibration says of itself, in the words of [calibration](calibration.md): what it was
+gives what the loaded calibration holds, in the words of [calibration](calibration.md): what it was
 made from, `expected_sigma`, and for each target the valid area, residuals, repeatability, cross-check, flat
 and fingerprint. Report and serial console show the same figures ([definitions](calibration.md#the-report)).
 The file is given as it was loaded: where another one lies in its place since, the answer is 409. `report`

@@ -136,7 +136,7 @@ _NO_CALIBRATION = "there is no calibration"
 _CALIBRATION_FILES = (
     ServedPath(
         "/api/v1/calibration",
-        "what the loaded calibration says of itself, one JSON object",
+        "what the loaded calibration holds, one JSON object",
         {
             "GET": Operation(
                 Answers.calibration,
@@ -179,7 +179,7 @@ _DIAGNOSTICS = ServedPath(
     "a zip archive that a technician mails to an expert",
     {
         "GET": Operation(
-            Answers.diagnostics, "All of it for who looks for a fault", media_type=ZIP, errors=_NO_DOWNLOAD
+            Answers.diagnostics, "All of it, for remote diagnostics", media_type=ZIP, errors=_NO_DOWNLOAD
         )
     },
 )
@@ -271,7 +271,7 @@ PATHS = (
                     **_NOT_ALLOWED,
                     401: "name or password is wrong",
                     408: "the body did not come",
-                    409: "nobody can log in here: no credentials are set",
+                    409: "logging in is not possible here: no credentials are set",
                     413: "the body is too long",
                     415: "the body is not application/json",
                 },

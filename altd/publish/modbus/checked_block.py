@@ -138,7 +138,7 @@ CRC = Register(
     Type.U32,
     "",
     f"CRC-32 of the {SIZE - 2} registers before it",
-    values.constant(None),  # it is made when all others stand
+    values.constant(None),  # it is made when all others are there
 )
 
 ROWS = (

@@ -46,7 +46,7 @@ def _calibration_age_days(health: Health) -> float | None:
 
 
 def _first_32_bits(digest: str | None) -> int | None:
-    """Of hexadecimal digits, before which the name of the algorithm may stand: ``sha256:89ab…``."""
+    """Of hexadecimal digits, the name of the algorithm may precede them: ``sha256:89ab…``."""
     digits = (digest or "").rpartition(":")[2][:8]
     return int(digits, 16) if digits else None
 

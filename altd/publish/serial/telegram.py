@@ -173,7 +173,7 @@ def encode(measurement: Measurement | None) -> bytes:
 
 
 def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
-    """The telegram with the codes that there is room for; ``more`` stands for the others."""
+    """The telegram with the codes that there is room for; ``more`` replaces the others."""
     for kept in range(len(codes), -1, -1):
         shown = codes[:kept] + (MORE,) * (kept < len(codes))
         telegram = replace(telegram, reasons=shown or None)
