@@ -51,9 +51,8 @@ gives `{identification(health())}`. `*STB?` gives the sum of
 
 | bit | weight | means |
 |---|---|---|
-{bits}
-in which causes are those of [states](states.md). `*TST?` gives what the last self-check said, and makes none:
-{results}.
+{bits} in which causes are those of [reasons and states](reasons.md). `*TST?` gives what the last self-check
+said, and makes none: {results}.
 
 | key | does |
 |---|---|

@@ -124,7 +124,7 @@ measurements, each of them the newest; those that were skipped are counted (`mea
 ## State
 
 The object `state` of `/api/v1/status`: `signal` is one of the five of NAMUR NE 107, `causes` lists why,
-the worst first ([states](states.md)).
+the worst first ([states](reasons.md#states)).
 
 ## Behaviour of the unit
 

@@ -61,7 +61,7 @@ holds the offsets of `[installation]`, which this table leaves out.
 | node | BrowseName | meaning |
 |---|---|---|
 {_variables()}
-| `health` | DeviceHealth | the unit's [state](states.md): {_health()} |
+| `health` | DeviceHealth | the unit's [state](reasons.md#states): {_health()} |
 
 `SerialNumber`, `Model` and `SoftwareRevision` are those of the unit. `Manufacturer`, `HardwareRevision`,
 `DeviceRevision` and `DeviceManual` are empty and `RevisionCounter` is -1: not known. `Session` changes with

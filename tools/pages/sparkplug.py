@@ -22,7 +22,7 @@ _MEANINGS = {
     "Properties/calibration_created": "date of the calibration",
     "Properties/calibration_checksum": "checksum of the calibration",
     "Properties/calibration_simulated": "whether the calibration was made from simulated frames",
-    "State/signal": "signal of NAMUR NE 107 ([states](states.md))",
+    "State/signal": "signal of NAMUR NE 107 ([states](reasons.md#states))",
     "State/causes": "codes of its causes, the worst first, with spaces between them",
     "valid": "whether the measurement is valid",
     "status": "codes of its [reasons](reasons.md) and warnings, with spaces between them",

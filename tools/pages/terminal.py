@@ -53,7 +53,7 @@ a socket where [`[local]`](config.md) names one.
 Plain text of less than 80 columns, for eyes and for pipes; `--json` gives one object with what
 [HTTP](http.md) answers: `measurement`, `status`, `self_check`. Numbers have their standard deviation (1
 sigma), *now* is that of the value as a statement about the beam at this moment. Causes are listed
-below the state with their remedies, as in [states](states.md).
+below the state with their remedies, as in [reasons and states](reasons.md).
 
 | exit status | |
 |---|---|
