@@ -105,7 +105,11 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         "Leave the table out and roll is *not available*. Wiring, and what is shown when it fails: "
         "`inclinometer.md`.",
     ),
-    ('[[thermometers]], driver = "hwmon"', HwmonThermometerSettings, "One table a temperature: `reasons.md`."),
+    (
+        '[[thermometers]], driver = "hwmon"',
+        HwmonThermometerSettings,
+        "One table a temperature: `reasons.md`.",
+    ),
     ("[maintenance]", Maintenance, "All keys have defaults. What they lead to: `reasons.md`."),
     ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `history.md`."),
     ("[history]", HistorySettings, "All keys have defaults. What is kept, and for how long: `history.md`."),
