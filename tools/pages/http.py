@@ -52,9 +52,8 @@ answer; `/api/v1/openapi.json` is the same as an [OpenAPI](https://spec.openapis
 
 | path | gives |
 |---|---|
-{paths} Paths and keys under `/api/v1` keep their meaning; keys may be added. The paths without `v1` are
-kept, too. Pictures of the targets are sent over a WebSocket at `/api/v1/pictures`, which is not part of the
-OpenAPI document.
+{paths} Paths and keys under `/api/v1` keep their meaning; keys may be added. Pictures of the targets are
+sent over a WebSocket at `/api/v1/pictures`, which is not part of the OpenAPI document.
 
 ## The measurement
 
@@ -143,9 +142,11 @@ now. At most {MAX_POINTS} points and {MAX_EVENTS} events are sent at once.
         metrics_path: /metrics
         static_configs: [targets: ["UNIT:8080"]]
 
-Each value is `altd_KEY` (`altd_x_mm`) with `altd_KEY_sigma` and `altd_KEY_sigma_now`; `/metrics` documents
-the others. What is not known has no sample. `altd_valid` and `altd_live` are always there; `altd_live` is 0
-while measurements are played or simulated. Alarm on:
+Each value is `altd_KEY` (`altd_x_mm`) with `altd_KEY_sigma` and `altd_KEY_sigma_now`; Others are
+`altd_target_x_mm`, `altd_measurement_age_seconds`, `altd_status`, `altd_state`, `altd_cause`,
+`altd_availability_ratio`, `altd_self_check_verdict` and `altd_component_state`. What is not known has no
+sample. `altd_valid` and `altd_live` are always there; `altd_live` is 0 while measurements are played or
+simulated. Alarm on:
 
     altd_valid == 0 or altd_live == 0 or absent(altd_valid)
 
@@ -164,10 +165,9 @@ Any client that reaches the port may read, unless `allow` names networks:
     names = ["alt-0007.plant.example"]
 
 Connections from elsewhere are closed unread; headers such as `X-Forwarded-For` do not count, so behind a
-proxy the address is the proxy's. The unit's own computer always may. Pages of other sites cannot read an
-answer (no CORS). Without TLS the unit answers a request (except `/healthz`) only under its own names, else
-421: its addresses, `localhost`, the name of its computer, alone or with `.local`, and those of `names`
-(against DNS rebinding).
+proxy the address is the proxy's. The unit's own computer always may. Without TLS the unit answers a request
+(except `/healthz`) only under its own names, else 421: its addresses, `localhost`, the name of its computer,
+alone or with `.local`, and those of `names` (against DNS rebinding).
 
 ## Permission to act
 
@@ -218,7 +218,7 @@ holds the unit's certificate first, then those that signed it.
 
 ## Errors and limits
 
-Each error is an object with `error`, one sentence. The API's page lists the errors of each path.
+Each error is an object with `error`, one sentence.
 
 | status | meaning |
 |---|---|
