@@ -231,7 +231,7 @@ Over a serial line: `mbpoll -m rtu -b {baud} -P {parity} … /dev/ttyUSB0`. `rol
 
 ## The condition
 
-{_grouped(CONDITION.rows)}
+{grouped_table(CONDITION.rows)}
 
 What was not observed for {FIGURE_AGE_S:g} s is *not known*. Shares of time are updated every ten seconds.
 
@@ -275,7 +275,7 @@ serial line (unit id 0) are ignored.
 
 ## Relative values
 
-{_grouped(RELATIVE.rows)}
+{grouped_table(RELATIVE.rows)}
 
 The relative values are the current measurement less that of the zero. They are *not known* without a zero,
 and while the measurement is invalid. **The zero does not change values at other addresses.**
@@ -406,7 +406,7 @@ def register_table(rows: Iterable[Register]) -> str:
     return _rows((str(row.address), row.name, row) for row in rows)
 
 
-def _grouped(rows: Iterable[Register]) -> str:
+def grouped_table(rows: Iterable[Register]) -> str:
     """A row for registers of one type, unit and meaning."""
     groups: dict[tuple[Type, str, str], list[Register]] = {}
     for row in rows:
