@@ -38,7 +38,6 @@ pages := \
     states.svg:tools.pages.states_picture \
     telegram.md:tools.pages.telegram \
     console.md:tools.pages.console \
-    terminal.md:tools.pages.terminal \
     http.md:tools.pages.http \
     mqtt.md:tools.pages.mqtt \
     mqtt.schema.json:tools.pages.mqtt_schema \
