@@ -17,6 +17,7 @@ PEERS = "peers.md"
 CAMPAIGN = "campaign.md"
 WIRE_ERRORS = "wire-errors.md"
 LOAD = "load.md"
+PAGE = "page.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated

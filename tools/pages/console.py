@@ -94,8 +94,7 @@ values when the daemon has not answered for {HOLD_S:g} s. It reconnects automati
 It needs a terminal with cursor control (`xterm`, `linux`, `vt100`, `tmux`) of at least {MIN_COLUMNS} ×
 {MIN_ROWS} characters; a smaller one shows the numbers alone. A number that does not fit completely is left
 out. Without a UTF-8 locale, and on the kernel's console, the pictures are drawn in ASCII. Exit status: 0
-after `q`, 1 if the terminal was closed, 2 if it cannot be drawn on, 128 plus the number of the signal after
-a signal.
+after `q`, 1 if the terminal was closed, 2 if it cannot be drawn on, 128 plus the signal's number.
 
 ## Access to the local socket
 
@@ -163,7 +162,7 @@ Enter.
 
 ### Queries for programs
 
-Programs can send the queries of IEEE 488.2-1992. The answer is one line after the echo of the query.
+Programs can send the queries of IEEE 488.2-1992. Each answer is one line after the echo.
 `*IDN?` gives `{identification(health())}`. `*TST?` gives the result of the last self-check without starting
 one: {results}, {NO_TEST} none since the start. `*STB?` gives the sum of these weights; the causes are those
 of [states](states.md):
