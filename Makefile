@@ -38,7 +38,6 @@ pages := \
     coordinates.svg:tools.pages.coordinates \
     telegram.md:tools.pages.telegram \
     console.md:tools.pages.console \
-    terminal.md:tools.pages.terminal \
     http.md:tools.pages.http \
     mqtt.md:tools.pages.mqtt \
     mqtt.schema.json:tools.pages.mqtt_schema \

@@ -18,6 +18,7 @@ CAMPAIGN = "campaign.md"
 WIRE_ERRORS = "wire-errors.md"
 LOAD = "load.md"
 CAMERAS = "cameras.md"
+PAGE = "page.md"
 
 INDEX = """\
 # Studies: the thesis' experiments, repeated
@@ -97,6 +98,8 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
         lines += ["", f"Clients of all interfaces at once: [load]({LOAD}), by `make bench-load`."]
     if (folder / CAMERAS).is_file():
         lines += ["", f"Forged packets, automatic exposure and bit depth: [cameras]({CAMERAS})."]
+    if (folder / PAGE).is_file():
+        lines += ["", f"A year in the page's trends, and its memory: [page]({PAGE}), by `make bench-page`."]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

@@ -98,7 +98,7 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
         except ConnectionRefusedError:
             yield good(subject, "of a daemon that was killed: the next one replaces it")
         except PermissionError:
-            remedy = "sudo altd status   # or Group= of the service, docs/terminal.md"
+            remedy = "sudo altd status   # or Group= of the service, docs/console.md"
             yield better(subject, f"{machine.account.name} may not open it", remedy)
         else:
             yield good(subject, "a daemon answers there")

@@ -80,7 +80,7 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
         "[local]",
         LocalSettings,
         "Without the table it is `altd.sock` in the folder that systemd makes for the service "
-        "(`RuntimeDirectory`), and there is none for a daemon that is started by hand: `terminal.md`.",
+        "(`RuntimeDirectory`), and there is none for a daemon that is started by hand: `console.md`.",
     ),
     ('[[serial]], speaks = "telegram"', TelegramPortSettings, "One table a port. Sentences: `telegram.md`."),
     ('[[serial]], speaks = "console"', ConsolePortSettings, "What can be typed: `console.md`."),
