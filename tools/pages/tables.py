@@ -43,8 +43,8 @@ Parquet keeps `unit` and `meaning` of each column in the metadata of its field, 
 reasons below. It needs the extra `altd[report]`. Of more than 2000 measurements a point is the mean of
 several, and the band reaches from the lowest value − sigma to the highest value + sigma.
 
-`locate` and `map` write a row for each image and line. Unreadable ones have the reason `unreadable` and a
-line on standard error, and the exit status is 2.
+`locate` and `map` write a row for each image and line. Unreadable ones have the reason `unreadable`; the
+exit status is 2.
 """
 
 _SCAN = """\
@@ -54,7 +54,7 @@ pitch should be zero. Differences are measured minus known and include the stage
 with the calibration
 made from it does not show how accurate the map is: measure another scan.
 
-Unless `--window` or `--every` is given, a row is a node: the mean of its exposures (the last 1000 of more).
+Without `--window` and `--every` a row is a node: the mean of its (last 1000) exposures.
 Positions within half a millimetre are one node, and windows never mix two. LED reference pairs are not
 measured. In JSON, `dx_mm` and `dy_mm` are also in each target's object. `--plot` draws the differences.
 """
