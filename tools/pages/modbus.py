@@ -163,7 +163,7 @@ port's table. It changes every 32-bit value, and neither 16-bit values nor text.
 
 ## Read a measurement
 
-**One request, one measurement.** All registers of an answer are of the same measurement. {SIZE} registers
+**One request, one measurement.** Two answers belong together only with the same `sequence`. {SIZE} registers
 from address 0 are everything, the first {float_end} are header and floating point.
 
 - Use a number only if bit 0 of `status` is 1 and `age` is below your limit.

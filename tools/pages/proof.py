@@ -41,7 +41,7 @@ Keep the unit in a network of its own.
 | delay | `age` and the reader's own clock |
 | masquerade, wrong address | `unit`, CRC-32 |
 
-Tested with 1,000 of each on each wire: [wire errors](studies/wire-errors.md).
+Tested with 1,000 of each: [wire errors](studies/wire-errors.md).
 
 ## Content of every message
 
