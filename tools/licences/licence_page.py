@@ -99,7 +99,7 @@ def _read_by_hand(versions: dict[str, str]) -> list[tuple[str, ...]]:
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    lines = ["| " + " | ".join(line) + " |" for line in (head, *rows)]
+    lines = ["|" + "|".join(line) + "|" for line in (head, *rows)]
     lines.insert(1, "|" + "---|" * len(head))
     return "".join(line + "\n" for line in lines)
 
