@@ -19,7 +19,7 @@ from studies.sweep import (
 )
 
 TITLE = "Ambient light to 1000 lx"
-QUESTION = "Does stray light up to 1000 lx, as specified, spoil the measurement?"
+QUESTION = "Does stray light up to the specified 1000 lx disturb the measurement?"
 
 SEED = 71
 LUX = (0.0, 50.0, 100.0, 200.0, 500.0, 1000.0)

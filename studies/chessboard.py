@@ -23,7 +23,7 @@ from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Chessboard: real photographs"
-QUESTION = "How far off is a map at a corner that it was not shown, through a lens that nobody simulated?"
+QUESTION = "How large is the error of a map at a corner that it was not fitted to, through a real lens?"
 
 PHOTOGRAPHS = Path(__file__).resolve().parents[2] / "shared" / "data" / "chessboard"
 """left01.jpg … left07.jpg of OpenCV's sample data, 320 × 240; beside the checkout, not in it."""
@@ -100,7 +100,7 @@ def run(progress: Progress) -> Result:
         ),
         rows=rows,
         headline=(
-            f"At corners that it was not shown altd's map errs by {ours:.3f} px on average, "
+            f"At corners that it was not fitted to, altd's map errs by {ours:.3f} px on average, "
             f"a homography by {flat:.3f} px, OpenCV's camera from the other photographs by {other:.3f} px."
         ),
         text=f"""

@@ -14,7 +14,7 @@ from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Fig. 3.17: aluminium against Kevlar over 50 K"
-QUESTION = "By how much do yaw and pitch go wrong when the frame between the targets grows with heat?"
+QUESTION = "How large are the errors of yaw and pitch when heat expands the frame between the targets?"
 
 DISTANCE_MM = 280.0
 WARMER_K = 50.0

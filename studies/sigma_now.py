@@ -1,4 +1,4 @@
-"""Sigma of now: whether a value that is read late still says how good it is, of a machine that moves."""
+"""`sigma_now`: whether a value that is read late still says how good it is, of a machine that moves."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from studies.hard_motion import HARD, Path, start
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
-TITLE = "Sigma of now: a machine at 0 to 5 mm/s, read late"
-QUESTION = "Does the sigma that is given with a value hold for the moment at which a controller reads it?"
+TITLE = "`sigma_now`: a machine at 0 to 5 mm/s, read late"
+QUESTION = "Does the sigma of a value hold for the moment at which a controller reads it?"
 
 SEEDS = (71, 72, 73)
 SPEEDS_MM_PER_S = (0.0, 0.1, 0.5, 1.0, 2.0, 5.0)
@@ -193,13 +193,13 @@ def run(progress: Progress) -> Result:
         ),
         rows=(*shown, *hard_rows, *start_rows),
         headline=(
-            f"Of {len(driven_cells)} cells of rms(error/sigma of now), 0 to 5 mm/s, read 0 to 1 s late, with "
+            f"Of {len(driven_cells)} cells of rms(error/`sigma_now`), 0 to 5 mm/s, read 0 to 1 s late, with "
             f"and without vibration, {_inside(driven_cells)} lie within {WITHIN[0]:g} to {WITHIN[1]:g}; all "
             f"are between {min(driven_cells):.2f} and {max(driven_cells):.2f}."
         ),
         text=_text(driven, _outside(rows), hard_rows),
         figure=_figure(driven),
-        caption="Sigma of now of x (lines), its error's rms (circles); error/sigma of all four quantities",
+        caption="`sigma_now` of x (lines), rms of its error (circles); error/sigma of all four quantities",
     )
 
 

@@ -25,7 +25,9 @@ from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Table 3.2: homography against tensor polynomial, f = 12 to 3.6 mm"
-QUESTION = "How far off is a place on the target that is mapped back from the picture, the shorter the lens?"
+QUESTION = (
+    "How does the error of a place that is mapped from the picture to the target depend on the focal length?"
+)
 
 SEEDS = (71, 72, 73)
 EXPOSURES = 2
