@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-wires campaign studies docs lock clean venv programs kernel
+.PHONY: help demo demo-gige unit test test-all test-workshop fuzz check bench bench-area bench-guest bench-history bench-hostile bench-live bench-load bench-memory bench-page bench-selfcheck bench-sizes bench-spray bench-wires campaign studies docs site lock clean venv programs kernel
 
 export PYTHON ?= python3
 unexport PYTHONDONTWRITEBYTECODE # tests start hundreds of processes: each would compile altd and its libraries again
@@ -34,11 +34,10 @@ core := tests/unit $(core_system) -m 'not real_time and not alone and not own_ne
 pages := \
     modbus.md:tools.pages.modbus \
     reasons.md:tools.pages.reasons \
-    states.md:tools.pages.states \
     states.svg:tools.pages.states_picture \
+    coordinates.svg:tools.pages.coordinates \
     telegram.md:tools.pages.telegram \
     console.md:tools.pages.console \
-    terminal.md:tools.pages.terminal \
     http.md:tools.pages.http \
     mqtt.md:tools.pages.mqtt \
     mqtt.schema.json:tools.pages.mqtt_schema \
@@ -165,6 +164,9 @@ docs: venv ## write the generated pages and pictures of docs/
 	.ci/programs must tmux chromium pdftoppm=poppler-utils
 	$(python) -m tools.pictures
 	ALTD_PICTURES=docs $(python) -m pytest -q tests/system/publish -k "faults or night or checks_so_far"
+
+site: venv ## the documentation as a site in build/site, with search; opens from disk without a network
+	@NO_MKDOCS_2_WARNING=1 exec $(VENV)/bin/mkdocs --quiet build
 
 lock: ## write the three locks with today's newest packages
 	@.ci/lock

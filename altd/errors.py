@@ -26,7 +26,7 @@ _MIN_SIMILARITY = 0.6
 
 
 def did_you_mean(word: object, possible: Iterable[str]) -> str:
-    """A question for who made a slip, as the end of a sentence; nothing where no word is alike."""
+    """A suggestion for a misspelt word, as the end of a sentence; nothing where no word is alike."""
     import difflib  # most commands are called without a slip
 
     folded = {name.casefold(): name for name in possible}

@@ -92,13 +92,13 @@ class Reason(StrEnum):
         "spot_missing", _TARGET, 1, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "no laser spot",
         "switch the laser on and check that its beam enters the window",
-        "nothing rises above background and noise, or it is too dim to be located",
+        "nothing is brighter than the background, or the spot is too dim to be located",
     )  # fmt: skip
     AMBIGUOUS = (
         "ambiguous", _TARGET, 2, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "more than one spot",
         "look for reflections and other lasers or lamps in the window",
-        "a second spot has 30 % of the first one's light or more",
+        "a second spot has at least 30 % of the light of the first",
     )  # fmt: skip
     SATURATED = (
         "saturated", _TARGET, 3, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
@@ -110,124 +110,118 @@ class Reason(StrEnum):
         "cut_by_edge", _TARGET, 4, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is cut by the edge of the image",
         "bring the beam nearer to the middle",
-        "too much of the spot lies beyond the edge of the image",
+        "too much of the spot is beyond the edge of the image",
     )  # fmt: skip
     WRONG_SIZE = (
         "wrong_size", _TARGET, 5, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong size",
         "clean the window and check the focus of the laser",
-        "a diameter that no laser spot has",
+        "the diameter is not that of a laser spot",
     )  # fmt: skip
     WRONG_SHAPE = (
         "wrong_shape", _TARGET, 6, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot has a wrong shape",
         _CLEAN_AND_LOOK,
-        "an elongation or an outline that no laser spot has",
+        "the elongation or the outline is not that of a laser spot",
     )  # fmt: skip
     DISTORTED = (
         "distorted", _TARGET, 10, StatusGroup.SPOT_BAD, _OUT_OF_SPECIFICATION,
         "the spot is distorted",
         "clean the window, look for reflections and other light",
-        "the light is not that of one spot as the unit was calibrated with: a reflection, dirt, a torn "
-        "picture",
+        "the light differs from that of one spot as calibrated: a reflection, dirt, a torn picture",
     )  # fmt: skip
     CAMERA_SILENT = (
         "camera_silent", _TARGET, 7, StatusGroup.CAMERA_SILENT, _FAILURE,
         "the camera delivers nothing",
         "check the camera's cable and supply",
-        "its camera delivers no frames",
+        "the camera delivers no frames",
     )  # fmt: skip
     EXPOSURE_CHANGING = (
         "exposure_changing", _TARGET, 9, StatusGroup.SPOT_BAD, _CHECK_FUNCTION,
         "the exposure is being set",
         "wait a second; if it stays, look for light that flickers",
-        "its camera's exposure is being set; over within a second",
+        "the camera's exposure is being changed; lasts less than a second",
     )  # fmt: skip
     FRAME_REPEATED = (
         "frame_repeated", _TARGET, 11, StatusGroup.NOT_TRUSTED, _FAILURE,
         "the camera repeats one picture",
         "unplug the camera and plug it in again",
-        "the camera delivers the same picture, or a part of it, again: it is frozen",
+        "the camera repeats a picture or a part of it: it is frozen",
     )  # fmt: skip
     WRONG_CAMERA = (
         "wrong_camera", _TARGET, 12, StatusGroup.NOT_TRUSTED, _FAILURE,
         "not the calibrated camera",
         "check the cameras' cables and the calibration file",
-        "not the camera, or not the view, that was calibrated",
+        "the camera, or its view, is not the calibrated one",
     )  # fmt: skip
     IMPLAUSIBLE = (
         "implausible", _TARGET, 8, StatusGroup.IMPLAUSIBLE, _FAILURE,
         "two maps of the target contradict each other",
         "load or make the calibration again",
-        "the target's two maps lie further apart at the spot than the calibration's bound",
+        "the target's two maps differ at the spot by more than the calibration's limit",
     )  # fmt: skip
 
     OUT_OF_STEP = (
         "out_of_step", _UNIT, 20, StatusGroup.OUT_OF_STEP, _FAILURE,
         "the cameras are out of step",
         "check the trigger of the cameras",
-        "the cameras' frames do not belong to the same instants, by their times or by how the spots move",
+        "the cameras' frames are not of the same instants, by their times or the spots' motion",
     )  # fmt: skip
     OUT_OF_RANGE = (
         "out_of_range", _UNIT, 21, StatusGroup.OUT_OF_RANGE, _OUT_OF_SPECIFICATION,
         "outside the calibrated area",
         "bring the beam nearer to the middle",
-        "a spot lies farther outside the nodes of the calibration than its map is known: half a pitch, or "
-        "where sigma reaches 0.05 mm; or the beam is steeper than the unit's ranges: yaw ±110, "
-        "pitch ±250 mm/m",
+        "a spot is half a pitch outside the calibration grid, or where its map's sigma reaches 0.05 mm; or "
+        "the beam is steeper than yaw ±110, pitch ±250 mm/m",
     )  # fmt: skip
     UNSTEADY = (
         "unsteady", _UNIT, 22, StatusGroup.UNSTEADY, _OUT_OF_SPECIFICATION,
         "the spot moves too much",
         "wait until the machine is at rest, look for vibration",
-        "the beam jumped while it was averaged, or scatters more than `max_sigma_mm` allows",
+        "the beam jumped during averaging, or scatters by more than `max_sigma_mm`",
     )  # fmt: skip
     WARMING_UP = (
         "warming_up", _UNIT, 23, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
         "too few exposures so far",
         "wait some seconds",
-        "not yet half a window of exposures",
+        "fewer exposures than half a window",
     )  # fmt: skip
     STALE = (
         "stale", _UNIT, 24, StatusGroup.STALE, _FAILURE,
         "nothing new is measured",
         "look in `status` for the component that has stopped",
-        "the last exposure is older than `stale_after_s`, or no measurement was published for so long",
+        "no new exposure, or no measurement, for longer than `stale_after_s`",
     )  # fmt: skip
     CHECK_FAILED = (
         "check_failed", _UNIT, 25, StatusGroup.NOT_TRUSTED, _FAILURE,
         "impossible values",
         "restart the unit, check its config and calibration",
-        "the numbers did not pass the last check before publishing: finite, ordered, within what the unit "
-        "can measure",
+        "the numbers are not finite, not ordered or outside the measuring range",
     )  # fmt: skip
     GEOMETRY_DRIFT = (
         "geometry_drift", _UNIT, 26, StatusGroup.NOT_TRUSTED, _FAILURE,
         "cameras or targets are not where they were calibrated",
         "look for a blow or loose screws at cameras and targets; then calibrate the unit again",
-        "the self-check found the frame LEDs so far from their references that a measurement would be off by "
-        "more than `[self_check]` allows",
+        "the self-check found a drift above `bad_mm` or `bad_deg`",
     )  # fmt: skip
     GEOMETRY_UNVERIFIED = (
         "geometry_unverified", _UNIT, 27, StatusGroup.NOT_TRUSTED, _FAILURE,
         "the self-check could not tell whether cameras and targets are in place",
         "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
-        "the last self-check ended without a verdict on the whole unit, or that after a shock has not ended, "
-        "and `[self_check]` asks for one",
+        "as `geometry_unknown`, while `when_unknown` is `invalid`",
     )  # fmt: skip
     SELF_CHECKING = (
         "self_checking", _UNIT, 28, StatusGroup.WARMING_UP, _CHECK_FUNCTION,
         "the unit checks itself before its first measurement",
         "wait some seconds",
-        "the first self-check since the start has not ended yet",
+        "the first self-check since the start has not ended",
     )  # fmt: skip
 
     NOT_LIVE = (
         "not_live", _UNIT, 29, StatusGroup.NOT_TRUSTED, _CHECK_FUNCTION,
         "frames or calibration are not this unit's own",
         "set the unit's cameras and its calibration in the config; to rehearse, start `altd run --rehearsal`",
-        "frames are played or simulated, or the calibration was made from simulated frames, and the daemon "
-        "was not started with `--rehearsal`",
+        "frames or calibration are played or simulated, and the daemon runs without `--rehearsal`",
     )  # fmt: skip
 
     EXPOSURES_LOST = (
@@ -240,54 +234,53 @@ class Reason(StrEnum):
         "playback", _WARNING, 0, StatusGroup.PLAYBACK, _CHECK_FUNCTION,
         "a recording is played, this is NOT LIVE",
         _NOT_LIVE,
-        "the frames are those of a recording",
+        "the frames are from a recording",
     )  # fmt: skip
     SIMULATED = (
         "simulated", _WARNING, 0, StatusGroup.SIMULATED, _CHECK_FUNCTION,
         "simulated frames or calibration, NOT LIVE",
         _NOT_LIVE,
-        "a simulator made the frames, or those of the calibration",
+        "frames or calibration are from a simulator",
     )  # fmt: skip
     REHEARSAL = (
         "rehearsal", _WARNING, 0, StatusGroup.NO_BIT, _CHECK_FUNCTION,
         "started to rehearse",
         _NOT_LIVE,
-        "the daemon was started with `--rehearsal`: played and simulated frames give valid values",
+        "the daemon runs with `--rehearsal`: played and simulated frames give valid values",
     )  # fmt: skip
     ROLL_MISSING = (
         "roll_missing", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "no roll from the inclinometer",
         "check the inclinometer's cable, supply and table in the config",
-        "an inclinometer is fitted and gives no usable value; the beam's numbers are not affected",
+        "the fitted inclinometer gives no usable value; the beam's numbers are right",
     )  # fmt: skip
     PITCH_DIVERGES = (
         "pitch_diverges", _WARNING, 0, StatusGroup.NO_BIT, _MAINTENANCE_REQUIRED,
         "the beam's pitch drifts against gravity's",
         "has the laser moved? look for warm air in the beam",
-        "the difference of optical pitch and the inclinometer's has changed slowly by more than "
-        "`max_divergence_deg`: refraction, a laser or an inclinometer that has moved",
+        "optical pitch and the inclinometer's diverge slowly by more than `max_divergence_deg`: refraction, "
+        "or the laser or the inclinometer has moved",
     )  # fmt: skip
 
     GEOMETRY_SUSPECT = (
         "geometry_suspect", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
         "cameras or targets have moved a little since the calibration",
         "look for loose screws at cameras and targets, and plan a calibration",
-        "the self-check found a drift that matters but is within what `[self_check]` allows, or that is no "
-        "reason to be invalid by its settings",
+        "the self-check found a drift above `suspect_mm` or `suspect_deg`, or a bad one while `when_bad` is "
+        "`warning`",
     )  # fmt: skip
     GEOMETRY_UNKNOWN = (
         "geometry_unknown", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
         "the self-check could not tell whether cameras and targets are in place",
         "`status` says what the self-check lacks: look at the frame LEDs and their wiring",
-        "the last self-check ended without a verdict, or without one on a part of the unit, or that after a "
-        "shock has not ended",
+        "the last self-check has no verdict on the unit or a part of it, or the one after a shock has not "
+        "ended",
     )  # fmt: skip
     COMPENSATED = (
         "compensated", _WARNING, 0, StatusGroup.NOT_TRUSTED, _MAINTENANCE_REQUIRED,
         "a drift of cameras or targets is taken out of the measurement",
         "plan a calibration",
-        "the places of the spots are corrected by what the last self-check found; sigma has grown by what is "
-        "uncertain of that",
+        "spot positions are corrected by the last self-check; sigma includes the uncertainty of that",
     )  # fmt: skip
 
     scope: Scope

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from altd.ports import Clock
+from altd.process.port_owner import listening_sockets, owner_of_socket
 from altd.status.health import Component
 
 log = logging.getLogger("altd")
@@ -41,16 +42,30 @@ _NO_LISTENER = frozenset({errno.EBADF, errno.EINVAL, errno.ENOTSOCK})
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """The listening socket; raises OSError that names the address."""
+    """The listening socket; raises OSError that names the cause, where it is known, and a remedy."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
         number = error.errno or errno.EADDRNOTAVAIL
-        sentence = os.strerror(number).lower() if number > 0 else f"no such address: {error.strerror}"
-        raise OSError(number, f"{host}:{port}: {sentence}") from error
+        sentence = os.strerror(number) if number > 0 else f"no such address: {error.strerror}"
+        raise OSError(number, f"{sentence}{_remedy(number, host, port)}") from error
     listener.setblocking(False)
     return listener
+
+
+def _remedy(number: int, host: str, port: int) -> str:
+    """What to do about an address that cannot be listened on, as the end of a sentence."""
+    if number == errno.EACCES:
+        right = "ports below 1024 need CAP_NET_BIND_SERVICE, which the service has (AmbientCapabilities)"
+        return f": {right}; by hand, choose a port from 1024 on"
+    if number != errno.EADDRINUSE:
+        return ""
+    owners = filter(None, map(owner_of_socket, listening_sockets(host, port)))
+    process, name = next(owners, (None, ""))
+    by = f"`sudo ss -ltnp 'sport = :{port}'` shows by which program" if process is None else ""
+    by = by or f"by {name} (process {process})"
+    return f"{':' if process is None else ''} {by}; end it, or choose another port"
 
 
 async def accept(
@@ -137,7 +152,7 @@ MAX_KEYS = 1024
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """So many at once, and so many a second for ever."""
+    """So many at once, and so many a second from then on."""
 
     burst: int
     per_s: float

@@ -19,7 +19,7 @@ from studies.sweep import (
 )
 
 TITLE = "Ambient light to 1000 lx"
-QUESTION = "Does stray light up to 1000 lx, as specified, spoil the measurement?"
+QUESTION = "Does stray light up to the specified 1000 lx disturb the measurement?"
 
 SEED = 71
 LUX = (0.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
@@ -44,11 +44,11 @@ def run(progress: Progress) -> Result:
             f"{dark[1]:.5f}° to {bright[1]:.5f}°; {refused_text(points)}."
         ),
         text=f"""
-One unit, calibrated once at {base.lux:g} lx, measures the same {POSES} beams at every level, {EXPOSURES}
-exposures each: errors of the means (`altd replay --window {EXPOSURES}`), and the scatter of single
-exposures of the same beam. The light is what reaches the camera behind the interference filter; it slopes
-across the picture and falls off with the lens, and its photons are noise. The laser has
-{base.laser.power_mw:g} mW in a spot of 12 × 11 mm. Reflections and moving shadows are not simulated.
+One unit, calibrated at {base.lux:g} lx, measures the same {POSES} beams at every level, {EXPOSURES}
+exposures each: errors of means (`altd replay --window {EXPOSURES}`) and scatter of single exposures. The
+light is that behind the interference filter; it slopes across the picture, falls off with the lens and
+has photon noise. The laser has {base.laser.power_mw:g} mW in a spot of 12 × 11 mm. Reflections and moving
+shadows are not simulated.
 """,
         figure=plot({"": points}, "ambient light, lx"),
         caption="Errors and scatter against ambient light",

@@ -110,18 +110,18 @@ def run(progress: Progress) -> Result:
             f"{vibration.rms_mrad:g} mrad rms to {at_20[0]:.4f} mm and {at_20[4]:.5f}°."
         ),
         text=f"""
-The thesis has no figures here. The beam stands still and the unit shakes with {vibration.rms_mm:g} mm rms
-in x and y and {vibration.rms_mrad:g} mrad rms in yaw and pitch: lines at {lines_hz} Hz with
+The beam is at rest and the unit vibrates with {vibration.rms_mm:g} mm rms in x and y and
+{vibration.rms_mrad:g} mrad rms in yaw and pitch: lines at {lines_hz} Hz with
 {100 * (1 - vibration.random_share):.0f} % of the power, the rest spread up to 80 Hz. {EXPOSURES}
-exposures at {unit.config.fps:g} a second are measured with sliding windows of each length (`altd replay
---window N`), all on the same frames.
+exposures at {unit.config.fps:g} a second are measured with sliding windows of each length
+(`altd replay --window N`). The thesis has no figures here.
 
-*σ* is how much altd's readings scatter, *vibration left* how much the true mean position over the same
-exposures does: where both agree, altd adds nothing of its own. *Error rms* is against the beam at rest
-and holds what print and speckle do at this one place, which no averaging removes; *stated sigma* should
-cover it, but a single exposure cannot know that the unit shakes. *Invalid* are windows in which altd
-found the beam unsteady. A line near a multiple of the frame rate averages out slowly: the camera sees
-24.6 Hz as 4.6 Hz. Blur within an exposure is not simulated.
+*σ* is the scatter of altd's readings, *vibration left* that of the true mean position over the same
+exposures. If both agree, altd adds nothing. *Error rms* is against the beam at rest and includes print
+and speckle at this one place, which averaging cannot remove. *Stated sigma* should cover it, but a single
+exposure cannot detect vibration. *Invalid* are windows in which altd found the beam unsteady. A line near
+a multiple of the frame rate averages out slowly: the camera sees 24.6 Hz as 4.6 Hz. Blur within an
+exposure is not simulated.
 """,
         figure=figure,
         caption="Scatter of the mean against the number of exposures, and how much of it is vibration",

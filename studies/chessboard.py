@@ -23,7 +23,7 @@ from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Chessboard: real photographs"
-QUESTION = "How far off is a map at a corner that it was not shown, through a lens that nobody simulated?"
+QUESTION = "How large is the error of a map at a corner that it was not fitted to, through a real lens?"
 
 PHOTOGRAPHS = Path(__file__).resolve().parents[2] / "shared" / "data" / "chessboard"
 """left01.jpg … left07.jpg of OpenCV's sample data, 320 × 240; beside the checkout, not in it."""
@@ -100,29 +100,26 @@ def run(progress: Progress) -> Result:
         ),
         rows=rows,
         headline=(
-            f"At corners that it was not shown altd's map errs by {ours:.3f} px on average, "
+            f"At corners that it was not fitted to, altd's map errs by {ours:.3f} px on average, "
             f"a homography by {flat:.3f} px, OpenCV's camera from the other photographs by {other:.3f} px."
         ),
         text=f"""
-Seven photographs from OpenCV's sample data (320 × 240), a board of 8 × 6 squares held by hand before a
-real lens: 7 × 5 inner corners, found by `cv2.findChessboardCornersSB`. Each photograph is one plane and
-one map, mm → px, as a target is. Each corner of each photograph in turn is left out, everything is fitted
-to the rest, and the model's pixel is compared with the corner that was found: {7 * 35} errors a model. Of
-the 35 corners {int(RIM.sum())} lie on the rim, where a left-out corner is extrapolated; *inner corners*
-are the others.
+Seven photographs of OpenCV's sample data (320 × 240) show a board of 8 × 6 squares, held by hand before a
+real lens; `cv2.findChessboardCornersSB` finds its 7 × 5 inner corners. Each photograph is one plane and
+one map, mm → px, as a target is. Each corner is left out in turn, each model is fitted to the rest, and
+its pixel is compared with the corner found: {7 * 35} errors a model. At the {int(RIM.sum())} corners on
+the rim this extrapolates; *inner corners* are the others.
 
 *homography*: `studies.homography` (vanishing line and Gauss-Newton) through the other 34 corners.
-*Tensor polynomial 3 × 3*: the thesis' map. *altd's map*: what `altd.calibration.fitting.fit_nodes`
-chooses for the 34 corners by cross-validation. *OpenCV camera, this photograph*: `cv2.calibrateCamera` on
-the same 34 corners (without k3), so with the same knowledge as altd. *OpenCV camera, other photographs*:
-camera and distortion from the six other photographs, all of their corners, and only the board's pose from
-these 34 (`cv2.solvePnP`), so with more knowledge than a map of one plane has.
+*Tensor polynomial 3 × 3*: the thesis' map. *altd's map*: the choice of
+`altd.calibration.fitting.fit_nodes` by cross-validation. *OpenCV camera, this photograph*:
+`cv2.calibrateCamera` on the same 34 corners (without k3). *OpenCV camera, other photographs*: camera and
+distortion from all corners of the six others, and the board's pose from these 34 (`cv2.solvePnP`).
 
-The corners themselves are found to some hundredths of a pixel, and the board is paper on a tray: neither
-is taken out of the errors. One camera fits all seven photographs together to {joint_rms_px:.3f} px rms,
-and each alone to {single_rms_px:.3f} px: the board was not flat, or not equally bent, and that is why the
-camera from the other photographs, which knows more, does worse here than anything fitted to the
-photograph itself.
+The errors include those of the corners, some hundredths of a pixel, and of the board, which is paper. One
+camera fits all seven photographs to {joint_rms_px:.3f} px rms, and each alone to {single_rms_px:.3f} px:
+the board was not flat, or bent differently. Therefore the camera from the other photographs, which knows
+more, is worse here than the models fitted to the photograph itself.
 """,
         figure=_figure(photos, errors_px, lengths_px),
         caption="Mean error by photograph and model; errors over the board for the first photograph",

@@ -14,7 +14,7 @@ from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Fig. 3.17: aluminium against Kevlar over 50 K"
-QUESTION = "By how much do yaw and pitch go wrong when the frame between the targets grows with heat?"
+QUESTION = "How large are the errors of yaw and pitch when heat expands the frame between the targets?"
 
 DISTANCE_MM = 280.0
 WARMER_K = 50.0
@@ -125,18 +125,16 @@ def run(progress: Progress) -> Result:
             f"K, Kevlar by {small:.4f}°."
         ),
         text="""
-As in the thesis only the distance between the targets grows: a beam with slope s meets the rear target at
-s · (1 + αΔT) · D, and the unit, calibrated cold, still divides by D. The error is atan(s (1 + αΔT)) −
-atan(s): nothing for a beam along the axis, most at the ends of the range.
+As in the thesis only the distance of the targets grows. A beam with slope s meets the rear target at s ·
+(1 + αΔT) · D, and the unit, calibrated cold, still divides by D. The error is atan(s (1 + αΔT)) −
+atan(s): zero along the axis, largest at the ends of the range.
 
-*Measured*: the same unit measures eleven beams cold and warm with its cold calibration (`altd replay`,
-eight exposures each); the difference is shown, so that what print and speckle do to both cancels. The
-table has the mean of both ends of the range.
+*Measured*: the unit measures eleven beams cold and warm with its cold calibration (`altd replay`, eight
+exposures each). The table has the mean difference at both ends of the range.
 
-Either frame stays within the ±0.05° that were required. Against the 0.002° that are wanted now, aluminium
-would need its temperature or its distance measured, and Kevlar laid along the beam only just would; a
-weave, as the thesis has it, lies nearer to 0. What heat does to targets, lenses and mounts is not in this
-study.
+Both frames stay within the required ±0.05°. For the 0.002° wanted now, aluminium needs its temperature or
+its distance measured; Kevlar along the beam barely suffices, and a weave, as in the thesis, is nearer to
+0. Targets, lenses and mounts are not heated in this study.
 """,
         figure=figure,
         caption=(

@@ -116,16 +116,15 @@ def run(progress: Progress) -> Result:
             f"{yaw:.4f}°, thesis 0.0288°."
         ),
         text=f"""
-The closed form is σ = √2 · 0.1 mm / 280 mm. Monte Carlo draws spots on both targets and lets
-`altd.instruments.beam.solver.fit_beam` make the beam, as the daemon does. For a beam with a slope s the
+The closed form is σ = √2 · 0.1 mm / 280 mm. Monte Carlo draws spots on both targets;
+`altd.instruments.beam.solver.fit_beam` computes the beam, as in the daemon. For a beam with a slope s the
 angle's σ is smaller by 1 + s².
 
-The share within ±0.05° is {closed_within:.1f} %; the thesis says about 95 %, which would take a σ of
+The share within ±0.05° is {closed_within:.1f} %; the thesis gives about 95 %, for which σ would be
 0.0255°.
 
-With the spots that the thesis then reached (Table 3.1: 0.0494 mm in front, 0.0190 mm behind) the same
-formula gives {reached:.4f}°; its Table 3.4 has 0.0226° and 0.0183°, so more than the spots went wrong
-there: map, stage, alignment.
+With the spots of the thesis (Table 3.1: 0.0494 mm in front, 0.0190 mm behind) the formula gives
+{reached:.4f}°; its Table 3.4 has 0.0226° and 0.0183°. Map, stage and alignment added errors.
 """,
         figure=figure,
         caption="Distribution of yaw for spots with σ = 0.1 mm, and σ of the angle against σ of the spots",

@@ -50,12 +50,11 @@ def run(progress: Progress) -> Result:
             f"{errors[2]} and {errors[3]} mm exposed for the laser; {refused_text(points)}."
         ),
         text=f"""
-One unit, calibrated once at {usual_mw:g} mW, measures the same {POSES} beams with each laser, {EXPOSURES}
-exposures each, at {base.lux:g} lx. First the exposure stays at {EXPOSURES_MS[FRONT]:g} ms, which brings 3
-mW to about three quarters of full scale: at 1 mW the spot is dim and noisy, from about 4 mW its middle is
-clipped. Then the exposure goes with the inverse of the power, as one would set it; a weak laser then
-brings more stray light with it. Errors are those of the beams that were measured; *invalid* counts the
-others.
+One unit, calibrated at {usual_mw:g} mW, measures the same {POSES} beams with each laser, {EXPOSURES}
+exposures each, at {base.lux:g} lx. First the exposure stays at {EXPOSURES_MS[FRONT]:g} ms, where 3 mW
+reaches about three quarters of full scale: at 1 mW the spot is dim and noisy, from about 4 mW its middle
+is clipped. Then the exposure is inverse to the power, which brings more stray light for a weak laser.
+Errors are of measured beams; *invalid* counts the others.
 """,
         figure=plot({", 3 mW's exposure": kept, ", exposed for it": suited}, "laser power, mW"),
         caption="Errors and scatter against laser power",

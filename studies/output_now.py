@@ -23,8 +23,8 @@ from studies.bench import bench, rms
 from studies.plot import OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
-TITLE = "Mean or now: what `[measuring] output` makes of a machine at rest and in motion"
-QUESTION = "How far behind is each output when it is new, how much does it scatter, and does its sigma hold?"
+TITLE = "`[measuring] output`: mean and now, at rest and in motion"
+QUESTION = "How large are lag and scatter of each output, and does its sigma hold?"
 
 SEEDS = (71, 72, 73)
 SPEEDS_MM_PER_S = (0.0, 1.0, 5.0)
@@ -122,9 +122,9 @@ def run(progress: Progress) -> Result:
         ),
         text=(
             "x of three simulated units, from pictures; rms over all places. *When new* is at the newest "
-            "exposure. The lag is the slope of error against speed. A straight line through 20 exposures "
-            "scatters twice as much at its end as in its middle: that is what `now` pays for having no lag. "
-            "Its sigma holds the vibration at that instant, the mean's `sigma` does not: `sigma_now` does."
+            "exposure. The lag is the slope of error against speed. `now` scatters more: a straight line "
+            "through 20 exposures scatters twice as much at its end as in its middle. Its sigma includes the "
+            "vibration at that instant, as `sigma_now` of the mean does."
         ),
         figure=_figure(arrays),
         caption="Rms error of x when new: mean (orange) and now (blue)",

@@ -1,4 +1,4 @@
-"""Sigma of now: whether a value that is read late still says how good it is, of a machine that moves."""
+"""`sigma_now`: whether a value that is read late still says how good it is, of a machine that moves."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from studies.hard_motion import HARD, Path, start
 from studies.plot import FOURTH, GREY, OURS, THESIS, THIRD, panels
 from studies.result import Column, Progress, Result, Row
 
-TITLE = "Sigma of now: a machine at 0 to 5 mm/s, read late"
-QUESTION = "Does the sigma that is given with a value hold for the moment at which a controller reads it?"
+TITLE = "`sigma_now`: a machine at 0 to 5 mm/s, read late"
+QUESTION = "Does the sigma of a value hold for the moment at which a controller reads it?"
 
 SEEDS = (71, 72, 73)
 SPEEDS_MM_PER_S = (0.0, 0.1, 0.5, 1.0, 2.0, 5.0)
@@ -120,7 +120,7 @@ def at_speed(
 HARD_EXPOSURES = 700
 HARD_FROM = 240
 """After what happens for the first time has been seen: steps of 5 s take 10."""
-HARD_LATE = (0, 2, 4)
+SHOWN_LATE = HARD_LATE = (0, 2, 4)
 STARTS, START_S = 16, 3.0
 AFTER_START_S = (0.0, 0.05, 0.1, 0.2, 1.0)
 AFTER_START_LATE = 2
@@ -175,32 +175,31 @@ def run(progress: Progress) -> Result:
     }
     rows = [_row(name, late, of) for name, of in driven.items() for late in range(len(LATE_S))]
     driven_cells = _cells(rows)
+    shown = [_row(name, late, of) for name, of in driven.items() for late in SHOWN_LATE]
     hard_rows = [_row(name, late, of) for name, of in hard.items() for late in HARD_LATE]
     start_rows = [
-        _row(
-            f"{1000 * first_s:g} to {1000 * end_s:g} ms after a first start, to 5 mm/s", AFTER_START_LATE, of
-        )
+        _row(f"{1000 * first_s:g} to {1000 * end_s:g} ms after a first start to 5 mm/s", AFTER_START_LATE, of)
         for (first_s, end_s), of in zip(
             itertools.pairwise(AFTER_START_S), zip(*starts, strict=True), strict=True
         )
     ]
     return Result(
-        of="motion, read late by",
+        of="motion, read late by, s",
         thesis_source="none; App. A.4 averages up to 20 frames a second, of a machine at rest or not",
         columns=tuple(
             Column(f"{name}{of}", digits, judged=False)
             for of in ("", ", vibration")
             for name, digits in (("x", 2), ("y", 2), ("yaw", 2), ("pitch", 2), ("sigma of x now, mm", 3))
         ),
-        rows=(*rows, *hard_rows, *start_rows),
+        rows=(*shown, *hard_rows, *start_rows),
         headline=(
-            f"Of {len(driven_cells)} cells of rms(error/sigma of now), 0 to 5 mm/s, read 0 to 1 s late, with "
+            f"Of {len(driven_cells)} cells of rms(error/`sigma_now`), 0 to 5 mm/s, read 0 to 1 s late, with "
             f"and without vibration, {_inside(driven_cells)} lie within {WITHIN[0]:g} to {WITHIN[1]:g}; all "
             f"are between {min(driven_cells):.2f} and {max(driven_cells):.2f}."
         ),
         text=_text(driven, _outside(rows), hard_rows),
         figure=_figure(driven),
-        caption="Sigma of now of x (lines), its error's rms (circles); error/sigma of all four quantities",
+        caption="`sigma_now` of x (lines), rms of its error (circles); error/sigma of all four quantities",
     )
 
 
@@ -209,7 +208,7 @@ def _row(name: str, late: int, of: Sequence[Readings]) -> Row:
     numbers: list[float | None] = []
     for readings in of:
         numbers += [*readings.ratio(late), rms(readings.sigmas[:, late, 0])]
-    return Row(f"{name}, {LATE_S[late]:.2f} s", tuple(numbers))
+    return Row(f"{name}, {LATE_S[late]:.2f}", tuple(numbers))
 
 
 def _ratios(row: Row) -> list[float]:
@@ -225,9 +224,13 @@ def _inside(cells: Sequence[float]) -> int:
 
 
 def _outside(rows: Sequence[Row]) -> str:
-    """The rows with cells outside, in words."""
-    names = [row.name for row in rows if _inside(_ratios(row)) < len(_ratios(row))]
-    return "none" if not names else "; ".join(names)
+    """The motions and reading times with cells outside, in words."""
+    late: dict[str, list[str]] = {}
+    for row in rows:
+        if _inside(_ratios(row)) < len(_ratios(row)):
+            motion, _, time = row.name.rpartition(", ")
+            late.setdefault(motion, []).append(time)
+    return "; ".join(f"{motion}, {', '.join(times)} s late" for motion, times in late.items()) or "none"
 
 
 def _text(driven: dict[str, list[Readings]], outside: str, hard_rows: Sequence[Row]) -> str:
@@ -238,29 +241,27 @@ def _text(driven: dict[str, list[Readings]], outside: str, hard_rows: Sequence[R
     lines_hz = ", ".join(f"{hz:g}" for hz in vibration.lines_hz)
     highest = max(_cells(hard_rows))
     return f"""
-Each cell is the rms of (value − truth at the moment of reading)/(sigma of that moment, `sigma_now`). The
-windows are altd's own, 20 exposures at 20 a second and one measurement an exposure: read at once a value is
-about half a second old, for it tells of the middle of its window. {len(SEEDS)} units are on {PLACES}
-stretches each of the simulator's path (`Drive`: sines in x, y, yaw and pitch) at each speed, the highest of
-x; vibration is {vibration.rms_mm:g} mm and {vibration.rms_mrad:g} mrad rms, most of it at {lines_hz} Hz. The
-truth holds the vibration: it is where the beam is at that moment, not where it is on the mean. At rest sigma
-of now of x, read at once, is {still:.4f} mm without vibration, where sigma is {rms(rest[0].stated[:, 0]):.4f}
-mm, and {shaken:.4f} mm with it.
+Each cell is the rms of (value − truth at the moment of reading)/(`sigma_now` of that moment). Windows have
+20 exposures at 20 a second, so that a value read at once is about half a second old. The plot has more
+reading times.
 
-Rows of these with a cell outside of {WITHIN[0]:g} to {WITHIN[1]:g}: {outside}. At rest and without vibration
-the ratio is that of sigma itself, {min(own):.2f} to {max(own):.2f} at these {len(SEEDS) * PLACES} places:
-print and speckle, which no averaging takes off, are the same in all exposures there, and sigma is
-that much on the safe side.
+{len(SEEDS)} units are on {PLACES} stretches each of the simulator's path (`Drive`: sines in x, y, yaw and
+pitch) at each speed, the highest of x. Vibration is {vibration.rms_mm:g} mm and {vibration.rms_mrad:g} mrad
+rms, most of it at {lines_hz} Hz; the truth includes it. At rest, read at once, `sigma_now` of x is
+{still:.4f} mm without vibration (sigma: {rms(rest[0].stated[:, 0]):.4f} mm) and {shaken:.4f} mm with it.
 
-Below stand motions that break what sigma of now rests on, of one unit; the highest ratio is {highest:.2f}.
-Where it is too large, as for steps and a slow sway, it is so because nobody knows at which moment a machine
-turns or stops: rates and accelerations are taken to go on. A vibration near a multiple of the frame rate
-looks slow (20.5 Hz like 0.5 Hz); one at exactly 20 Hz does not show at all, and is in no sigma. Steps are
-judged from {HARD_FROM / 20:g} s on, when they have been seen to start and to stop.
+Of these, outside of {WITHIN[0]:g} to {WITHIN[1]:g}: {outside}. There the ratio is that of sigma itself,
+{min(own):.2f} to {max(own):.2f} at these {len(SEEDS) * PLACES} places: averaging cannot remove print and
+speckle, which are the same in all exposures, and sigma is on the safe side.
 
-A machine that starts for the first time cannot be known to. A value that was read before has the sigma of a
-machine at rest and is off by the way since; the last rows show what is said soon after. The first exposure
-of the way may still lie within the noise, under vibration the first two.
+The other rows are motions of one unit that break the assumptions of `sigma_now`; the highest ratio is
+{highest:.2f}. It is too large for steps and a slow sway, because rates and accelerations are assumed to
+continue. A vibration near a multiple of the frame rate looks slow (20.5 Hz like 0.5 Hz); one at exactly 20
+Hz is invisible and in no sigma. Steps are judged from {HARD_FROM / 20:g} s on, after a start and a stop.
+
+**The first start of a machine cannot be predicted.** A value that was read before has the sigma of a
+machine at rest and is off by the distance since. The last rows show the time soon after. The first exposure
+of the motion can still be within the noise, under vibration the first two.
 """
 
 

@@ -13,23 +13,29 @@ from studies.result_table import table
 from tools.markdown import wrapped
 
 MAX_LINE = 120
-PEERS = "peers.md"
-CAMPAIGN = "campaign.md"
-WIRE_ERRORS = "wire-errors.md"
-LOAD = "load.md"
+FURTHER = (
+    ("peers.md", "altd compared with other libraries", "none today"),
+    ("campaign.md", "Disturbed measurements, judged by truth", "`make campaign`"),
+    ("wire-errors.md", "Errors on wires to a reader", "`make bench-wires`"),
+    ("load.md", "Clients of all interfaces at once", "`make bench-load`"),
+    ("page.md", "The page in Chromium", "`make bench-page`"),
+    ("cameras.md", "Cameras: forged packets, automatic exposure, bit depth", "`make bench-spray`"),
+)
+"""Pages of other programs: file, title and the command that measures it."""
 
 INDEX = """\
-# Studies: the thesis' experiments, repeated
+# Studies
 
-Each study does with simulated parts (`hw_sim`) and altd's own commands what the thesis did in its
-laboratory, and shows its figures beside ours. `make studies` runs them all and writes these pages;
-`python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the
-same pages.
+This page lists the studies: experiments of the thesis on simulated parts, and measurements of altd itself.
 
-What they are worth: the parts are simulated, and a simulator holds only what its authors thought of.
-Lenses, print, speckle, noise and stage errors are in it; refraction in the window and a beam over a
-hundred metres are not (`../decisions/0005-simulator.md`). Where ours is worse than the thesis, the table says
-so.
+Each study of the table repeats an experiment with simulated parts (`hw_sim`) and altd's own commands, and
+compares its figures with those of the thesis. `make studies` runs all and writes these pages;
+`python -m studies NAME` runs one and prints its table. All seeds are fixed: the same code gives the same
+pages.
+
+The parts are simulated, with lenses, print, speckle, noise and stage errors; refraction in the window and a
+beam over a hundred metres are not included ([decisions](../decisions/README.md)). Each page names what is
+worse than in the thesis.
 
 """
 
@@ -86,14 +92,11 @@ def write_index(folder: Path, studies: Sequence[tuple[str, str]]) -> None:
         if path.is_file():
             headline = " ".join(path.read_text().split("\n\n")[1].split("\n"))
             lines.append(f"| [{title}]({name}.md) | {headline} |")
-    if (folder / PEERS).is_file():
-        lines += ["", f"Beside other libraries, on the same frames: [peers]({PEERS})."]
-    if (folder / CAMPAIGN).is_file():
-        lines += ["", f"Spoilt measurements, judged by truth: [campaign]({CAMPAIGN}), by `make campaign`."]
-    if (folder / WIRE_ERRORS).is_file():
-        lines += ["", f"Errors on wires to a reader: [wire errors]({WIRE_ERRORS}), by `make bench-wires`."]
-    if (folder / LOAD).is_file():
-        lines += ["", f"Clients of all interfaces at once: [load]({LOAD}), by `make bench-load`."]
+    further = [
+        f"| [{title}]({name}) | {command} |" for name, title, command in FURTHER if (folder / name).is_file()
+    ]
+    if further:
+        lines += ["", "| further study | command |", "|---|---|", *further]
     try:
         (folder / "README.md").write_text(INDEX + "\n".join(lines) + "\n")
     except OSError as error:

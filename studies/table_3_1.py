@@ -136,19 +136,18 @@ def run(progress: Progress) -> Result:
             f"the opaque plate {ours[3]:.4f} mm (thesis 0.0190)."
         ),
         text=f"""
-The thesis moves the beam by 1 mm at 50 places and compares the distance between the two mapped spots with
-the table's; *displacement σ* is the standard deviation of these errors, *repeated σ* that of further
-pictures at the same place. So here: {DISPLACEMENTS} pairs of beams along the axis, 1 mm apart in any
-direction, single exposures, `altd calibrate` on a 6 × 5 scan, then `altd replay --window 1`; repeats
-pooled over all places with {EXPOSURES} exposures each. *Error of place* is against the beam's true
-position (rms of x and y), which the thesis does not give: two spots 1 mm apart lie on nearly the same
-dots and share most of their error, so a displacement is easier than a place.
+The thesis moves the beam by 1 mm at 50 places and compares the distance of the two mapped spots with the
+table's. *Displacement σ* is the standard deviation of these errors, *repeated σ* that of further pictures
+at the same place. This study does the same with {DISPLACEMENTS} pairs of beams along the axis, 1 mm apart
+in any direction: single exposures, `altd calibrate` on a 6 × 5 scan, `altd replay --window 1`;
+{EXPOSURES} exposures of each place for the repeats. *Error of place* is against the beam's true position
+(rms of x and y). It is larger than the error of a displacement, because two spots 1 mm apart share most
+of their error.
 
-The opaque row is the rear target behind the 0.5/1.0 mm dots. All units are the same but for the print.
-The simulated orthogonal print is perfect; the one in the thesis was a digital print with chipped dots
-(Fig. 3.8), which may explain much of its 0.5 mm. All use altd's standard settings, which are made for
-dots 1 mm apart, and no flat field. Cameras and lenses are those of App. A.3; the thesis began with those
-of App. A.2.
+The opaque row is the rear target behind the 0.5/1.0 mm dots. The units differ in their print only. The
+simulated orthogonal print is perfect; that of the thesis was a digital print with chipped dots (Fig.
+3.8), which may explain much of its 0.5 mm. altd has its standard settings, made for dots 1 mm apart, and
+no flat field. Cameras and lenses are those of App. A.3.
 """,
         figure=figure,
         caption=(

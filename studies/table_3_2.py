@@ -25,7 +25,9 @@ from studies.plot import GREY, OURS, THESIS, panels
 from studies.result import Column, Progress, Result, Row
 
 TITLE = "Table 3.2: homography against tensor polynomial, f = 12 to 3.6 mm"
-QUESTION = "How far off is a place on the target that is mapped back from the picture, the shorter the lens?"
+QUESTION = (
+    "How does the error of a place that is mapped from the picture to the target depend on the focal length?"
+)
 
 SEEDS = (71, 72, 73)
 EXPOSURES = 2
@@ -109,21 +111,19 @@ def run(progress: Progress) -> Result:
         ),
         text=f"""
 The thesis photographs a plate of 7 × 5 LEDs, {WIDE_PITCH_MM:g} mm apart, fits a map to them, and takes
-the distance eᵢ between each LED's known place and its mapped one (Eq. 3.1). Here {2 * len(SEEDS)}
-simulated lenses of each focal length look at such a plate from as near as the picture allows, tilted by
-{TILT_DEG:g}°: barrel distortion by Brown's model, at 3.6 mm a fisheye. The LEDs are bored to 0.005 mm;
-they are found as discs by `altd.vision.led_discs` in {EXPOSURES} exposures with and without light. The first
-six columns are at the LEDs, as in the thesis, whose tensor polynomial stands beside both of ours.
+the distance eᵢ between the known and the mapped place of each LED (Eq. 3.1). This study does so with
+{2 * len(SEEDS)} simulated lenses of each focal length, as near as the picture allows and tilted by
+{TILT_DEG:g}°: barrel distortion by Brown's model, at 3.6 mm a fisheye. The LEDs are placed to 0.005 mm
+and found by `altd.vision.led_discs` in {EXPOSURES} exposures with and without light.
 
-A map through few points follows their noise, and errors at the LEDs do not show it: the last four columns
-are means over a grid of {ACROSS} × {ACROSS} places between the LEDs that no map was shown, from the pixel
-where the simulated lens puts them. For the very last, altd's map is fitted not to discs found in pictures
-but to the LEDs' true pixels with a noise of {NOISE_PX:g} px.
+Errors at the LEDs hide that a map through few points follows their noise. The last four columns are
+therefore means over {ACROSS} × {ACROSS} places between the LEDs, from the pixel of the simulated lens.
+For the very last, altd's map is fitted to the true pixels of the LEDs with a noise of {NOISE_PX:g} px.
 
 *homography*: px → mm by `studies.homography` (vanishing line and Gauss-Newton, Eq. 2.44–2.58).
-*tensor 3 × 3*: the thesis' map. *altd's map*: what `altd.calibration.fitting.fit_nodes` chooses by
-cross-validation, with the discs' centres corrected for tilt and distortion. The thesis' lenses are not
-ours: its 12 mm lens was a good one, while here all distort alike for the same angle of view.
+*tensor 3 × 3*: the thesis' map. *altd's map*: the choice of `altd.calibration.fitting.fit_nodes` by
+cross-validation, with the discs' centres corrected for tilt and distortion. The lenses of the thesis are
+not ours: its 12 mm lens was a good one; here all distort alike for the same angle of view.
 """,
         figure=_figure(errors_by_lens),
         caption="Mean error by focal length: at the LEDs with the thesis' values, and between them",

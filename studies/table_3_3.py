@@ -77,16 +77,14 @@ def run(progress: Progress) -> Result:
             "themselves."
         ),
         text=f"""
-The beam stands normal to the targets on {USUAL.columns} × {USUAL.rows} nodes
-{USUAL.pitch_mm:g} mm apart; the table's own error is 2 µm. *Repeated
-σ* is of single exposures at the same node ({EXPOSURES} each, pooled), eᵢ = √(Δx² + Δy²) the distance
-between the known place and the mapped spot (Eq. 3.1). The first four columns are what `altd calibrate`
-writes into the calibration file. The residuals at the nodes flatter any map, as it was fitted to them; so
-the last two columns give the error at the {len(poses)} places in the middle of the meshes, which the map
-never saw (`altd replay`, means of {EXPOSURES} exposures).
+The beam is normal to the targets on {USUAL.columns} × {USUAL.rows} nodes {USUAL.pitch_mm:g} mm apart; the
+table's own error is 2 µm. *Repeated σ* is of single exposures at the same node ({EXPOSURES} each,
+pooled); eᵢ = √(Δx² + Δy²) is the distance between the known place and the mapped spot (Eq. 3.1).
+`altd calibrate` writes the first four columns into the calibration file. Residuals at the nodes are
+optimistic, because the map was fitted to them. The last two columns give the error at {len(poses)} places
+in the middle of the meshes (`altd replay`, means of {EXPOSURES} exposures).
 
-The map that altd chose by its own cross-validation: {models}. The thesis fits a tensor polynomial of
-degree 3 everywhere.
+Maps chosen by cross-validation: {models}. The thesis fits a tensor polynomial of degree 3 everywhere.
 """,
         figure=_figure(at_mm, errors_mm),
         caption=(

@@ -101,26 +101,25 @@ def run(progress: Progress) -> Result:
             "(thesis 0.0226° and 0.0183°)."
         ),
         text=f"""
-Three simulated units that differ in everything their seed decides, and in the contrast of their speckle.
-Each is scanned (6 × 5 nodes, two exposures) and calibrated (`altd calibrate`); then {POSES} beams enter
-anywhere on the window with any yaw and pitch of the range that keeps both spots on the scanned area,
-{EXPOSURES} exposures each. *Accuracy* is the standard deviation of the errors of the means of {EXPOSURES}
+Three simulated units differ in everything that their seed decides, and in the contrast of their speckle.
+Each is scanned (6 × 5 nodes, two exposures) and calibrated (`altd calibrate`). Then {POSES} beams enter
+anywhere on the window, with any yaw and pitch of the range that keeps both spots on the scanned area,
+{EXPOSURES} exposures each. *Accuracy* is the standard deviation of the errors of means of {EXPOSURES}
 (`altd replay --window {EXPOSURES}`), *reproducibility* that of single exposures of the same beam
-(`--window 1`), pooled over the beams; the thesis does not say how many frames it averaged for either.
-*rms of error/sigma* compares the errors with the uncertainty that altd states: 1 is honest.
+(`--window 1`), pooled over the beams. The thesis does not state how many frames it averaged.
+*rms of error/sigma* is 1 if the uncertainty that altd states is right.
 
-The thesis had no flat field. The last two rows are the second unit again, calibrated with one (`altd
-calibrate --flat`). They flatter: the simulated grain belongs to the surface, so even light shows all of
-it, while a laser's true speckle is not to be seen by a lamp.
+The last two rows are the second unit with a flat field (`altd calibrate --flat`); the thesis had none.
+They are optimistic: even light shows all of the simulated surface texture, while a lamp cannot show a
+laser's true speckle.
 
 Displacement of the same beams, rms of x and y: {placed}.
 
-The thesis asks by principal components whether the errors are independent of each other and of the
-angles, and finds a minor correlation. Here, on the unit with speckle {UNITS[SHOWN][1]:g} (plots): the
-principal axes of the errors of yaw and pitch have σ {sigmas_deg[0]:.5f}° and {sigmas_deg[1]:.5f}°, the
-first at {turn_deg:.0f}° from yaw; yaw and pitch errors correlate with {between:+.2f}. The table has the
-correlation of each error with the angles themselves. Of independent errors, 70 show less than
-{math.tanh(CHANCE_CORRELATION_Z):.2f} by chance 95 times in 100.
+The thesis tests by principal components whether the errors depend on each other and on the angles, and
+finds a minor correlation. For the unit with speckle {UNITS[SHOWN][1]:g} (plots) the principal axes of the
+errors have σ {sigmas_deg[0]:.5f}° and {sigmas_deg[1]:.5f}°, the first at {turn_deg:.0f}° from yaw; yaw
+and pitch errors correlate with {between:+.2f}. The table has the correlation with the angles. Of
+independent errors, 70 show less than {math.tanh(CHANCE_CORRELATION_Z):.2f} by chance in 95 of 100 cases.
 """,
         figure=figure,
         caption=(

@@ -21,7 +21,7 @@ FRAME_SET_TIMEOUT_S = 5.0
 _CHECK_INTERVAL_S = 0.25
 _BUSY_REMEDY = (
     "stop what has them (altd itself: sudo systemctl stop altd), or have altd keep its last seconds "
-    "(docs/kept-frames.md)"
+    "(docs/history.md)"
 )
 
 

@@ -37,7 +37,7 @@ from altd.terminal.knowledge import Knowledge
 Document = TypeVar("Document")
 
 _GOOD = (http.client.OK, http.client.SERVICE_UNAVAILABLE)
-"""503 is how a measurement is answered while there is none; whatever else is said so has other keys."""
+"""503 is how a measurement is answered while there is none; any other answer with 503 has other keys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def ask_running_daemon(config: Config, place: Path) -> dict[str, Any]:
 
     Through the local socket where there is one. Over HTTP where there is none, as of a daemon that was
     started by hand, or where this user may not open it. Raises BadInputError for a config by which neither
-    is there, NoAnswerError where no check can be had.
+    is there, NoAnswerError where no check is possible.
     """
     status, document = _answer(config, place)
     if status == http.client.OK and isinstance(document, dict) and "verdict" in document:

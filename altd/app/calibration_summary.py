@@ -1,6 +1,6 @@
-"""What a calibration says of itself as plain JSON types, and the valid areas and names of its targets.
+"""The content of a calibration as plain JSON types, and the valid areas and names of its targets.
 
-Whatever stands in the file, the answer is small: texts are cut, and arrays appear as their size or limits.
+Whatever the file holds, the answer is small: texts are cut, and arrays appear as their size or limits.
 """
 
 from __future__ import annotations

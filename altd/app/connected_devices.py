@@ -13,7 +13,7 @@ _INDENT = " " * 6
 
 
 def lines() -> Iterator[str]:
-    """All of it for a person, section by section; a section that has nothing says so, or why."""
+    """All of it for a person, section by section; a section without devices reports that, or why."""
     yield 'Cameras: [cameras.NAME], driver = "v4l2"'
     yield from _or_none(_video_cameras())
     yield ""

@@ -30,7 +30,7 @@ from altd.app.diagnostics import diagnostic_parts
 from altd.app.interfaces import interfaces_of
 from altd.app.keeping import DaemonHistory, folder_of_recordings, frame_keeper
 from altd.app.maintenance import MaintenanceWatches
-from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of
+from altd.app.parts import calibration_of, cameras_of, inclinometer_of, indicators_of, lamps_of, missing_files
 from altd.app.self_check import check_parts_of, fps_of, why_unchecked
 from altd.config import (
     AnyCameraSettings,
@@ -58,7 +58,7 @@ _FACES_START_TIMEOUT_S = 1.0
 
 
 class Daemon:
-    """One unit's daemon. ``cameras`` stand behind the config's camera names; the caller chooses them.
+    """One unit's daemon. ``cameras`` are by the config's camera names; the caller chooses them.
 
     ``lamps`` and ``indicators`` are the caller's choice too; ``self.lamps`` switches the frame LEDs. Played
     and simulated frames give valid values only with ``rehearsal``.
@@ -269,6 +269,8 @@ class Daemon:
 
 def daemon_of(config: Config, place: Path, rehearsal: bool = False) -> Daemon:
     """The daemon that a config file describes; raises BadInputError that names the file and the place."""
+    if missing := missing_files(config):
+        raise BadInputError(place, *map(str, missing))
     cameras = cameras_of(config, place)
     calibration = calibration_of(config, cameras)
     lamps, indicators = lamps_of(config, cameras, place), indicators_of(config)

@@ -1,6 +1,6 @@
 """The parts of a unit's diagnostics that an interface cannot see: its settings, and what it runs on.
 
-The settings are those that were read, not the file: what stands in its comments stays on the unit. The
+The settings are those that were read, not the file: its comments stay on the unit. The
 settings themselves hold no secret, only the paths of files that do (``tests/unit/app/test_diagnostics.py``).
 """
 

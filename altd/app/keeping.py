@@ -93,7 +93,7 @@ class PastAvailability:
         self._clock = clock
 
     async def run(self) -> None:
-        """Read until cancelled. While the history cannot be read, what was read last stands."""
+        """Read until cancelled. While the history cannot be read, what was read last is kept."""
         read_us: int | None = None
         seen_us = self._start_us()
         while True:
@@ -104,7 +104,7 @@ class PastAvailability:
                     read_us = start_us
                 except NoHistoryError:  # its component says why; it is asked again
                     log.debug("availability: the history before this start cannot be read now")
-                except Exception:  # whatever is wrong with it, it must not end the measurement
+                except Exception:  # a defect of it must not end the measurement
                     log.exception("availability: a defect")
                     return
             seen_us = start_us
@@ -139,7 +139,7 @@ _NOT_KEPT_SEVERITY = 2
 def history_place(config: Config) -> tuple[Path | None, str]:
     """The file of a config's history; None: there is none, and why."""
     if not config.history.enabled:
-        return None, "off: [history] says so"
+        return None, "off: disabled in [history]"
     if config.history.file is not None:
         return config.history.file, ""
     folder = state_folder()
@@ -218,7 +218,7 @@ class DaemonHistory:
         return Past(self.events, self.history, lambda: self._clock.utc(self._clock.monotonic_ns()))
 
     def leave_out(self, why: str) -> None:
-        """Keep none, and say so."""
+        """Keep none, and report that."""
         self._health.component(COMPONENT).set_state(State.OK, why)
         self.history = History(None, f"the history is {why}")
 
@@ -234,7 +234,7 @@ class DaemonHistory:
         try:
             yield
         except asyncio.CancelledError:
-            self.events.note(EventKind.STOPPED, "the daemon was told to end")
+            self.events.note(EventKind.STOPPED, "the daemon was asked to end")
             raise
         except BaseException as error:
             text = one_line(f"the daemon ended: {type(error).__name__}: {error}")

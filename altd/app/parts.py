@@ -35,6 +35,10 @@ class MissingFile:
     path: Path
     maker: str
 
+    def __str__(self) -> str:
+        whole = "; ~ is no folder of a user here: write the whole path" if "~" in self.path.parts else ""
+        return f"{self.keys}: {self.path} is not there yet; {self.maker} makes it{whole}"
+
 
 def missing_files(config: Config) -> list[MissingFile]:
     """What `altd run` will not find."""
@@ -169,7 +173,7 @@ def exposure_controls_of(config: Config) -> dict[str, ExposureControl]:
 def lamps_of(config: Config, cameras: Mapping[str, Camera], place: Path, alone: bool = False) -> Lamps | None:
     """The frame LEDs that a config asks for, on lines or on ``cameras``; None when it has none.
 
-    ``alone``: nobody takes frames of these cameras. Raises BadInputError that names ``place``.
+    ``alone``: no daemon takes frames of these cameras. Raises BadInputError that names ``place``.
     """
     if config.lamps is None:
         return None

@@ -34,7 +34,7 @@ async def record_of(
 ) -> int:
     """Record from the config's cameras into ``folder``; returns the number of exposures.
 
-    ``progress`` is told after each of them how many of how many there are. For a self-check the frame LEDs
+    ``progress`` receives after each of them the count and the total. For a self-check the frame LEDs
     are switched off and on in turn; BadInputError where live cameras have none. Raises LampsError and
     CameraError when they fail meanwhile. ``shows`` is the kind, of a plate the plate itself.
     """
@@ -63,7 +63,7 @@ def scanner_of(
 ) -> Scanner:
     """The scan into ``folder`` that a config describes; raises BadInputError.
 
-    ``cameras`` and ``lamps`` stand in for those of the config.
+    ``cameras`` and ``lamps`` replace those of the config.
     """
     stage = stage_of(config, place)
     cameras = cameras_of(config, place) if cameras is None else cameras

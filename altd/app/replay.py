@@ -64,7 +64,7 @@ class _Stays:
 class ScanPositions:
     """The positions of a scan's exposures while it is measured.
 
-    Nodes are told apart as ``altd calibrate`` does. ``cameras`` are those that are measured. ``window`` is
+    Nodes are distinguished as ``altd calibrate`` does. ``cameras`` are those that are measured. ``window`` is
     how many exposures are averaged; None: all of a stay at a node, which gives one measurement each. Raises
     BadInputError where two rows of one exposure contradict each other, where rows are far out of order, and
     when no row has a position.

@@ -42,7 +42,7 @@ def load_settings(path: Path) -> Config:
 
 
 def targets_can_be_told(draft: Draft) -> Iterator[Fault]:
-    """No target has the name of something that stands beside it in an output."""
+    """No target has the name of another key of the same output."""
     for number, target in enumerate(draft.targets):
         if target is not None and (why := why_unusable(target.name)):
             yield Fault(("targets", number, "name"), f"{shown(target.name)} {why}; possible: another name")

@@ -213,7 +213,7 @@ def load_calibration(path: Path, unit_serial: str | None = None) -> Calibration:
     try:
         document = parse_json(content)
     except ValueError as error:
-        raise BadInputError(path, str(error)) from error
+        raise BadInputError(path, f"is no calibration of `altd calibrate`: {error}") from error
     if not isinstance(document, dict):
         raise BadInputError(path, "is not a calibration: no JSON object")
     if document.get("format") != FORMAT:
@@ -252,9 +252,11 @@ def check_image_size(calibration: Calibration, path: Path, target: str, width: i
     if known is None:
         raise BadInputError(path, f"does not know target {target!r}")
     if (known.width, known.height) != (width, height):
+        swapped = ": width and height are swapped" if (known.height, known.width) == (width, height) else ""
         raise BadInputError(
             path,
-            f"target {target!r} was calibrated at {known.width} × {known.height}, not {width} × {height}",
+            f"target {target!r} was calibrated at {known.width} × {known.height}, not {width} × {height}"
+            f"{swapped}",
         )
 
 
@@ -269,4 +271,5 @@ def check_camera(calibration: Calibration, path: Path, target: str, camera: Came
     """Refuse a recording of another camera than the one that the target was calibrated with."""
     known = calibration.target(target)
     if known is not None and (difference := camera.difference_from(known.camera)):
+        difference += calibration.other_place_of(camera, target)
         raise BadInputError(path, f"target {target!r} was calibrated with another camera: {difference}")

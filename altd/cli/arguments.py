@@ -1,4 +1,4 @@
-"""Arguments of a command line: what is wrong with them in one line, and what there is for who gives none."""
+"""Arguments of a command line: what is wrong with them in one line; all commands where none is given."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Parser(argparse.ArgumentParser):
         self._command(command).error(message)
 
     def refuse_unknown(self, unknown: list[str]) -> NoReturn:
-        """End with status 2 and a line about the first of the arguments that nobody knows."""
+        """End with status 2 and a line about the first unknown argument."""
         first = unknown[0]
         if not first.startswith("-") or first == "-":
             self.error(f"{first!r} is an argument too many; {self._one_line_usage()}")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from altd.recording.reader import Recording
 
 _BESIDE = Path()
-"""Where ``--report`` stands without a folder."""
+"""The value of ``--report`` without a folder."""
 
 SUMMARY = "fit the maps from scans or LED plates; prints the residuals"
 
@@ -98,7 +98,7 @@ def _print_result(result: CalibrationResult) -> None:
 def _report(
     options: argparse.Namespace, recordings: Sequence[Recording], result: CalibrationResult
 ) -> dict[str, bytes]:
-    """The report's files by name; matplotlib is there, somebody looked."""
+    """The report's files by name; matplotlib is there, that was checked."""
     from altd.calibration.report.content import report_on
     from altd.calibration.report.html import html_page
     from altd.calibration.report.picture_sections import scan_negatives

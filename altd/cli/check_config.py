@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say so, and which files are not there yet; 2 for what cannot be used."""
+    """Report it, and which files are not there yet; 2 for what cannot be used."""
     from altd.app.parts import check_files, missing_files
     from altd.app.settings import load_settings
     from altd.config import RecordingCameraSettings
@@ -34,5 +34,5 @@ def run(options: argparse.Namespace) -> int:
     if simulated or any(isinstance(camera, RecordingCameraSettings) for camera in config.cameras.values()):
         say(f"{options.config}: not live: its values are valid only with `altd run --rehearsal`")
     for missing in missing_files(config):
-        say(f"{options.config}: {missing.keys}: {missing.path} is not there yet; {missing.maker} makes it")
+        say(f"{options.config}: {missing}")
     return 0

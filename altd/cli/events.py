@@ -18,10 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KIND",
-        help="of this kind only; may stand several times",
+        help="of this kind only; may be given several times",
     )
     parser.add_argument("--format", choices=("text", "csv", "jsonl"), default="text", help="(text)")
-    parser.add_argument("--follow", action="store_true", help="go on with what happens now, until Ctrl-C")
+    parser.add_argument("--follow", action="store_true", help="continue with what happens now, until Ctrl-C")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     if stopped and isinstance(config.lamps, CameraLampsSettings):
         config = config.model_copy(
             update={"lamps": None}
-        )  # of a dead daemon's camera nobody gets hold at once
+        )  # the camera of a dead daemon stays locked for a while
     if config.lamps is None and config.indicators is None and not stopped:
         raise BadInputError(place, "no [lamps] and no [indicators] table")
     cameras = cameras_of(config, place) if isinstance(config.lamps, CameraLampsSettings) else {}

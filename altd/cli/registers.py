@@ -93,7 +93,7 @@ def _csv(rows: list[dict[str, Any]]) -> Iterator[str]:
 
 
 def _structured_text(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Constants with the addresses, counted from 0, and with the codes; types stand in the comments."""
+    """Constants with the addresses, counted from 0, and with the codes; types are in the comments."""
     yield "VAR_GLOBAL CONSTANT"
     for row in rows:
         kind = _IEC_TYPES.get(row["type"], f"STRING[{2 * row['registers']}]")

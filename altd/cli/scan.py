@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from altd.acquisition.scan.scanner import Scanner
     from altd.cli.scan_screen import ScanScreen
 
-SUMMARY = "make a calibration scan with the stage; goes on where it stopped"
+SUMMARY = "make a calibration scan with the stage; continues where it stopped"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +41,7 @@ def run_scan(scanner: Scanner, output: Path, screen: ScanScreen) -> int:
     """Scan until done, stopped or interrupted, and say how it ended; the exit status."""
     from altd.acquisition.scan.scanner import ScanStoppedError
 
-    again = "the same command goes on from there"
+    again = "the same command continues there"
     try:
         result = asyncio.run(until_signal(scanner.run()))
     except ScanStoppedError as error:

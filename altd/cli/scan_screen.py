@@ -13,7 +13,7 @@ _BAR_LETTERS = 24
 
 
 class ScanScreen:
-    """See ``altd.acquisition.scan.scanner.ProgressReporter``; ``name`` stands before the lines that stay."""
+    """See ``altd.acquisition.scan.scanner.ProgressReporter``; ``name`` begins the lines that stay."""
 
     def __init__(self, name: str = "altd scan") -> None:
         self._name = name

@@ -1,4 +1,4 @@
-"""``altd selfcheck``: whether cameras and targets stand as they were calibrated."""
+"""``altd selfcheck``: whether cameras and targets are where they were calibrated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from altd.cli.options import DEFAULT_CONFIG
 from altd.errors import BadInputError
 from altd.process.standard_streams import complain
 
-SUMMARY = "does every camera stand as it was calibrated? of the running daemon, or of a recording"
+SUMMARY = "is every camera where it was calibrated? of the running daemon, or of a recording"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

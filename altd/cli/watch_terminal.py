@@ -17,7 +17,7 @@ DRAW_INTERVAL_S = 0.2
 
 _ESCAPE_DELAY_MS = 25
 _WITHOUT_BLOCKS = ("linux", "vt", "ansi", "cons")
-"""Terminals, by how their names begin, that may be told to show UTF-8 and still lack blocks and Braille."""
+"""Terminals, by how their names begin, that may be set to UTF-8 and still lack blocks and Braille."""
 _KEYS = {
     curses.KEY_LEFT: "left",
     curses.KEY_RIGHT: "right",
@@ -37,7 +37,7 @@ _ATTRIBUTES = {
 }
 
 
-class Gone(Exception):  # noqa: N818  no error: whoever looked has left
+class Gone(Exception):  # noqa: N818  no error: the terminal was closed
     """The terminal is not there any more."""
 
 
@@ -109,7 +109,7 @@ def in_terminal(work: Callable[[Terminal], None]) -> None:
     locale.setlocale(locale.LC_ALL, "")
     curses.set_escdelay(_ESCAPE_DELAY_MS)
     if all(os.get_terminal_size(sys.stdout.fileno())):
-        for stated in ("LINES", "COLUMNS"):  # what a shell exports would count for ever, whatever the size
+        for stated in ("LINES", "COLUMNS"):  # what a shell exports would always count, whatever the size
             os.environ.pop(stated, None)
     try:
         curses.wrapper(lambda window: work(Terminal(window)))

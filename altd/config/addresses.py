@@ -1,4 +1,4 @@
-"""IP addresses: which of them nobody has, and which two cannot both be listened on."""
+"""IP addresses: which of them no computer has, and which two cannot both be listened on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _FIRST_RESERVED = ipaddress.IPv4Address("240.0.0.0")
 
 
 def is_unassignable(address: ipaddress.IPv4Address) -> bool:
-    """Whether no computer can have the address (RFC 1122, 3.2.1.3); 0.0.0.0, which stands for all, aside."""
+    """Whether no computer can have the address (RFC 1122, 3.2.1.3); 0.0.0.0, which means all, aside."""
     return address >= _FIRST_RESERVED or 0 < int(address) < int(_FIRST_HOST)
 
 

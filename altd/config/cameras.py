@@ -26,13 +26,13 @@ def _camera_name(name: str) -> str:
 
 
 class RecordingCameraSettings(Table):
-    """A camera that plays a recording; every output then says ``playback``."""
+    """A camera that plays a recording; every output is marked ``playback``."""
 
     driver: Literal["recording"]
     path: Path
-    """The recording's folder, relative to the config file."""
+    """The recording's folder."""
     pace: Literal["realtime", "fast"] = "realtime"
-    """``realtime`` keeps the recording's times, ``fast`` delivers as soon as a frame was taken."""
+    """``realtime`` keeps the recording's times, ``fast`` does not wait."""
     repeat: bool = False
     """Start again at the end."""
 
@@ -41,20 +41,18 @@ class ExposureSettings(Table):
     """Exposure and gain of one camera."""
 
     control: Literal["auto", "fixed", "camera"] = "auto"
-    """``auto`` keeps the spot's peak in a band between starvation and saturation; ``fixed`` sets
-    ``exposure_ms`` and ``gain_db`` and leaves them; ``camera`` sets nothing at all. A camera that has nothing
-    to set is left alone, and its health says so."""
+    """``auto`` controls the spot's peak; ``fixed`` sets ``exposure_ms`` and ``gain_db``; ``camera`` sets
+    nothing."""
     exposure_ms: Annotated[float, Field(gt=0, le=1000)] = 2.0
-    """Where ``auto`` begins, or what is ``fixed``. `altd record` and `altd scan` hold it in both cases."""
+    """Initial value of ``auto``, or the ``fixed`` one. `altd record` and `altd scan` use it in both cases."""
     gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
     """The same for the gain."""
     shortest_ms: Annotated[float, Field(gt=0, le=1000)] = 0.02
-    """``auto`` goes no lower, nor lower than the camera can."""
+    """Lower limit of ``auto``."""
     longest_ms: Annotated[float, Field(gt=0, le=1000)] = 20.0
-    """``auto`` goes no higher, nor to more than nine tenths of the time between two frames. A long exposure
-    smears vibration."""
+    """Upper limit of ``auto``, also 90 % of the frame interval. A long exposure smears vibration."""
     largest_gain_db: Annotated[float, Field(ge=0, le=48)] = 12.0
-    """``auto`` adds gain only once ``longest_ms`` does not suffice, and no more than this."""
+    """Upper limit of ``auto``, which adds gain only at ``longest_ms``."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -75,21 +73,20 @@ class ExposureSettings(Table):
 
 
 class LiveCameraSettings(Table):
-    """What every camera that is no recording has: a device, an exposure and a serial number."""
+    """The keys of all live cameras."""
 
     device: Path | str
     """Which camera it is, in the words of its driver."""
     width: Annotated[int, Field(ge=64, le=16384)] = 752
-    """Columns of a frame; the calibration must have been made with the same."""
+    """Columns of a frame, as in the calibration."""
     height: Annotated[int, Field(ge=64, le=16384)] = 480
     """Rows of a frame."""
     fps: Annotated[float, Field(ge=1, le=1000)] = 20.0
-    """Frames a second."""
+    """Frames per second."""
     exposure: ExposureSettings = ExposureSettings()
-    """A table of its own, see below."""
+    """Table of its own, below."""
     serial: Annotated[str, Field(min_length=1, max_length=64)] | None = None
-    """The camera's serial number, as `altd devices` shows it: another one in its place is
-    ``wrong_camera``. The serial number in the calibration counts as well."""
+    """The camera's serial number (`altd devices`). Another camera is ``wrong_camera``."""
 
 
 class V4l2CameraSettings(LiveCameraSettings):
@@ -97,12 +94,11 @@ class V4l2CameraSettings(LiveCameraSettings):
 
     driver: Literal["v4l2"]
     device: Device
-    """The camera's device, best by its stable name, such as /dev/v4l/by-path/…: `altd devices` shows it."""
+    """The device, best by a stable name such as /dev/v4l/by-path/… (`altd devices`)."""
     pixel_format: Literal["GREY", "Y10", "Y12", "Y16"] = "GREY"
-    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    """8, 10, 12 or 16 bits of grey."""
     controls: dict[str, ControlValue] = Field(default={})
-    """Controls of this camera to set when it is opened, by the names that `altd devices` shows: a trigger
-    input, for instance, which every maker calls something else."""
+    """Controls to set when the camera is opened, by the names of `altd devices`, such as a trigger input."""
 
 
 class AravisCameraSettings(LiveCameraSettings):
@@ -110,27 +106,27 @@ class AravisCameraSettings(LiveCameraSettings):
 
     driver: Literal["aravis"]
     device: Annotated[str, Field(min_length=1, max_length=128), AfterValidator(_camera_name)]
-    """The camera's serial number, IP address, id or user-defined name, as `altd devices` shows it."""
+    """Serial number, IP address, id or user-defined name (`altd devices`)."""
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = "Mono8"
-    """What the camera sends: 8, 10, 12 or 16 bits of grey."""
+    """8, 10, 12 or 16 bits of grey."""
     offset_x_px: Annotated[int, Field(ge=0, le=16384)] = 0
-    """First column of the sensor that is read. The calibration holds for one offset only."""
+    """First column and row of the sensor, as in the calibration."""
     offset_y_px: Annotated[int, Field(ge=0, le=16384)] = 0
     trigger: Literal["free", "software", "line"] = "free"
-    """``free``: the camera's own rate; ``software``: altd triggers all such cameras at the same instants;
-    ``line``: an electrical signal at ``trigger_line``."""
+    """``free``: the camera's own rate; ``software``: altd triggers all such cameras at once; ``line``: a
+    signal at ``trigger_line``."""
     trigger_line: Annotated[str, Field(min_length=1, max_length=64)] = "Line1"
-    """The camera's own name of its trigger input."""
+    """The camera's name of its trigger input."""
     packet_bytes: Annotated[int, Field(ge=0, le=16384)] = 0
-    """Size of a network packet; 0 finds the largest that gets through."""
+    """Size of a network packet; 0 finds the largest."""
     resend: bool = True
-    """Ask the camera again for packets that were lost."""
+    """Request lost packets again."""
     features: dict[str, bool | ControlValue | float | str] = Field(default={})
-    """GenICam features of this camera to set when it is opened, in this order."""
+    """GenICam features to set when the camera is opened, in this order."""
     min_celsius: Celsius = -10.0
-    """Below this temperature inside the camera, where it tells one, the unit is out of its specification."""
+    """Temperature inside the camera below which the unit is out of specification."""
     max_celsius: Celsius = 60.0
-    """Above this, likewise. Its maker may allow more."""
+    """The same, above."""
 
 
 AnyCameraSettings = Annotated[

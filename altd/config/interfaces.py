@@ -32,7 +32,7 @@ def _address(host: str) -> str:
 def _refusal(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
     """Why no computer can listen on an address; empty: one may."""
     if address.is_multicast:
-        return "is an address of groups, which nobody can connect to"
+        return "is an address of groups, which no client can connect to"
     if isinstance(address, ipaddress.IPv6Address):
         if address.ipv4_mapped is not None:
             return f"is IPv4 written as IPv6: write {address.ipv4_mapped}"
@@ -75,33 +75,28 @@ class ModbusTcpSettings(Table):
     """Modbus TCP server."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    """IP address to listen on, or localhost; `0.0.0.0`: every address, `::`: every IPv6 one."""
     port: TcpPort | None = None
-    """TCP port; without it 802 with `certificate`, else 502.
-
-    Below 1024 the daemon needs CAP_NET_BIND_SERVICE, which the systemd unit grants.
-    """
+    """Default 502, with `certificate` 802. Below 1024 it needs CAP_NET_BIND_SERVICE, which the service
+    has."""
     unit_id: UnitId = 1
     """Modbus unit identifier; 0 and 255 are answered too."""
     word_order: WordOrder = "ABCD"
-    """Bytes of a 32-bit value in its two registers, A the highest; 16-bit values and text do not change."""
+    """Byte order of 32-bit values, A the highest byte."""
     allow_self_check: bool = False
-    """Let clients ask for a self-check by a write (`modbus.md`): without TLS, any client on the network."""
+    """Clients may request a self-check by a write; without TLS any client."""
     allow_zero: bool = False
-    """Let clients set the zero of the relative values by a write (`modbus.md`): without TLS, any client."""
+    """Clients may set the zero of the relative values by a write; without TLS any client."""
     reserved: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
-    """Addresses or networks of controllers, as in `["192.168.1.10"]`: they always get a connection.
-
-    Clients from elsewhere never close one of theirs (`modbus.md`).
-    """
+    """Addresses or networks of controllers, `["192.168.1.10"]`: they always get a connection."""
     certificate: Path | None = None
-    """The unit's certificate chain, PEM: only TLS is spoken with it. With `key` and `client_ca`."""
+    """The unit's certificate chain, PEM: TLS only. With `key` and `client_ca`."""
     key: Path | None = None
-    """The certificate's private key, PEM, without a passphrase."""
+    """Its private key, PEM, without a passphrase."""
     client_ca: Path | None = None
-    """The certificates of the authorities that vouch for clients, PEM; a client without one is refused."""
+    """Authorities of clients' certificates, PEM."""
     roles: Annotated[tuple[Role, ...], Field(max_length=16)] = ()
-    """With TLS: roles in clients' certificates that may do what `allow_self_check` and `allow_zero` allow."""
+    """With TLS: roles in clients' certificates that may write."""
 
     @property
     def port_or_default(self) -> int:
@@ -118,7 +113,8 @@ _HOST_NAME = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*", re.IGNORECASE 
 
 def _host_name(text: str) -> str:
     if not _HOST_NAME.fullmatch(text):
-        raise complaint(((), f"{shown(text)} is no name of a computer; possible: one such as alt-0007.plant"))
+        possible = "one such as alt-0007.plant, without scheme and port"
+        raise complaint(((), f"{shown(text)} is no name of a computer; possible: {possible}"))
     return text
 
 
@@ -129,29 +125,21 @@ class HttpSettings(Table):
     """HTTP server: the unit's page, its API and a stream."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its controller's network
-    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    """As in `[modbus_tcp]`."""
     port: TcpPort = 8080
     """TCP port."""
     allow: Annotated[tuple[Network, ...], Field(max_length=64)] = ()
-    """Networks that may connect, as in `["10.0.0.0/8"]`; none: everybody whom the service lets in.
-
-    The unit's own computer always may.
-    """
+    """Networks that may connect, `["10.0.0.0/8"]`; empty: all. The unit's own computer always may."""
     names: Annotated[tuple[HostName, ...], Field(max_length=64)] = ()
-    """Names by which browsers and programs ask for the unit, as in `["alt-0007.plant.example"]`.
-
-    Its addresses, `localhost`, and the computer's own name, alone or with `.local`, need not be named. By any
-    other name it answers nothing, but for `/healthz`. With TLS the certificate's names count instead.
-    """
+    """Names of the unit in URLs, `["alt-0007.plant.example"]`, besides its addresses, `localhost` and the
+    computer's name."""
     credentials: Path | None = None
-    """A file of names with hashes of passwords and tokens, made by `altd password` and `altd token`.
-
-    Without it only the unit's own computer may act: ask for a self-check, keep frames, mark a recording.
-    """
+    """File of users and tokens (`altd password`, `altd token`). Without it only the unit's own computer may
+    act."""
     certificate: Path | None = None
-    """The certificate chain, PEM: from then on TLS alone is spoken. With `key`."""
+    """The certificate chain, PEM: TLS only. With `key`."""
     key: Path | None = None
-    """The certificate's private key, PEM, without a passphrase."""
+    """Its private key, PEM, without a passphrase."""
 
 
 def _broker(host: str) -> str:
@@ -187,37 +175,37 @@ SparkplugIdentifier = Annotated[
 
 
 class SparkplugSettings(Table):
-    """The unit as an edge node of Sparkplug B 3.0, in place of the topics in JSON."""
+    """The unit as an edge node of Sparkplug B 3.0, instead of JSON."""
 
     group: SparkplugIdentifier
     """The group identifier."""
     node: SparkplugIdentifier | None = None
-    """The edge node identifier; without it the serial number."""
+    """The edge node identifier; default: the serial number."""
 
 
 class MqttSettings(Table):
-    """Publishes to an MQTT 5 broker; except for the rebirth of Sparkplug the unit takes no command."""
+    """Publishes to an MQTT 5 broker."""
 
     host: Annotated[str, AfterValidator(_broker)]
-    """The broker's name or IP address; with TLS its certificate must have it."""
+    """The broker's name or IP address, as in its certificate."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    """TCP port; without it 8883 with `ca`, else 1883."""
+    """Default 1883, with `ca` 8883."""
     topic: Topic = "altd"
-    """What the unit's topics begin with; its serial number follows: `altd/ALT-0007/summary`."""
+    """First part of the topics: `altd/ALT-0007/summary`."""
     every_measurement: bool = False
-    """Publish every measurement beside the summary of each second."""
+    """Publish every measurement, not only the summary of each second."""
     home_assistant: Topic | None = None
-    """Announce the unit to Home Assistant; the value is its discovery prefix, usually `homeassistant`."""
+    """Discovery prefix of Home Assistant, usually `homeassistant`; announces the unit."""
     sparkplug: SparkplugSettings | None = None
-    """A table of its own, see below; without it the unit publishes in JSON."""
+    """Table of its own, below."""
     ca: Path | None = None
-    """The certificates of the authorities that may vouch for the broker, PEM: TLS alone is spoken with it."""
+    """Authorities of the broker's certificate, PEM: TLS only."""
     certificate: Path | None = None
-    """The unit's own certificate chain, PEM, where the broker asks for one. With `key` and `ca`."""
+    """The unit's own certificate chain, PEM, if the broker asks for one. With `key` and `ca`."""
     key: Path | None = None
-    """The certificate's private key, PEM, without a passphrase."""
+    """Its private key, PEM, without a passphrase."""
     credentials: Path | None = None
-    """A file with the user name in its first line and the password in its second, for its owner alone."""
+    """File with the user name in line 1 and the password in line 2, readable by its owner and group only."""
 
     @property
     def port_or_default(self) -> int:
@@ -226,61 +214,61 @@ class MqttSettings(Table):
 
 
 class OpcUaSettings(Table):
-    """OPC UA server. Needs the package `asyncua`: `pip install 'altd[opcua]'`."""
+    """OPC UA server. Needs the extra `altd[opcua]`."""
 
     host: Host = "0.0.0.0"  # noqa: S104  a unit serves its plant's network
-    """The IP address to listen on, or localhost; 0.0.0.0 is every address of the unit, :: every IPv6 one."""
+    """As in `[modbus_tcp]`."""
     port: TcpPort = 4840
     """TCP port."""
     certificate: Path | None = None
-    """The unit's certificate, PEM: clients must then sign, or sign and encrypt. With `key`."""
+    """The unit's certificate, PEM: clients must sign, or sign and encrypt. With `key`."""
     key: Path | None = None
-    """The certificate's private RSA key, PEM, without a passphrase."""
+    """Its private RSA key, PEM, without a passphrase."""
     credentials: Path | None = None
-    """A file as in `[http]`: clients log in with a name and its password. Needs `certificate`."""
+    """File as in `[http]`: clients log in. Needs `certificate`."""
     allow_self_check: bool = False
-    """Let clients call the method `SelfCheck`; without `credentials` everybody on the network can."""
+    """Clients may call the method `SelfCheck`; without `credentials` any client."""
 
 
 class Rs485Settings(Table):
-    """The kernel's RS485 mode: the port switches the direction of its transceiver by itself, with RTS.
+    """The kernel's RS485 mode: the port switches its transceiver by RTS.
 
-    For a port that the kernel can do this with; an adapter that switches by itself needs none of it.
+    Not for adapters that switch automatically.
     """
 
     rts_while_sending: Literal["high", "low"] = "high"
-    """The level of RTS while the unit sends."""
+    """Level of RTS while sending."""
     delay_before_ms: Annotated[int, Field(ge=0, le=100)] = 0
-    """Time from switching to sending until the first bit."""
+    """From switching to the first bit."""
     delay_after_ms: Annotated[int, Field(ge=0, le=100)] = 0
-    """Time from the last bit until switching back."""
+    """From the last bit to switching back."""
 
 
 class SerialPortSettings(Table):
-    """What every serial port has, whatever it speaks."""
+    """The keys of all serial ports."""
 
     device: Device
-    """The port, best by its stable name, such as /dev/serial/by-id/…"""
+    """The port, best by a stable name such as /dev/serial/by-id/…."""
     baud: Literal[1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400] = 9600
     """Bits per second."""
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
     rs485: Rs485Settings | None = None
-    """A table of its own, see below; without it the port is RS232, or an adapter does the rest."""
+    """Table of its own, below; without it RS232."""
 
 
 class TelegramPortSettings(SerialPortSettings):
-    """A serial port that sends the measurement as a telegram, at an interval or on request."""
+    """A serial port that sends telegrams."""
 
     speaks: Literal["telegram"]
     interval_s: Annotated[float, Field(ge=0.05, le=3600)] = 1.0
-    """Time from one telegram to the next; the shortest one when they are sent on request."""
+    """Time between telegrams; with ``on_request`` the shortest."""
     on_request: bool = False
-    """Send a telegram only when the line `?` is received."""
+    """Send only when the line `?` is received."""
     checked: bool = False
-    """Whether a third sentence lets the reader check the telegram: see `proof.md`."""
+    """Send a third sentence for checks (`proof.md`)."""
     identify_every_s: Annotated[float, Field(ge=1, le=86400)] | None = None
-    """Time after which a telegram ends with `$PALTI`: serial number, versions and date. Without it: never."""
+    """Interval of `$PALTI`: serial number, versions and date."""
 
 
 class ConsolePortSettings(SerialPortSettings):
@@ -294,13 +282,13 @@ class ModbusRtuPortSettings(SerialPortSettings):
 
     speaks: Literal["modbus_rtu"]
     unit_id: UnitId = 1
-    """Modbus unit identifier; requests to another one are not answered."""
+    """Modbus unit identifier."""
     word_order: WordOrder = "ABCD"
     """As in `[modbus_tcp]`."""
     allow_self_check: bool = False
-    """Let the controller ask for a self-check by a write (`modbus.md`)."""
+    """As in `[modbus_tcp]`."""
     allow_zero: bool = False
-    """Let the controller set the zero of the relative values by a write (`modbus.md`)."""
+    """As in `[modbus_tcp]`."""
 
 
 AnySerialPortSettings = Annotated[
@@ -323,7 +311,7 @@ def _socket(path: Path) -> Path:
 
 
 class LocalSettings(Table):
-    """The socket of `altd status`, `altd watch` and `altd selfcheck`, a file that says who may ask."""
+    """The socket of `altd status`, `altd watch` and `altd selfcheck`."""
 
     socket: Annotated[Path, AfterValidator(_socket)] = Path("/run/altd/altd.sock")
     """Its path; the folder must be there."""

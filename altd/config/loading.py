@@ -51,7 +51,9 @@ def config_of(content: bytes, path: Path, further: Sequence[Rule] = ()) -> Confi
     except ValidationError as error:
         known = {fault.keys for fault in found}
         found += [fault for fault in faults_of(error, document) if fault.keys not in known]
-    faulty = [fault.keys for fault in found]
+    meant = [keys for fault in found for keys in fault.replaces]
+    found = [fault for fault in found if not any(fault.keys == keys for keys in meant)]
+    faulty = [*(fault.keys for fault in found), *meant]
     draft = draft_without(document, faulty) if config is None else draft_of(config)
     unfit = itertools.chain.from_iterable(rule(draft) for rule in (*RULES, *further))
     found += [fault for fault in unfit if not fault.rests_on(faulty)]

@@ -15,17 +15,16 @@ class Measuring(Table):
     window: Annotated[int, Field(ge=1, le=1000)] = 20
     """Exposures that are averaged."""
     every: Annotated[int, Field(ge=1, le=1000)] = 1
-    """A measurement after this many exposures: 1 is the sliding mean."""
+    """A measurement after this many exposures; 1: sliding mean."""
     output: Literal["mean", "now"] = "mean"
-    """`mean` of the window, about half a second old when it is new; or where its steady motion is `now`, at
-    the newest exposure: no lag, more noise (`accuracy.md`)."""
+    """`mean`: mean of the window, about 0.5 s old; `now`: value at the newest exposure, no lag, more noise
+    (`accuracy.md`)."""
     pair_by: Literal["sequence", "time"] = "sequence"
-    """What makes one exposure of two frames: their number, in recordings, or their time, with all others."""
+    """Pair frames by number (``sequence``: recordings) or by time (``time``: all other cameras)."""
     max_skew_ms: Annotated[float, Field(gt=0, le=1000)] = 10.0
-    """Largest difference in time between the frames of one exposure. By time, a steady lag of one camera
-    behind another is measured and taken off first."""
+    """Largest time difference between paired frames, after a steady lag is subtracted (`time`)."""
     max_lag_ms: Annotated[float, Field(gt=0, le=1000)] = 30.0
-    """Largest steady lag: free-running cameras expose up to half a period apart, 25 ms at 20 a second."""
+    """Largest steady lag of one camera; free-running cameras: up to half a period."""
 
     @property
     def max_skew_ns(self) -> int:
@@ -38,14 +37,13 @@ class Measuring(Table):
         return round(self.max_lag_ms * 1e6)
 
     max_sigma_mm: Annotated[float, Field(gt=0, le=1000)] = 0.5
-    """A displacement less certain than this is ``unsteady``; half of the accuracy that A.1 demands."""
+    """A displacement with a larger sigma is ``unsteady``."""
     max_sigma_mm_per_m: Annotated[float, Field(gt=0, le=1000)] = 0.5
     """The same for yaw and pitch."""
     silent_after_s: Annotated[float, Field(gt=0, le=2)] = 0.4
-    """A camera is silent when no frame came for this long."""
+    """A camera without frames for this time is silent."""
     stale_after_s: Annotated[float, Field(gt=0, le=60)] = 1.0
-    """A value whose last exposure is older than this is not shown any more. Keep it longer than ``every``
-    exposures take."""
+    """A value is withdrawn when its last exposure is older. Longer than ``every`` exposures take."""
 
 
 LimitMillimetres = Annotated[float, Field(gt=0, le=10)]
@@ -53,33 +51,32 @@ LimitDegrees = Annotated[float, Field(gt=0, le=10)]
 
 
 class SelfCheckSettings(Table):
-    """The self-check: LEDs on for some exposures between the others."""
+    """The self-check: frame LEDs are lit for some exposures."""
 
     enabled: bool = True
-    """Check at the start, on a schedule and after a shock; false: only when asked."""
+    """Check at the start, on a schedule and after a shock; false: on request only."""
     interval_s: Annotated[float, Field(ge=10, le=86_400)] = 600.0
-    """From one check to the next."""
+    """Time between checks."""
     exposures: Annotated[int, Field(ge=2, le=20)] = 4
-    """Exposures with the LEDs on, and as many with them off before and after. One or two more are lost while
-    the LEDs are switched; those with the LEDs off are measured as ever."""
+    """Exposures with the LEDs on, and as many off before and after; those on, and one or two while switching,
+    are not measured."""
     suspect_mm: LimitMillimetres = 0.03
-    """A drift that would move a place on a target by more is worth a warning."""
+    """A drift that moves a point on a target by more is a warning."""
     suspect_deg: LimitDegrees = 0.01
     """The same for yaw and pitch."""
     bad_mm: LimitMillimetres = 0.1
-    """A drift that would move a place on a target by more is bad."""
+    """A drift that moves a point on a target by more is bad."""
     bad_deg: LimitDegrees = 0.03
     """The same for yaw and pitch."""
     when_bad: Literal["invalid", "warning"] = "invalid"
-    """What a bad verdict makes of the measurements."""
+    """Effect of a bad verdict on measurements."""
     when_unknown: Literal["invalid", "warning"] = "warning"
-    """What a check that ends without a verdict, or without one on a part of the unit, makes of them; also a
-    shock until the check after it has ended."""
+    """Effect of a missing verdict, and of a shock until the check after it has ended."""
     compensate: bool = False
-    """Take out of the measurement what drift a check has proven; the measurement carries a warning. Ends
-    when no check has had a verdict for three times ``interval_s``."""
+    """Correct the measurement by a proven drift, with a warning. Ends after three ``interval_s`` without a
+    verdict."""
     compensate_mm: LimitMillimetres = 0.5
-    """No place is corrected by more than that; with a larger drift nothing is corrected."""
+    """Largest correction; a larger drift is not corrected."""
 
     @model_validator(mode="after")
     def _suspect_before_bad(self) -> Self:
@@ -94,28 +91,26 @@ class Maintenance(Table):
     """When the unit asks for maintenance."""
 
     calibration_due_days: Annotated[float, Field(gt=0, le=36500)] = 365.0
-    """A calibration that is older than this is due."""
+    """Age at which a calibration is due."""
     min_light_share: Annotated[float, Field(ge=0, lt=1)] = 0.5
-    """A spot with less than this share of its reference's light, for equal exposure and gain, has a weak
-    laser or a dirty window. The reference is the first half hour since the daemon started; 0 switches this
-    off."""
+    """Limit of a spot's light as a share of the first half hour since the start; 0: off."""
     max_dust_share: Annotated[float, Field(gt=0, le=1)] = 0.0005
-    """How much of the area under a spot dust may cover that was not there at the calibration."""
+    """Limit of the area under a spot that new dust may cover."""
     max_residual_share: Annotated[float, Field(gt=0, le=1)] = 0.5
-    """How near to what makes a spot `distorted` the residuals of its fit may come."""
+    """Limit of the residuals, as a share of what makes a spot `distorted`."""
 
 
 class HwmonThermometerSettings(Table):
-    """A temperature that the kernel's hwmon tells."""
+    """A temperature of the kernel's hwmon."""
 
     driver: Literal["hwmon"]
     name: Name
-    """The name in all outputs; small letters, digits and _."""
+    """Name in all outputs."""
     chip: Annotated[str, Field(min_length=1, max_length=64)]
-    """What the file `name` of the chip says, as in `/sys/class/hwmon/hwmon0/name`."""
+    """Content of the chip's file `name`, as in `/sys/class/hwmon/hwmon0/name`."""
     channel: Annotated[int, Field(ge=1, le=99)] = 1
     """The number in `temp1_input`."""
     min_celsius: Celsius = -10.0
-    """Below this the unit is out of its specification; App. A.1.5 for the air around it."""
+    """Below this the unit is out of specification."""
     max_celsius: Celsius = 60.0
-    """Above this, likewise. A processor's own temperature may be allowed more."""
+    """The same, above. A processor may be allowed more."""

@@ -1,4 +1,4 @@
-"""Where in a file of TOML each key and value stands.
+"""The place of each key and value in a file of TOML.
 
 ``tomllib`` reads the file and says nothing of places; this finds them in a text that ``tomllib`` has taken
 already. What is found is held against what ``tomllib`` made of the file: where the two disagree in one key
@@ -53,15 +53,15 @@ class Places:
             self._scan = _Scan("")
 
     def key(self, keys: Keys) -> Place | None:
-        """Where a key stands, or the header of a table, or an element of a list."""
+        """The place of a key, or the header of a table, or an element of a list."""
         return self._place(self._scan.keys.get(keys))
 
     def value(self, keys: Keys) -> Place | None:
-        """Where a key's value stands; of a table, its header."""
+        """The place of a key's value; of a table, its header."""
         return self._place(self._scan.values.get(keys, self._scan.keys.get(keys)))
 
     def nearest(self, keys: Keys) -> Place | None:
-        """Where the innermost table stands on the way to a key that is not there."""
+        """The place of the innermost table on the way to a key that is missing."""
         for length in range(len(keys) - 1, 0, -1):
             if (place := self.key(keys[:length])) is not None:
                 return place

@@ -1,7 +1,7 @@
 """What must fit between the tables of a config: each rule yields what does not.
 
 These are faults that are in the file, whatever computer it is on: what the daemon would refuse at its start,
-try for ever, or do so that nothing came of it. What only the computer can tell is for ``altd.doctor``.
+retry indefinitely, or do without any effect. What only the computer can tell is for ``altd.doctor``.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ def _cameras(draft: Draft) -> Iterator[Fault]:
             suggestion = did_you_mean(target.camera, draft.cameras)
             possible = ", ".join(map(shown, draft.cameras))
             text = f"there is no table [cameras.{target.camera}]; possible: {possible}{suggestion}"
-            yield Fault(("targets", number, "camera"), text)
+            yield Fault(("targets", number, "camera"), text, about=(("cameras",),))
     if len(named) == len(draft.targets) and named <= draft.cameras.keys():
         for name in draft.cameras.keys() - named:
             text = "no target has this camera: it is never opened; possible: a target for it, or no table"
-            yield Fault(("cameras", name), text, "key")
+            yield Fault(("cameras", name), text, "key", about=(("targets",),))
 
 
 def _cameras_of_one_kind(draft: Draft) -> Iterator[Fault]:

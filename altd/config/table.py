@@ -23,7 +23,7 @@ def complaint(*faults: tuple[Sequence[str | int], str]) -> PydanticCustomError:
 
 
 def shown(value: object) -> str:
-    """A value as it stands in the file, or nearly."""
+    """A value as it is written in the file, or nearly."""
     if isinstance(value, dict | list):
         return "a table" if isinstance(value, dict) else "a list"
     if isinstance(value, date | time):

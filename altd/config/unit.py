@@ -21,30 +21,29 @@ class Unit(Table):
     """Which unit this is."""
 
     serial: Annotated[str, Field(min_length=1, max_length=64), AfterValidator(_printable)]
-    """Serial number, of printable characters; the calibration file must carry the same."""
+    """Serial number, printable; the calibration has the same."""
     calibration: Path
-    """The calibration file, relative to the config file."""
+    """The calibration file."""
 
 
 class Target(Table):
     """One target that the beam meets, in beam order."""
 
     name: Name
-    """The name in the calibration file and in all outputs; small letters, digits and _, and no key of the
-    measurement object."""
+    """Name in the calibration and in all outputs; not a key of the measurement object."""
     z_mm: Millimetres
-    """Distance from the front target's printed face along the beam."""
+    """Distance from the front target's printed surface, along the beam."""
     camera: Name
-    """The camera that looks at it: a name under ``[cameras]``."""
+    """Its camera: a name under ``[cameras]``."""
 
 
 class Installation(Table):
     """How the controller wants the numbers: sign first, then offset."""
 
     reference_plane_mm: Millimetres = 0.0
-    """The plane z in which the displacement is given."""
+    """The plane z of the displacement."""
     sign_x: Literal[-1, 1] = 1
-    """-1 turns the axis round."""
+    """-1 reverses the axis."""
     sign_y: Literal[-1, 1] = 1
     sign_yaw: Literal[-1, 1] = 1
     sign_pitch: Literal[-1, 1] = 1

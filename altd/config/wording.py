@@ -26,8 +26,10 @@ class Fault:
     keys: Keys
     text: str
     at: Literal["value", "key", "table"] = "value"
-    """What of the key stands at the wrong place: its value, itself, or, where it is missing, its table."""
+    """What of the key the place is of: its value, itself, or, where it is missing, its table."""
     about: tuple[Keys, ...] = ()
+    replaces: tuple[Keys, ...] = ()
+    """The keys that an unknown name was probably meant for: a fault of one of these follows from this one."""
 
     def place(self, places: Places) -> Place | None:
         """Where it is in the file."""
@@ -80,10 +82,11 @@ WHY = {
 """What is said of a value, by the type of pydantic's error."""
 
 _UNUSABLE = "cannot be used"
+_SECRETS = ("login", "password", "token", "user", "username")
 
 
 def booleans_as_numbers(document: dict[str, Any]) -> Iterator[Fault]:
-    """Where true or false stands for a number: to Python, and so to pydantic, true is 1."""
+    """Where true or false is written for a number: to Python, and so to pydantic, true is 1."""
     nodes: list[tuple[Keys, Any]] = [((), document)]
     while nodes:
         keys, node = nodes.pop()
@@ -158,7 +161,7 @@ def _keys(detail: ErrorDetails, document: Any) -> tuple[Keys, Literal["value", "
 
 
 def _tag_fault(keys: Keys, table: Any, document: dict[str, Any]) -> Fault:
-    """A table whose model cannot be told: its tag, such as ``driver``, is missing or has no such value."""
+    """A table whose model is not known: its tag, such as ``driver``, is missing or has no such value."""
     annotation = _type_at(keys, document)
     tag = tag_at(annotation)
     values = [value for model in tables_at(annotation, None) for value in tags_of(model, tag)]
@@ -179,16 +182,23 @@ def _unknown_key(keys: Keys, document: dict[str, Any]) -> Fault:
     annotation = _type_at(above, document)
     models = tables_at(annotation, table)
     possible = sorted({key for model in models for key in model.model_fields})
-    what = "table" if not above and isinstance(table[name], dict | list) else "key"
-    suggestion = did_you_mean(name, [key for key in possible if key not in table] or possible)
-    if not suggestion and (homes := _tables_with(name)):
-        suggestion = f"; it is a {what} of {' and of '.join(homes)}"
-    return Fault(keys, f"there is no such {what}; possible: {', '.join(possible)}{suggestion}", "key")
+    is_table = not above and isinstance(table[name], dict | list)
+    what = "table" if is_table else "key"
+    free = [key for key in possible if key not in table or (is_table and isinstance(table[key], dict | list))]
+    suggestion = did_you_mean(name, free or possible)
+    replaces: list[Keys] = [(*above, suggestion.split("`")[1])] if suggestion else []
+    if name in _SECRETS and "credentials" in possible:
+        suggestion = "; names and passwords are in a file of their own: `credentials` is its path"
+    elif not suggestion and (homes := _tables_with(name)):
+        suggestion = f"; it is a {what} of {' and of '.join(homes.values())}"
+        replaces = [(home,) for home in homes if home != keys[0]]
+    text = f"there is no such {what}; possible: {', '.join(possible)}{suggestion}"
+    return Fault(keys, text, "key", replaces=tuple(replaces))
 
 
-def _tables_with(name: str | int) -> list[str]:
-    """The tables that have such a key, and with which tag."""
-    homes = []
+def _tables_with(name: str | int) -> dict[str, str]:
+    """The tables that have such a key, each as it is written, and with which tag."""
+    homes = {}
     for table, field in Config.model_fields.items():
         inner, home = field.annotation, f"[{table}]"
         if get_origin(inner) is dict:
@@ -199,11 +209,13 @@ def _tables_with(name: str | int) -> list[str]:
         having = [model for model in models if name in model.model_fields]
         if having:
             values = [shown(value) for model in having for value in tags_of(model, tag)]
-            homes.append(home if having == models else f"{home} with {tag} = {' or '.join(values)}")
+            homes[table] = home if having == models else f"{home} with {tag} = {' or '.join(values)}"
     return homes
 
 
 def _suggestion(kind: str, value: object, context: dict[str, Any]) -> str:
+    if kind == "tuple_type" and isinstance(value, str):
+        return f"; did you mean `[{shown(value)}]`?"
     if kind != "literal_error" or not isinstance(value, str):
         return ""
     return did_you_mean(

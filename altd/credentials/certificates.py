@@ -45,7 +45,10 @@ def client_context(ca: Path, certificate: Path | None, key: Path | None) -> ssl.
 
 def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
     _check_readable(certificate)
-    if _check_readable(key) & stat.S_IRWXO:
+    mode = _check_readable(key)
+    if _holds_key(certificate) and not _holds_key(key):
+        raise BadInputError(key, f"holds no private key, but {certificate} does: the two are swapped")
+    if mode & stat.S_IRWXO:
         raise BadInputError(key, f"everybody may read it, and it is a key: chmod 640 {key}")
     _load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), certificate)
     try:
@@ -53,7 +56,9 @@ def _load(context: ssl.SSLContext, certificate: Path, key: Path) -> None:
     except ssl.SSLError as error:
         raise BadInputError(key, _why(error)) from error
     except _PassphraseError as error:
-        raise BadInputError(key, "asks for a passphrase, and nobody is there to type one") from error
+        raise BadInputError(
+            key, "asks for a passphrase, which a daemon cannot type: take a key without one"
+        ) from error
 
 
 def _load_authorities(context: ssl.SSLContext, certificates: Path) -> None:
@@ -93,6 +98,10 @@ def _check_readable(path: Path) -> int:
         raise BadInputError(path, error.strerror or "cannot be read") from error
     except ValueError as error:
         raise BadInputError(path, "is no path") from error
+
+
+def _holds_key(path: Path) -> bool:
+    return b"PRIVATE KEY-----" in path.read_bytes()
 
 
 class RenewedContext:

@@ -54,7 +54,7 @@ class Credentials:
         return self.passwords.get(name)
 
     def name_of_token(self, token: str) -> str | None:
-        """Whose token it is; None: nobody's. All are compared, each in a time that tells nothing."""
+        """Whose token it is; None: of no user. All are compared, each in a time that tells nothing."""
         digest, found = token_digest(token), None
         for name, known in self.tokens.items():
             if hmac.compare_digest(known, digest):
@@ -76,7 +76,7 @@ def _with(known: Mapping[str, Value], name: str, value: Value | None) -> dict[st
 
 
 def is_name(name: str) -> bool:
-    """Whether somebody may be called that: small letters, digits and _, a letter first, up to 32."""
+    """Whether it can be the name of a user: small letters, digits and _, a letter first, up to 32."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -117,7 +117,7 @@ def load_login(path: Path) -> tuple[str, str]:
 
 
 def save_credentials(path: Path, credentials: Credentials) -> None:
-    """Write the file whole; a new one is for its owner alone if the umask says so. Raises BadInputError."""
+    """Write the file whole; the umask gives a new one its permissions. Raises BadInputError."""
     if len(credentials.passwords) + len(credentials.tokens) > MAX_ENTRIES:
         raise BadInputError(path, f"has {MAX_ENTRIES} entries already")
     write_file(path, (_HEAD + "".join(f"{line}\n" for line in _lines(credentials))).encode())

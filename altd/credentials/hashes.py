@@ -1,7 +1,7 @@
 """Hashes of passwords and tokens, and comparing with them in a time that tells nothing.
 
 A password, which people choose, is hashed slowly and with a salt: scrypt (RFC 7914). A token is 256 bits that
-were drawn by chance, which nobody guesses: one SHA-256 is enough, and takes no time with every request.
+were drawn by chance, and cannot be guessed: one SHA-256 is enough, and takes no time with every request.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TOKEN_BYTES = 32
 
 @dataclass(frozen=True, slots=True)
 class PasswordHash:
-    """What is kept of a password. Raises ValueError for parameters that nobody sane writes."""
+    """What is kept of a password. Raises ValueError for parameters outside sensible limits."""
 
     n: int
     r: int

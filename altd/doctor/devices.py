@@ -214,7 +214,7 @@ def _usb_bus(device: Path, machine: Machine) -> tuple[str, int] | None:
 
 
 def _gpio_chip(chip: str, machine: Machine) -> str | None:
-    """The device of a chip by its label, name or path. A label is known to who may open the chip."""
+    """The device of a chip by its label, name or path. To read a label takes the right to open the chip."""
     for path in machine.paths("/dev/gpiochip*"):
         if chip in (path, Path(path).name) or chip == _label(str(machine.at(path))):
             return path

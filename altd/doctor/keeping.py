@@ -28,7 +28,7 @@ def history(config: Config, machine: Machine) -> Iterator[Finding]:
     """The folder and the room of the history, and whether its file is whole."""
     settings, subject = config.history, "history"
     if not settings.enabled:
-        yield skipped(subject, "off: [history] says so")
+        yield skipped(subject, "off: disabled in [history]")
         return
     path = settings.file or Path(STATE, FILE_NAME)
     if settings.file is None and machine.service() is None:
@@ -98,7 +98,7 @@ def local_socket(config: Config, machine: Machine) -> Iterator[Finding]:
         except ConnectionRefusedError:
             yield good(subject, "of a daemon that was killed: the next one replaces it")
         except PermissionError:
-            remedy = "sudo altd status   # or Group= of the service, docs/terminal.md"
+            remedy = "sudo altd status   # or Group= of the service, docs/console.md"
             yield better(subject, f"{machine.account.name} may not open it", remedy)
         else:
             yield good(subject, "a daemon answers there")

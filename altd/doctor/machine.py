@@ -1,6 +1,6 @@
 """The computer as the checks see it: its files under a root that a test may choose, its user, its service.
 
-What cannot be read is empty: a check says so, none of them raises.
+What cannot be read is empty: a check reports that, none of them raises.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from altd.process.port_owner import is_altd, process_at, words_of
+
 _UNIT = "altd.service"
 _UNIT_FOLDERS = (
     "/etc/systemd/system",
@@ -26,7 +28,7 @@ _UNIT_FOLDERS = (
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """Somebody who runs altd."""
+    """A user who runs altd."""
 
     name: str
     uid: int
@@ -118,21 +120,12 @@ class Machine:
             with contextlib.suppress(OSError):
                 status = link.stat()
                 if stat.S_ISCHR(status.st_mode) and status.st_rdev == opened.st_rdev:
-                    yield self._process(link)
-
-    def owner_of_socket(self, inode: str) -> tuple[int, str] | None:
-        """The process that has a socket, as far as this user may see it."""
-        for link in self.root.glob("proc/[0-9]*/fd/*"):
-            with contextlib.suppress(OSError):
-                if str(link.readlink()) == f"socket:[{inode}]":
-                    return self._process(link)
-        return None
+                    yield process_at(link.parent.parent)
 
     def runs_daemon(self) -> bool:
         """Whether a daemon of altd runs, of any user."""
-        return any(
-            "run" in words for words in map(self._words, self.paths("/proc/[0-9]*")) if _is_altd(words)
-        )
+        commands = map(words_of, self.root.glob("proc/[0-9]*"))
+        return any("run" in words for words in commands if is_altd(words))
 
     def service(self) -> Service | None:
         """The systemd unit of altd, with what was added to it; None when it is not installed."""
@@ -151,19 +144,6 @@ class Machine:
             low_ports=any("CAP_NET_BIND_SERVICE" in names for names in keys.get("AmbientCapabilities", [])),
             folders=_folders(keys) if keys.get("ProtectSystem", [""])[-1] == "strict" else None,
         )
-
-    def _process(self, link: Path) -> tuple[int, str]:
-        number = int(link.parts[-3])
-        folder = f"/proc/{number}"
-        return number, "altd" if _is_altd(self._words(folder)) else self.text(f"{folder}/comm") or "?"
-
-    def _words(self, folder: str) -> list[str]:
-        """The command line of a process."""
-        return self.text(f"{folder}/cmdline").split("\0")
-
-
-def _is_altd(words: list[str]) -> bool:
-    return any(Path(word).name in ("altd", "altd.cli", "altd.publish.opcua") for word in words[:4])
 
 
 def group_name(gid: int) -> str:

@@ -13,6 +13,7 @@ from altd.devices.aravis import gvcp
 from altd.devices.aravis.gvcp import is_address
 from altd.doctor.finding import Finding, better, good, wrong
 from altd.doctor.machine import Machine
+from altd.process.port_owner import bytes_of, from_kernel, listening_sockets, owner_of_socket
 
 MIN_MBIT_S = 1000
 MIN_JUMBO_BYTES = 8000
@@ -23,7 +24,6 @@ _ANSWER_TIMEOUT_S = 0.25
 _MAX_TRIES = 2
 _DISCOVERY_TIMEOUT_S = 0.5
 _CONNECT_TIMEOUT_S = 2.0
-_LISTEN_STATE = "0A"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def listening(config: Config, machine: Machine) -> Iterator[Finding]:
         subject = f"{name} {host}:{port}"
         refused = [*_low_port(subject, port, machine), *_not_ours(subject, host, machine)]
         yield from refused
-        taken = next(_listeners(host, port, machine), None)
+        taken = next(listening_sockets(host, port, machine.root), None)
         if taken is not None:
-            owner = machine.owner_of_socket(taken)
+            owner = owner_of_socket(taken, machine.root)
             if owner is not None and owner[1] == "altd":
                 yield good(subject, f"altd listens there (process {owner[0]})")
                 continue
@@ -259,7 +259,7 @@ def _low_port(subject: str, port: int, machine: Machine) -> Iterator[Finding]:
 
 def _not_ours(subject: str, host: str, machine: Machine) -> Iterator[Finding]:
     """Whether no interface has the address: then altd waits for it, as it must while a computer starts."""
-    wanted = _bytes_of(host)
+    wanted = bytes_of(host)
     if host == "localhost" or not any(wanted) or ipaddress.ip_address(wanted).is_loopback:
         return
     ours = _addresses(machine)
@@ -285,41 +285,13 @@ def _addresses(machine: Machine) -> set[bytes]:
     return ours
 
 
-def _listeners(host: str, port: int, machine: Machine) -> Iterator[str]:
-    """The inodes of sockets that keep us from listening there."""
-    wanted = _bytes_of(host)
-    for path in ("/proc/net/tcp", "/proc/net/tcp6"):
-        for line in machine.text(path).splitlines()[1:]:
-            fields = line.split()
-            address, _, number = fields[1].partition(":")
-            if fields[3] == _LISTEN_STATE and int(number, 16) == port:
-                theirs = _from_kernel(address)
-                if not any(wanted) or not any(theirs) or wanted == theirs[-len(wanted) :]:
-                    yield fields[9]
-
-
-def _from_kernel(address: str) -> bytes:
-    """The bytes of an address as /proc/net shows it: words of four bytes, each the wrong way round."""
-    raw = bytes.fromhex(address)
-    return b"".join(raw[i : i + 4][::-1] for i in range(0, len(raw), 4))
-
-
-def _bytes_of(host: str) -> bytes:
-    for family in (socket.AF_INET, socket.AF_INET6):
-        try:
-            return socket.inet_pton(family, host.partition("%")[0])
-        except OSError:
-            continue
-    return bytes(4)  # a name: whatever it stands for
-
-
 def _routes(machine: Machine) -> list[_Route]:
     """The kernel's IPv4 routes, the most special first."""
     routes = []
     for line in machine.text("/proc/net/route").splitlines()[1:]:
         name, destination, gateway, flags, _, _, metric, mask = line.split()[:8]
         prefix_bits = int(mask, 16).bit_count()
-        network = ipaddress.IPv4Network((_from_kernel(destination), prefix_bits), strict=False)
+        network = ipaddress.IPv4Network((from_kernel(destination), prefix_bits), strict=False)
         if int(flags, 16) & 1:
             routes.append(_Route(name, network, int(gateway, 16) == 0, int(metric)))
     return sorted(routes, key=lambda route: (-route.network.prefixlen, route.metric))

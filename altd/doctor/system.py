@@ -120,7 +120,7 @@ def _library(name: str, module: str) -> Finding:
 
 
 def _aravis(needed: bool) -> Finding:
-    """PyGObject and Aravis' description of itself; only GigE Vision cameras need them."""
+    """PyGObject and Aravis' typelib; only GigE Vision cameras need them."""
     subject, remedy = (
         "library aravis",
         "sudo apt-get install python3-gi gir1.2-aravis-0.8   # see docs/install.md",

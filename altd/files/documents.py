@@ -67,12 +67,16 @@ class TomlError(ValueError):
 
 def parse_toml(content: bytes) -> dict[str, Any]:
     """A TOML document; raises TomlError that says what is wrong with it."""
+    for mark, encoding in _BYTE_ORDER_MARKS.items():
+        if content.startswith(mark):
+            raise TomlError(f"is {encoding}: save the file as UTF-8", 1, 1)
     try:
         text = content.decode()
     except UnicodeDecodeError as error:
         before = content[: error.start]
         column = len(before[before.rfind(b"\n") + 1 :].decode()) + 1
-        raise TomlError("is not UTF-8 text", before.count(b"\n") + 1, column) from error
+        message = "is not UTF-8 text: save the file as UTF-8"
+        raise TomlError(message, before.count(b"\n") + 1, column) from error
     if dotted := _DOTTED.search(text):
         raise TomlError(f"more than {_MAX_DOTS} dots in a line", text.count("\n", 0, dotted.start()) + 1, 1)
     try:
@@ -85,16 +89,22 @@ def parse_toml(content: bytes) -> dict[str, Any]:
     return document
 
 
+_BYTE_ORDER_MARKS = {
+    b"\xef\xbb\xbf": "text that begins with a byte order mark",
+    b"\xff\xfe": "UTF-16",
+    b"\xfe\xff": "UTF-16",
+}
 _WHERE = re.compile(r"(.*) \(at (?:line (\d+), column (\d+)|end of document)\)$", re.DOTALL)
-_TWICE = "is defined twice"
+_TWICE = "is defined twice: keep one of them"
+_ESCAPE = "in text in double quotes: write two of them, or put the text in single quotes"
 _WORDS = (
     ("Exceeds the limit", "a number with too many digits"),
     ("Invalid statement", "neither a key nor the [name] of a table"),
     ("Expected newline", "the line should end here"),
     ("Illegal character '\\n'", "the text in quotes does not end on its line"),
     ("Illegal character '\\r'", "the text in quotes does not end on its line"),
-    ("Illegal character", "a character that must not stand here"),
-    ("Found invalid character", "a character that must not stand here"),
+    ("Illegal character", "a character that is not allowed here"),
+    ("Found invalid character", "a character that is not allowed here"),
     ("Cannot declare", f"this table {_TWICE}"),
     ("Cannot overwrite", f"this key {_TWICE}"),
     ("Duplicate inline table key", f"this key {_TWICE}"),
@@ -106,18 +116,27 @@ _WORDS = (
     ("Invalid initial character for a key", "the name of a key is missing"),
     ("Unclosed array", "a comma or ] is missing in a list"),
     ("Unclosed inline table", "a comma or } is missing in a table"),
-    (
-        "Unescaped",
-        "a backslash in text in double quotes: write two of them, or put the text in single quotes",
-    ),
-    ("Invalid hex value", "a character's number after \\u or \\U is wrong"),
-    ("Escaped character", "a character's number after \\u or \\U is wrong"),
+    ("Unescaped", f"a backslash {_ESCAPE}"),
+    ("Invalid hex value", f"a character's number after \\u or \\U is wrong, or a backslash {_ESCAPE}"),
+    ("Escaped character", f"a character's number after \\u or \\U is wrong, or a backslash {_ESCAPE}"),
     ("Unterminated string", "the text in quotes does not end"),
     ("Expected", "the text in quotes does not end"),
     ("Invalid date", "there is no such date or time"),
     ("Invalid value", "no value: put text in quotes, true and false in small letters"),
 )
-"""How tomllib begins, and what a person is told."""
+"""How a message of tomllib begins, and ours."""
+_AT_PLACE = (
+    ("Expected newline", r"\d$", r",\d", "a comma in a number: the decimal sign is a point"),
+    ("Expected newline", r"= *[-+]?[\d_.]+ *$", r"[^\W\d]|[%°]", "a number is written without its unit"),
+    ("Invalid value", "$", "[“”„«»‘’‚]", "these quotes are not straight: write \" or '"),
+    (
+        "Cannot overwrite",
+        "^$",
+        r"\[\[",
+        "[ ] further up makes one table, [[ ]] here a list of tables: write both alike",
+    ),
+)
+"""How a message of tomllib begins, what is before and behind its place in the line, and our message then."""
 
 
 def _syntax_error(text: str, said: str) -> TomlError:
@@ -131,6 +150,10 @@ def _syntax_error(text: str, said: str) -> TomlError:
     line, column = (int(where[2]), int(where[3])) if where[2] else (len(lines), len(lines[-1]) + 1)
     if words.endswith(_TWICE):  # tomllib has read on to the end of the value
         column = len(lines[line - 1]) - len(lines[line - 1].lstrip(" \t")) + 1
+    before, behind = lines[line - 1][: column - 1], lines[line - 1][column - 1 :]
+    for begin, ending, start, special in _AT_PLACE:
+        if message.startswith(begin) and re.search(ending, before) and re.match(start, behind):
+            words = special
     return TomlError(f"not TOML: {words}", line, column)
 
 

@@ -22,7 +22,7 @@ class UnchangedFile:
     """A regular file as it was when it was first read, here: of it only its length and a digest a piece stay.
 
     What is appended later is not seen. A piece that is read again and is another one raises BadInputError
-    before any of it is handed on; so nobody works on what was not checked.
+    before any of it is handed on; so only checked content is used.
     """
 
     def __init__(self, path: Path, largest_bytes: int) -> None:

@@ -46,7 +46,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write into, beside its place; it gets there when the block ends by itself.
+    """A file to write into, beside its place; it gets there when the block ends normally.
 
     Else nothing is left of it, and an older one is as it was. Raises BadInputError for what cannot be
     replaced, and in place of an OSError.
@@ -92,7 +92,7 @@ def _write_beside(path: Path, content: bytes) -> Path:
 
 @contextmanager
 def _replaced(path: Path) -> Iterator[BinaryIO]:
-    """A file to write into that gets to its place when the block ends by itself; else nothing is left."""
+    """A file to write into that gets to its place when the block ends normally; else nothing is left."""
     with _opened_beside(path) as (file, temporary):
         yield file
     try:

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 
 from altd.history.batch import Batch, ClockSet, Item, Sample, StateSample, Written
-from altd.history.schema import UnusableFileError
+from altd.history.schema import MovedFileError, UnusableFileError
 from altd.history.store import Store
 from altd.history.summary import WorstFault
 from altd.ports import Clock
@@ -113,7 +113,8 @@ class HistoryRecorder:
             self._put_back(batch)
             self._retry_ns = now_ns + round(self._backoff_s * 1e9)
             self._backoff_s = min(2 * self._backoff_s, _MAX_BACKOFF_S)
-            self._tell(f"not written: {self._store.path}: {_sentence(error)}")
+            what = "" if isinstance(error, MovedFileError) else "not written: "
+            self._tell(f"{what}{self._store.path}: {_sentence(error)}")
             return True
         except Exception as error:  # whatever is wrong with it, it must not end the measurement
             log.exception("history: a defect")

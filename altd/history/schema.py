@@ -96,6 +96,10 @@ class TouchedFileError(UnusableFileError):
     """A history that somebody else replaced, deleted or wrote into while it was open."""
 
 
+class MovedFileError(UnusableFileError):
+    """A damaged history, or one of another unit, that was moved aside."""
+
+
 class NewerFileError(UnusableFileError):
     """A history of a newer program."""
 

@@ -29,6 +29,7 @@ from altd.history.retention import Retention
 from altd.history.schema import (
     MEASUREMENT_PARTS,
     SUMMARIES,
+    MovedFileError,
     TouchedFileError,
     UnusableFileError,
     column_name,
@@ -74,7 +75,10 @@ class Store:
             return Written(notices, used_bytes, self._open.log_bytes())
         except (OSError, sqlite3.Error, UnusableFileError) as error:
             self._close_file()
-            self._set_aside(error)
+            if (aside := set_aside(self.path, error)) is not None:
+                text = f"the history before is kept as {aside.name}: {error}"
+                self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
+                raise MovedFileError(f"{error}: moved to {aside}, a new history is begun") from error
             if isinstance(error, TouchedFileError):
                 self._was_open = False  # its pages are looked at before it is believed again
                 self._unwritten.append(Notice(EventKind.HISTORY, f"the history {error}"))
@@ -118,11 +122,6 @@ class Store:
             raise
         self._was_open = True
         return opened
-
-    def _set_aside(self, error: Exception) -> None:
-        if (aside := set_aside(self.path, error)) is not None:
-            text = f"the history before is kept as {aside.name}: {error}"
-            self._unwritten.append(Notice(EventKind.HISTORY, text, {"file": str(aside)}))
 
     def _close_file(self) -> None:
         opened, self._open = self._open, None

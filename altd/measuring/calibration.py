@@ -118,6 +118,13 @@ class Calibration:
         """Whether any frame that this rests on was simulated."""
         return any(target.simulated for target in self.targets)
 
+    def other_place_of(self, camera: CameraIdentity, target: str) -> str:
+        """Which target but this one the camera was calibrated at, as the end of a sentence; empty: none."""
+        for other in self.targets:
+            if other.name != target and camera.serial is not None and other.camera.serial == camera.serial:
+                return f": it is the camera of target {other.name!r}, the cameras are swapped"
+        return ""
+
     @property
     def target_names(self) -> tuple[str, ...]:
         """The targets' names in beam order."""

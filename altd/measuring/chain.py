@@ -117,6 +117,7 @@ class MeasuringChain:
                 self._calibration[view.target],
                 partial(provenance.identity, view.camera),
                 view.expected,
+                calibration.other_place_of,
             )
             for view in views
         }

@@ -63,7 +63,8 @@ class Located:
 class SpotLocator:
     """Locates the spot in each frame of one camera, and holds the frame against those before it.
 
-    ``identity`` tells which camera delivers, ``expected`` which should, beside the one that was calibrated.
+    ``identity`` tells which camera delivers, ``expected`` which should, beside the one that was calibrated,
+    ``other_place_of`` at which other target a camera was calibrated (``Calibration``).
     One thread calls ``locate``, with one frame after the other.
     """
 
@@ -73,6 +74,7 @@ class SpotLocator:
         target: TargetCalibration,
         identity: Callable[[], CameraIdentity | None] = lambda: None,
         expected: CameraIdentity | None = None,
+        other_place_of: Callable[[CameraIdentity, str], str] = lambda _, __: "",
     ) -> None:
         self.camera = camera
         self._target = target
@@ -85,7 +87,8 @@ class SpotLocator:
         """The last frame was not new."""
         self._breaks = 0
         self._dust_ns: int | None = None
-        self._view_check = ViewCheck(target, (target.camera, expected or CameraIdentity()))
+        cameras = (target.camera, expected or CameraIdentity())
+        self._view_check = ViewCheck(target, cameras, other_place_of)
 
     def locate(self, frame: Frame) -> Located:
         """The spot of a frame; none is looked for where the frame LEDs are lit."""

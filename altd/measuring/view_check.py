@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
@@ -82,8 +82,14 @@ class ViewCheck:
     verdicts only a frame that verifies the view ends it, before that any frame that finds nothing wrong.
     """
 
-    def __init__(self, target: TargetCalibration, expected: Sequence[CameraIdentity]) -> None:
+    def __init__(
+        self,
+        target: TargetCalibration,
+        expected: Sequence[CameraIdentity],
+        other_place_of: Callable[[CameraIdentity, str], str] = lambda _, __: "",
+    ) -> None:
         self._target = target.name
+        self._other_place_of = other_place_of
         self._fingerprint = target.fingerprint
         self._expected = expected
         self._last_ns: int | None = None
@@ -126,7 +132,8 @@ class ViewCheck:
             if camera is not None and (difference := camera.difference_from(expected)):
                 self._reset()
                 self._doubt = difference
-                return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured")
+                place = self._other_place_of(camera, self._target)
+                return NoSpot(Reason.WRONG_CAMERA, f"{difference} as calibrated or configured{place}")
         frame = analysis.frame
         last_ns, self._last_ns = self._last_ns, frame.t_ns
         if last_ns is not None and not 0 <= frame.t_ns - last_ns <= _MAX_FRAME_GAP_NS:

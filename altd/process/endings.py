@@ -1,9 +1,10 @@
-"""How a command ends: by itself, by a signal, by an error; its exit status and its last word."""
+"""How a command ends: normally, by a signal, by an error; its exit status and its last word."""
 
 from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
@@ -58,6 +59,10 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
     except EndedBySignal as end:
         clear_counter()
         return end.status
+    except ModuleNotFoundError as error:
+        missing = f"the Python package {error.name!r} is missing in {sys.executable}"
+        complain(f"{name()}: {missing}: start the `altd` that was installed, see docs/install.md")
+        return 1
     except SystemExit as end:  # the parser has said what there was to say
         status = end.code if isinstance(end.code, int) else 1
     except OSError:
@@ -66,7 +71,7 @@ def _status_of(work: Callable[[], int], name: Callable[[], str]) -> int:
         status = 1
     if (failure := output_failure()) is not None:
         status = status or 1
-        if not isinstance(failure, BrokenPipeError):  # the reader of our output went away: nobody to tell
+        if not isinstance(failure, BrokenPipeError):  # the reader of our output has ended
             complain(f"{name()}: standard output: {failure.strerror}")
     return status
 
@@ -100,7 +105,7 @@ async def until_signal(work: Coroutine[None, None, Result]) -> Result:
 def _signals_raised() -> Iterator[None]:
     """Within, a signal that asks to end raises EndedBySignal; a second one ends the process at once."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread is told of signals
+        yield  # only the main thread receives signals
         return
     before = {number: signal.getsignal(number) for number in _ending_signals()}
     for number in before:

@@ -1,4 +1,4 @@
-"""The log on standard error: it never holds up who logs, and nobody outside can flood it."""
+"""The log on standard error: it never blocks the caller, and no client can flood it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ _STREAMS = (("stdin", "r", os.O_WRONLY), ("stdout", "w", os.O_RDONLY), ("stderr"
 
 
 class _Output(io.FileIO):
-    """Standard output that remembers why it did not take something: whoever printed may have ignored it."""
+    """Standard output that remembers why it did not take something, which a caller may ignore."""
 
     failure: OSError | None = None
 
@@ -33,7 +33,7 @@ class _Output(io.FileIO):
 def prepare_streams() -> None:
     """Put something behind those of the descriptors 0, 1 and 2 that are closed, and watch standard output.
 
-    Else the next file to be opened takes the number, and whoever prints writes into it. What is printed to a
+    Else the next file to be opened takes the number, and prints go into it. What is printed to a
     closed standard output fails (EBADF), for a lost answer is no success.
     """
     is_process_output = sys.stdout is sys.__stdout__
@@ -83,7 +83,7 @@ def _erasure() -> str:
 def _write(text: str) -> None:
     try:
         descriptor = sys.stderr.fileno()
-    except (OSError, ValueError):  # what stands for it has none, or it is closed
+    except (OSError, ValueError):  # what replaces it has none, or it is closed
         descriptor = None
     with contextlib.suppress(OSError, ValueError):
         if descriptor is None or _takes_output(descriptor):

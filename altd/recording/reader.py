@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -54,6 +55,9 @@ def open_recording(path: Path) -> Recording:
 
     Raises BadInputError that names the file and, in ``frames.csv``, the row (the first frame is row 2).
     """
+    if os.path.lexists(path) and not os.path.lexists(path / HEADER_FILE):
+        lacks = f"it has no {HEADER_FILE}" if path.is_dir() else "a recording is a folder"
+        raise BadInputError(path, f"is no recording: {lacks}")
     header = read_header(path / HEADER_FILE)
     table = path / FRAMES_FILE
     return Recording(path, header, Rows.checked(table, header.cameras, partial(_check_png, path, header)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
-import os
 from collections.abc import Callable, Coroutine
 from typing import Protocol
 
@@ -27,9 +26,10 @@ _FATAL_AT_START = {errno.EADDRINUSE, errno.EACCES}
 """An address that the computer does not have yet (EADDRNOTAVAIL) may come while it boots."""
 
 
-def _failure_text(error: Exception) -> str:
+def _failure_text(error: Exception, place: str) -> str:
+    """What failed; ``place``, of which some errors begin with the address, is not repeated."""
     if isinstance(error, OSError):
-        return error.strerror or str(error)
+        return (error.strerror or str(error)).removeprefix(f"{place.partition(' ')[2]}: ")
     return f"{type(error).__name__}: {error}"
 
 
@@ -92,8 +92,8 @@ async def keep_running(
         except Exception as error:
             device = isinstance(error, OSError) and error.filename is not None
             if first and isinstance(error, OSError) and error.errno in _FATAL_AT_START and not device:
-                raise BadInputError(place, os.strerror(error.errno)) from error
-            failure = _failure_text(error)
+                raise BadInputError(place, _failure_text(error, place)) from error
+            failure = _failure_text(error, place)
             max_backoff_s = MAX_DEVICE_BACKOFF_S if device else MAX_BACKOFF_S
         if serving_since_ns is not None and clock.monotonic_ns() - serving_since_ns >= MIN_STEADY_S * 1e9:
             is_logged, backoff_s = False, MIN_BACKOFF_S

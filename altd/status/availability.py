@@ -11,10 +11,10 @@ from typing import Any
 from altd.records import utc_text
 
 MAX_GAP_S = 5.0
-"""Time between two looks that are further apart is lost: the process stood still, and nobody measured."""
+"""Time between two looks that are further apart is lost: the process stood still, and measured nothing."""
 
 NOT_WATCHED = "not_watched"
-"""The reason for time in which nobody looked."""
+"""The reason for time that was not observed."""
 
 NOT_RUNNING = "not_running"
 """The reason for time before this start in which, by what is on record, no daemon ran."""

@@ -26,7 +26,7 @@ class Board:
         clock: Clock,
         stale_after_s: float,
         quantities: Quantities,
-        identity: Identity = Identity(),  # noqa: B008  frozen; nobody's board is of no unit
+        identity: Identity = Identity(),  # noqa: B008  frozen; a board without an identity is of no unit
         complete: Callable[[Measurement], Measurement] = lambda measurement: measurement,
         rehearsal: bool = False,
     ) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from altd.reasons import Reason, Signal
+from altd.status.advice import advice_of
 from altd.status.availability import Availability
 from altd.status.conditions import Condition
 
@@ -13,13 +14,13 @@ Kind = Reason | Condition
 """What both tables of causes have: code, signal, brief, remedy, meaning."""
 
 HOLD_S = 2.0
-"""A cause is shown for so long after it was last true: who reads once a second misses none, and one that
+"""A cause is shown for so long after it was last true: polling at 1 Hz sees every one, and one that
 comes and goes with the exposures is one cause and not twenty a second."""
 
 MAINTENANCE_DELAY_S = 10.0
 """Before maintenance is asked for, its cause was true for so long, with pauses of no more than this: a frame
-that is lost now and then sends nobody. What is worse than maintenance is shown at once, for a state must
-never be better than the measurement."""
+that is lost now and then calls no technician. What is worse than maintenance is shown at once, for a state
+must never be better than the measurement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,12 @@ class Cause:
     kind: Kind
     of: str | None = None
     detail: str = ""
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it, as far as its detail tells."""
+        seen = advice_of(self.kind, self.detail) if isinstance(self.kind, Reason) else None
+        return self.kind.remedy if seen is None else seen.remedy
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +54,7 @@ class ShownCause:
 
 
 def signal_of(kind: Kind) -> Signal:
-    """The signal of a cause. Whatever is wrong is never good: not even where its table says so."""
+    """The signal of a cause. A fault is never good, not even where its table has that."""
     signal = getattr(kind, "signal", None)
     if not isinstance(signal, Signal) or signal is Signal.GOOD:
         return Signal.FAILURE
@@ -120,7 +127,7 @@ class StateReport:
 
     @property
     def needs_attention(self) -> bool:
-        """Whether something beside the measurement is wrong just now that somebody has to see to."""
+        """Whether something beside the measurement is wrong just now that needs attention."""
         return any(
             isinstance(shown.cause.kind, Condition)
             and shown.is_active
@@ -143,7 +150,7 @@ class StateReport:
                     "for_s": self._for_s(shown.since_ns),
                     "times": shown.times,
                     "brief": shown.cause.kind.brief,
-                    "remedy": shown.cause.kind.remedy,
+                    "remedy": shown.cause.remedy,
                     "detail": shown.cause.detail,
                 }
                 for shown in self.causes

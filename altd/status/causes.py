@@ -1,4 +1,4 @@
-"""What is wrong just now, by the latest measurement and by what the components say of themselves."""
+"""What is wrong just now, by the latest measurement and by what the components report."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What may be wrong with the unit beside the measurement's own reasons: the second table of causes.
 
-A measurement says in ``altd.reasons`` why it is invalid. What is here never makes it invalid by itself; it is
+A measurement says in ``altd.reasons`` why it is invalid. What is here alone never makes it invalid; it is
 why the unit as a whole is not good. Codes are contracts, as those of reasons are.
 """
 
@@ -21,31 +21,31 @@ class Condition(StrEnum):
         "starting", _CHECK_FUNCTION,
         "the unit starts",
         "wait some seconds",
-        "nothing valid was measured yet, and the daemon started less than 2 s ago",
+        "nothing valid measured yet, in the first 2 s",
     )  # fmt: skip
     NOTHING_MEASURED = (
         "nothing_measured", _FAILURE,
         "nothing was measured since the start",
         "look in `status` for the component that does not come up",
-        "the daemon runs for 2 s or more, and no measurement was made, not even an invalid one",
+        "no measurement, not even an invalid one, 2 s after the start",
     )  # fmt: skip
     UNKNOWN_REASON = (
         "unknown_reason", _FAILURE,
         "a reason that is not known",
         "update or restart the unit, and report it",
-        "a measurement gives a reason that is in no table, or is invalid and gives none: a defect",
+        "a reason that is not known, or none for an invalid measurement: a defect",
     )  # fmt: skip
     CAMERA_FAILED = (
         "camera_failed", _FAILURE,
         "a camera has failed",
         "check the camera's cable and supply",
-        "a camera could not be opened or was lost; it is tried again",
+        "a camera could not be opened or was lost; the unit tries again",
     )  # fmt: skip
     CAMERA_DEGRADED = (
         "camera_degraded", _MAINTENANCE_REQUIRED,
         "a camera does not deliver as it should",
         "check the camera's cable, and its table in the config",
-        "frames are lost or come late or with impossible times, or the camera refuses its exposure",
+        "frames are lost, late or have impossible times, or the camera refuses its exposure",
     )  # fmt: skip
     RECORDING_ENDED = (
         "recording_ended", _CHECK_FUNCTION,
@@ -57,31 +57,31 @@ class Condition(StrEnum):
         "face_failed", _MAINTENANCE_REQUIRED,
         "a connection to the outside has failed",
         "check the port or address that the component names",
-        "Modbus, HTTP, MQTT or a serial port does not serve; the numbers on the others are true",
+        "Modbus, HTTP, MQTT, OPC UA or a serial port is not served; the other interfaces are right",
     )  # fmt: skip
     LAMPS_FAILED = (
         "lamps_failed", _MAINTENANCE_REQUIRED,
         "the frame LEDs cannot be switched",
         "check the lamps' chip, lines and cable",
-        "the frame LEDs are lost, so that the unit cannot check itself by them",
+        "the frame LEDs cannot be switched: no self-check is possible",
     )  # fmt: skip
     INDICATORS_FAILED = (
         "indicators_failed", _MAINTENANCE_REQUIRED,
         "the lamps on the housing have failed",
         "check the indicators' chip and lines",
-        "the lamps on the housing do not say how the unit is; do not trust them",
+        "the lamps on the housing do not show the unit's state; do not trust them",
     )  # fmt: skip
     SENSOR_FAILED = (
         "sensor_failed", _MAINTENANCE_REQUIRED,
         "a sensor beside the cameras has failed",
         "check the sensor's cable, supply and table in the config",
-        "an inclinometer gives nothing; the beam's own numbers are true",
+        "an inclinometer gives no value; the beam's numbers are right",
     )  # fmt: skip
     COMPONENT_FAILED = (
         "component_failed", _FAILURE,
         "a component has failed",
         _SEE_STATUS,
-        "a component has failed or ended that is none of those above",
+        "another component has failed or ended",
     )  # fmt: skip
     COMPONENT_DEGRADED = (
         "component_degraded", _MAINTENANCE_REQUIRED,
@@ -93,7 +93,7 @@ class Condition(StrEnum):
         "component_silent", _FAILURE,
         "a component says nothing any more",
         "restart the unit, and report it",
-        "a component that speaks regularly has not done so in time: it died or hangs without saying so",
+        "a component has not reported in time: it has ended or hangs",
     )  # fmt: skip
     NOT_STARTED = (
         "not_started", _MAINTENANCE_REQUIRED,
@@ -105,37 +105,37 @@ class Condition(StrEnum):
         "too_cold", _OUT_OF_SPECIFICATION,
         "it is too cold",
         "warm the unit, or wait until it has warmed itself",
-        "a temperature lies below its limit; the unit is made for -10 to +60 °C (App. A.1.5)",
+        "below the sensor's limit; the unit is made for -10 to +60 °C",
     )  # fmt: skip
     TOO_HOT = (
         "too_hot", _OUT_OF_SPECIFICATION,
         "it is too hot",
         "shade or cool the unit",
-        "a temperature lies above its limit; the unit is made for -10 to +60 °C (App. A.1.5)",
+        "above the sensor's limit; the unit is made for -10 to +60 °C",
     )  # fmt: skip
     TEMPERATURE_UNKNOWN = (
         "temperature_unknown", _MAINTENANCE_REQUIRED,
         "a temperature cannot be read",
         "check the sensor and its table in the config",
-        "a sensor of the config is missing, tells nothing or what cannot be",
+        "a sensor is missing, gives no value or an impossible one",
     )  # fmt: skip
     LASER_WEAK = (
         "laser_weak", _MAINTENANCE_REQUIRED,
         "the laser has become weak",
         "clean the window, check the laser's supply and age",
-        "a spot's light, for equal exposure and gain, has fallen below its share of the reference",
+        "a spot's light is below `min_light_share` of the reference",
     )  # fmt: skip
     RESIDUALS_RISING = (
         "residuals_rising", _MAINTENANCE_REQUIRED,
         "the spot fits less and less well",
         "clean the window and the targets, look for weak reflections",
-        "what the fit of a spot leaves unexplained nears what would make it `distorted`",
+        "the residuals of a spot's fit are above `max_residual_share`",
     )  # fmt: skip
     DUSTY = (
         "dusty", _MAINTENANCE_REQUIRED,
         "dust is seen under the spot",
         "clean the window; if it stays on one target alone, that target",
-        "specks that the calibration did not see cover more of the area under a spot than `max_dust_share`",
+        "specks that are not in the calibration cover more than `max_dust_share`",
     )  # fmt: skip
     CALIBRATION_DUE = (
         "calibration_due", _MAINTENANCE_REQUIRED,
@@ -147,7 +147,7 @@ class Condition(StrEnum):
         "clock_wrong", _MAINTENANCE_REQUIRED,
         "the clock is wrong",
         "set the computer's clock, check its time server",
-        "the calibration was made more than a day after what the clock says is now",
+        "the calibration is more than a day newer than the clock",
     )  # fmt: skip
 
     signal: Signal

@@ -36,23 +36,23 @@ class EventKind(StrEnum):
     """A row of the table: code, severity where nothing else is said, meaning.
 
     The severity is that of the unit's signals, 0 good to 4 failure. The history drops the oldest of the
-    least severe first, so what is rare and explains much stands higher than its harm.
+    least severe first, so what is rare and explains much ranks higher than its harm.
     """
 
     STARTED = "started", 2, "the daemon started"
-    STOPPED = "stopped", 2, "the daemon was told to end, and ended"
-    NOT_ENDED = "not_ended", 4, "the daemon before this one was not told to end: a crash, or a power cut"
+    STOPPED = "stopped", 2, "the daemon was stopped"
+    NOT_ENDED = "not_ended", 4, "the previous daemon ended without being stopped: a crash, or a power cut"
     STATE = "state", 0, "the unit's state changed"
-    CAUSE_CAME = "cause_came", 0, "something is wrong that was not before"
-    CAUSE_WENT = "cause_went", 0, "what was wrong is so no more"
-    CONFIG = "config", 3, "the settings are others than at the last start"
-    CALIBRATION = "calibration", 3, "the calibration is another than at the last start"
-    VERSION = "version", 3, "the program is another than at the last start"
+    CAUSE_CAME = "cause_came", 0, "a fault began"
+    CAUSE_WENT = "cause_went", 0, "a fault ended"
+    CONFIG = "config", 3, "the settings have changed since the last start"
+    CALIBRATION = "calibration", 3, "the calibration has changed since the last start"
+    VERSION = "version", 3, "the program has changed since the last start"
     SELF_CHECK = "self_check", 0, "a self-check ended"
-    REQUEST = "request", 1, "somebody asked the unit for something"
-    RECORDING = "recording", 1, "frames of the last seconds were kept as a recording, or could not be"
+    REQUEST = "request", 1, "a client sent a command to the unit"
+    RECORDING = "recording", 1, "frames of the last seconds were recorded, or could not be"
     CLOCK = "clock", 3, "the time of day was set"
-    HISTORY = "history", 1, "the history itself: started again, moved aside, short of room, or with a gap"
+    HISTORY = "history", 1, "the history was restarted, moved aside or shortened, or has a gap"
 
     severity: int
     meaning: str
@@ -102,7 +102,7 @@ class _Window:
 
 
 _Key = tuple[EventKind, str | None, object]
-"""What repeats is told by this: kind, what it is about, and the code of a cause."""
+"""A repeated event is recognised by this: kind, what it is about, and the code of a cause."""
 
 
 class EventLog:

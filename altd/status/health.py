@@ -1,4 +1,4 @@
-"""What each component says of itself, for the technician and for the status pages."""
+"""What each component reports, for the technician and for the status pages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MEASURING = "measuring"
 """The component that does as the latest measurement does."""
 
 FIGURE_AGE_S = 2.5
-"""A figure is of now for so long after it was observed; silence itself is observed at least every 2 s."""
+"""A figure is current for so long after it was observed; silence itself is observed at least every 2 s."""
 
 Message = str | Callable[[int], str]
 """A sentence; one that holds a time is made again when it is read, from the monotonic ns of that moment."""
@@ -49,7 +49,7 @@ class Component:
     silent_after_s: float | None = None
     """It speaks at least so often while it lives; None: it speaks only when something changes."""
     data_given: int = 0
-    """How often it gave data to whoever asked, or wants it unasked: what the Data lamp shows."""
+    """How often it gave data to clients, on request or unasked: what the Data lamp shows."""
     _message: Message = ""
     _figures: dict[str, tuple[float | str | None, int]] = field(default_factory=dict)
 
@@ -72,7 +72,7 @@ class Component:
         self.heard_ns = self.clock.monotonic_ns()
 
     def is_alive(self) -> None:
-        """Whoever does its work is there; how it does has not changed."""
+        """It is alive; its state has not changed."""
         self.heard_ns = self.clock.monotonic_ns()
 
     def silent_s(self, now_ns: int) -> float | None:
@@ -87,7 +87,7 @@ class Component:
         self.counters[counter] = self.counters.get(counter, 0) + by
 
     def observe(self, figures: Mapping[str, float | str | None]) -> None:
-        """What it measures of itself now, by names that end in the unit; None: not known.
+        """Its current figures, by names that end in the unit; None: not known.
 
         A number that is none counts as not known: JSON has no NaN, and one would hide all the others.
         """
@@ -99,7 +99,7 @@ class Component:
 
     @property
     def figures(self) -> dict[str, float | str | None]:
-        """What it measured of itself; None: not known, or observed too long ago to be true now."""
+        """Its figure; None: not known, or observed too long ago to be true now."""
         oldest_ns = self.clock.monotonic_ns() - round(FIGURE_AGE_S * 1e9)
         return {
             name: figure if at_ns >= oldest_ns else None for name, (figure, at_ns) in self._figures.items()
@@ -129,7 +129,7 @@ class Health:
         self.diagnostics: tuple[DiagnosticPart, ...] = ()
         """What diagnostics hold beside what every interface sees."""
         self.state: Callable[[], StateReport | None] = lambda: None
-        """The unit's state at this moment; None: nobody finds it out."""
+        """The unit's state at this moment; None: it is not determined."""
 
     def component(self, name: str) -> Component:
         """The component of that name, new when it is not known yet."""

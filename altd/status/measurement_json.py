@@ -77,7 +77,7 @@ def as_scan_object(measurement: Measurement, known_mm: tuple[float, float]) -> d
 
 
 def keys_of(quantities: Quantities) -> frozenset[str]:
-    """The keys that stand beside the targets' names in any of these objects."""
+    """The keys that are next to the targets' names in any of these objects."""
     sensors = {quantity.key: SensorValue(Quality.STARTING) for quantity in quantities.of_unit}
     without_targets = Measurement(0, 0, None, 0, quantities, {}, {}, from_sensors=sensors)
     return frozenset(as_object_now(without_targets, None) | as_scan_object(without_targets, (0.0, 0.0)))
@@ -124,7 +124,7 @@ def _rounded(value: float | None, decimals: int) -> float | None:
 
 
 PROOF_KEYS = ("unit", "session", "message", "published", "clock_ms", "age_s", "crc32")
-"""What stands behind the keys of the measurement, in this order."""
+"""What follows the keys of the measurement, in this order."""
 
 
 def proof_of(board: Board, stamp: Stamp) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def measurement_model(quantities: Quantities) -> type[BaseModel]:
     class Measurement(Answer):
         """One measurement. Use its numbers only when `valid` is true; what is not known is null.
 
-        Beside the keys that are named here stands one for each target, by the target's name.
+        Next to the keys that are named here there is one for each target, by the target's name.
         """
 
         model_config = ConfigDict(extra="allow")

@@ -1,4 +1,4 @@
-"""What makes one message recognisable to who reads it: its unit, its session, its number, its time.
+"""What makes one message recognisable to a reader: its unit, its session, its number, its time.
 
 These and the CRC are the measures of a black channel against the errors of a line (EN 50159, 7.3;
 IEC 61784-3, 5.4). ``docs/proof.md`` says how a reader checks them.

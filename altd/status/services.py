@@ -13,7 +13,7 @@ Provider = TypeVar("Provider")
 
 
 class _Service(Generic[Provider]):
-    """``unavailable`` says why nobody provides it; empty from ``open`` on."""
+    """``unavailable`` says why it is not available; empty from ``open`` on."""
 
     error: ClassVar[type[Exception]]
 
@@ -27,7 +27,7 @@ class _Service(Generic[Provider]):
 
     @property
     def provider(self) -> Provider:
-        """Who provides it; raises ``error`` where nobody does."""
+        """Its provider; raises ``error`` where there is none."""
         if self._provider is None:
             raise self.error(self.unavailable)
         return self._provider
@@ -174,7 +174,7 @@ class NoExposureError(NotKeptError):
 class KeptRecording:
     """A recording on the unit's disk. ``start`` is UTC, ISO 8601; empty where it is not known.
 
-    ``why`` is the code of the cause, with the target or component that it is of, or who asked.
+    ``why`` is the code of the cause, with the target or component that it is of, or the user that asked.
     """
 
     name: str
@@ -219,7 +219,7 @@ class RecordingKeeper(Protocol):
 
 
 class RecordingService(_Service[RecordingKeeper]):
-    """The recordings that the unit has kept, and one of the last seconds for who asks."""
+    """The recordings that the unit has kept, and one of the last seconds on request."""
 
     error = NotKeptError
 

@@ -21,7 +21,7 @@ from altd.status.health import Health
 from altd.status.services import SelfCheckService
 
 TICK_S = 0.25
-"""How often the state is looked at when nobody asks."""
+"""How often the state is determined without a request."""
 
 Watch = Callable[[int], Iterable[Cause]]
 """What is wrong at an instant of the monotonic clock, ns, by what is neither board nor component."""
@@ -121,7 +121,7 @@ class StateEvents:
         for key, shown in now.items():
             if key not in self._causes:
                 kind, cause = shown.cause.kind, shown.cause
-                detail = {"code": str(kind), "remedy": kind.remedy, "detail": cause.detail}
+                detail = {"code": str(kind), "remedy": cause.remedy, "detail": cause.detail}
                 self._log.note(
                     EventKind.CAUSE_CAME, kind.brief, shown.cause.of, shown.signal.severity, detail
                 )

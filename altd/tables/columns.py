@@ -60,13 +60,13 @@ def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan:
     columns = [
         Column("sequence", Type.WHOLE, "", "number of the last exposure in the window"),
         Column("time", Type.TIME, "", "UTC of the middle of the exposures that were averaged"),
-        number("t_s", "the same instant since the recording's start"),
+        number("t_s", "the same, since the recording's start"),
         Column("frames", Type.WHOLE, "", "exposures that were averaged"),
         Column("valid", Type.TRUTH, "", "whether the numbers may be used"),
-        text("status", "reasons and warnings, codes with a space between them; empty: nothing to say"),
+        text("status", "codes of reasons and warnings, with a space between them"),
         *(_of_quantity("", quantity, quantity.meaning) for quantity in quantities.of_unit),
         *(
-            _of_quantity("sigma_", quantity, f"standard deviation of {quantity.key}")
+            _of_quantity("sigma_", quantity, "standard deviation")
             for quantity in quantities.of_unit
             if quantity.has_sigma
         ),
@@ -80,10 +80,10 @@ def measurement_columns(quantities: Quantities, targets: Sequence[str], of_scan:
         columns += [
             number(f"known_{axis}_mm", "where the stage put the beam, on every target") for axis in "xy"
         ]
-        columns += [number(f"d{axis}_mm", f"{axis}_mm − known_{axis}_mm") for axis in "xy"]
+        columns += [number(f"d{axis}_mm", "measured minus known") for axis in "xy"]
         for target in targets:
             columns += [
-                number(f"{target}_d{axis}_mm", f"{target}_{axis}_mm − known_{axis}_mm") for axis in "xy"
+                number(f"{target}_d{axis}_mm", "measured minus known, on this target") for axis in "xy"
             ]
     return tuple(columns)
 
@@ -107,30 +107,30 @@ def flat_row(document: Mapping[str, Any]) -> dict[str, Value]:
 
 SPOT_COLUMNS = (
     text("image", "the file as it was named"),
-    number("u_px", "place of the spot, to the right from the centre of the first pixel"),
-    number("v_px", "the same, downwards"),
-    number("sigma_px", "what read and shot noise do to the place, one standard deviation an axis"),
+    number("u_px", "the spot, to the right of the centre of the first pixel"),
+    number("v_px", "the spot, downwards"),
+    number("sigma_px", "standard deviation by read and shot noise, of each axis"),
     number("diameter_px", "1/e² diameter"),
     Column("peak", Type.NUMBER, "counts", "brightness over the background"),
-    text("reason", "why there is no spot; `unreadable`: there is no picture"),
+    text("reason", "why there is no spot; `unreadable`: no picture"),
     text("detail", "the same in words"),
-    number("ellipse_u_px", "where the second localiser sees it"),
-    number("ellipse_v_px", "the same, downwards"),
-    number("ellipse_sigma_px", "what noise does to that place"),
-    text("doubt", "why the place is doubtful, in words; empty: it is not"),
+    number("ellipse_u_px", "the spot by the second localiser"),
+    number("ellipse_v_px", "the spot by the second localiser"),
+    number("ellipse_sigma_px", "standard deviation of that by noise"),
+    text("doubt", "why the position is doubtful; empty: it is not"),
 )
 """Of ``altd locate``, in the order of its JSON objects."""
 
 POINT_COLUMNS = (
-    Column("line", Type.WHOLE, "", "number of the line that was read"),
-    number("u_px", "what was read"),
-    number("v_px", "the same"),
+    Column("line", Type.WHOLE, "", "number of the input line"),
+    number("u_px", "as read"),
+    number("v_px", "as read"),
     number("x_mm", "where the beam meets the target"),
-    number("y_mm", "the same"),
-    number("sigma_x_mm", "what the map, print and speckle leave uncertain"),
-    number("sigma_y_mm", "the same"),
-    text("reason", "why there is no place; `unreadable`: the line is no `u v`"),
-    text("origin", "`camera`, or `simulated`: of the frames that the calibration was made from"),
+    number("y_mm", "where the beam meets the target"),
+    number("sigma_x_mm", "uncertainty by map, print and speckle"),
+    number("sigma_y_mm", "uncertainty by map, print and speckle"),
+    text("reason", "why there is no point; `unreadable`: the line is not `u v`"),
+    text("origin", "`camera` or `simulated`: the calibration's frames"),
 )
 """Of ``altd map``."""
 

@@ -29,7 +29,7 @@ _BRAILLE = 0x2800
 _DOT_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """Of a Braille pattern (Unicode 16.0, block 2800), by row and column."""
 DOTS_ACROSS, DOTS_DOWN = 2, 4
-"""Dots of a cell. A cell is about twice as high as it is wide, so that dots stand in squares."""
+"""Dots of a cell. A cell is about twice as high as it is wide, so that dots are in squares."""
 
 _NUMBERS_AT_END = re.compile(r"(?:(?:^| +)[-+]?\d\S*)+$")
 
@@ -63,7 +63,7 @@ class Canvas:
             self._cells[row][column + offset] = (self._shown(character), style)
 
     def dot(self, x: int, y: int, character: str, style: Style = Style.PLAIN) -> None:
-        """Set the dot in column x and row y of dots; ``character`` stands for its cell in ASCII."""
+        """Set the dot in column x and row y of dots; ``character`` is its cell in ASCII."""
         row, column = y // DOTS_DOWN, x // DOTS_ACROSS
         if not (0 <= row < self.rows and 0 <= column < self.columns):
             return

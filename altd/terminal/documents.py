@@ -1,4 +1,4 @@
-"""What the daemon's documents must hold to be shown; whoever answers, nothing else gets past here."""
+"""What the daemon's documents must hold to be shown; no other answer is let in."""
 
 from __future__ import annotations
 

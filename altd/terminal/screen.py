@@ -22,7 +22,7 @@ from altd.terminal.lines import (
 from altd.terminal.target_picture import Frame, draw_target, draw_trend, limits_of, rows_for
 
 MIN_ROWS, MIN_COLUMNS = 16, 60
-"""A smaller screen says so and shows the numbers alone."""
+"""A smaller screen reports it and shows the numbers alone."""
 
 _NUMBER_COLUMNS = 46
 _SCALE_COLUMNS = 12

@@ -14,7 +14,7 @@ _MIN_SIGMAS = 6.0
 
 
 def limits_of(values: Sequence[float | None], sigma: float | None) -> tuple[float, float] | None:
-    """What the lowest and the highest level stand for; None: nothing is known."""
+    """The values of the lowest and the highest level; None: nothing is known."""
     known = [value for value in values if value is not None]
     if not known:
         return None

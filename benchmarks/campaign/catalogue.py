@@ -19,10 +19,12 @@ CLEAN, ANOTHER_UNIT = "clean", "another_unit"
 
 
 def _nothing(draw: Draw) -> Spoil:
+    """No disturbance."""
     return Spoil("nothing spoilt")
 
 
 def _foreign(draw: Draw) -> Spoil:
+    """Frames of another unit with this unit's calibration."""
     return Spoil("its frames under this unit's calibration")
 
 

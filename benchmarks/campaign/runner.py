@@ -26,7 +26,7 @@ from benchmarks.campaign.ways.numbers import Misnumbered
 from benchmarks.campaign.ways.times import Mistimed
 
 PAIRS = "pairs"
-_ONE_IS_HIDDEN = "one of the two could not be seen by itself"
+_ONE_IS_HIDDEN = "one of the two cannot be detected"
 _MOVING_SHARE = 0.2
 _BATCH = 6
 _COMBINED = ("spots", "surfaces", "ambient", "frames", "cameras")

@@ -46,47 +46,46 @@ def page(tallies: Sequence[Tally], command: str) -> str:
     refused = sum(sum(tally.good_refused.values()) for tally in tallies)
     of = {(tally.error, tally.wire): tally for tally in tallies}
     rows = "".join(
-        f"| {error} | " + " | ".join(_cell(of[error, wire]) for wire in WIRES) + " |\n" for error in ERRORS
+        f"|{error}|" + "|".join(_cell(of[error, wire]) for wire in WIRES) + "|\n" for error in ERRORS
     )
-    found = f"the check of docs/proof.md found {injected - missed:,}; {missed:,} passed."
+    rejected = _by(_sum_of_refused(tallies)) or "none"
+    headline = f"[check of a message](../proof.md) found {injected - missed:,}; {missed:,} passed."
     return f"""# Wire errors: what a reader of the unit finds
 
-Of {injected:,} errors put on four wires {found}
+Of {injected:,} errors put on four wires the {headline}
 
-Made by `{command}`.
+Command: `{command}`.
 
-Two units of altd with all their interfaces run in a process of their own, {RATE_HZ:g}
-measurements a second. Between them and the reader is a proxy on real wires: TCP connections, pseudo
-terminals, an HTTP stream. Each second message is an error. The reader is the Python of [proof](../proof.md),
-taken out of the page; it imports nothing of altd, its clock is not synchronised, and it may use nothing
-older than {LIMIT_S:g} s. The checks of the wires themselves (CRC-16 of Modbus RTU, checksums of NMEA 0183,
-TCP's own, transaction numbers) are made right by the proxy, so that they find nothing.
+Two units with all their interfaces run in a process of their own, {RATE_HZ:g} measurements a second. A
+proxy on real wires (TCP connections, pseudo terminals, an HTTP stream) makes every second message an error.
+The reader is the Python code on the page [proof](../proof.md), without altd. Its clock is not synchronised,
+and it accepts nothing older than {LIMIT_S:g} s. The proxy corrects the checks of the wires themselves
+(CRC-16 of Modbus RTU, checksums of NMEA 0183 and TCP, transaction numbers), so that these find nothing.
 
-| error | {" | ".join(WIRES)} |
+|error|{"|".join(WIRES)}|
 |---|---|---|---|---|
 {rows}
-A cell: errors found of errors injected, and by which check (`docs/proof.md`, *The check*).
+A cell: errors found of errors injected, and by which check.
 
-- The reader begins on a line that holds nothing back: without synchronised clocks delay counts from there.
-- *corruption*: 1 to 100 bits turned round. *repetition*: the last message once more. *insertion*: one of the
-  last 50. *wrong order*: two messages exchanged. *delay*: held for {HOLD_S:g} s, so that age and delay are
-  above the limit.
-- *loss*: Modbus gives no answer, which is a time-out. On the telegram's line and in the stream the message
-  that follows is good, and the gap in `message` or `published` tells (*lost*).
-- *masquerade*: a sender that has the unit's number and a right checksum of the wire but does not compute the
-  CRC-32, or some other device at the same address. Somebody who computes it is not found by any of these
-  measures.
-- *wrong address*: a good message of a second unit of the same kind.
+- *corruption*: 1 to 100 inverted bits. *repetition*: the last message again. *insertion*: one of the last 50.
+  *wrong order*: two messages exchanged. *wrong address*: a good message of a second unit of the same kind.
+- *loss*: Modbus gives no answer, which is a time-out. In telegram and stream the next message shows the gap
+  in `message` or `published` (*lost*).
+- *delay*: held for {HOLD_S:g} s, so that age and delay exceed the limit.
+- *masquerade*: a sender with the unit's number and a right checksum of the wire that does not compute the
+  CRC-32, or another device at the same address. A sender that computes it is not detected.
 
-Of {good:,} good messages in between {refused:,} were refused: {_by(_sum_of_refused(tallies)) or "none"}.
-What is refused as *late* or ran into the time-out was late on a machine that had other work;
-an error that would come right after a message that ran into the time-out is not counted.
+Delay is counted from the reader's first message, which must not be delayed.
+
+Of {good:,} good messages between the errors {refused:,} were rejected: {rejected}.
+A good message that is rejected as *late* or by time-out was late because the machine had other work. An error
+directly after a time-out is not counted.
 """
 
 
 def _cell(tally: Tally) -> str:
     by = _by(tally.found, numbered=len(tally.found) > 1)
-    return f"{sum(tally.found.values()):,} of {tally.injected:,}: {by}"
+    return f"{sum(tally.found.values()):,}/{tally.injected:,}: {by}"
 
 
 def _sum_of_refused(tallies: Iterable[Tally]) -> Counter[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import queue
-import re
 import subprocess
 import sys
 import threading
@@ -37,20 +36,17 @@ from benchmarks.wire_errors.polled import (
 )
 from benchmarks.wire_errors.served import SERIALS
 
-PROOF_PAGE = Path(__file__).parents[2] / "docs" / "proof.md"
+PROOF_CODE = Path(__file__).parents[2] / "docs" / "proof" / "check.py"
 
 
 def reader() -> Any:
-    """What the code of ``docs/proof.md`` defines; nothing of altd is in it.
+    """What ``docs/proof/check.py`` defines; nothing of altd is in it.
 
     That is ``Check``, ``from_block``, ``from_telegram`` and ``from_json``.
     """
-    page = PROOF_PAGE.read_text(encoding="utf-8")
-    found = re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    if found is None:
-        raise ValueError(f"{PROOF_PAGE}: no Python on it")
+    source = PROOF_CODE.read_text(encoding="utf-8")
     names: dict[str, Any] = {}
-    exec(compile(found[1], str(PROOF_PAGE), "exec"), names)  # noqa: S102  a page of this project
+    exec(compile(source, str(PROOF_CODE), "exec"), names)  # noqa: S102  a file of this project
     return SimpleNamespace(**names)
 
 

@@ -1,4 +1,4 @@
-"""The code of ``docs/proof.md`` as a reader of the page gets it: taken out of the page."""
+"""The code of ``docs/proof/check.py``, as a reader of the page copies it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from support.places import DOCS
 
 
 def python() -> Any:
-    """What the Python of the page defines."""
-    page = (DOCS / "proof.md").read_text(encoding="utf-8")
-    found = re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
-    assert found is not None
-    source = found[1]
+    """What the file defines."""
+    path = DOCS / "proof" / "check.py"
+    source = path.read_text(encoding="utf-8")
     assert "altd" not in re.findall(r"^(?:import|from) (\w+)", source, re.MULTILINE)
     names: dict[str, Any] = {}
-    exec(compile(source, "docs/proof.md", "exec"), names)
+    exec(compile(source, str(path), "exec"), names)
     return SimpleNamespace(**names)

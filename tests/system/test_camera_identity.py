@@ -51,7 +51,10 @@ def test_cameras_that_are_exchanged_in_a_recording_are_refused(tmp_path: Path) -
     assert altd_here("calibrate", scan, "-o", tmp_path / "cal.json").status == 0
     refused = altd_here("replay", poses, "--calibration", tmp_path / "cal.json")
     assert (refused.status, refused.out) == (2, "")
-    assert "another camera" in refused.err
+    assert (
+        "another camera: its serial is '2', expected '1': it is the camera of target 'rear', " in refused.err
+    )
+    assert "the cameras are swapped" in refused.err
 
 
 @pytest.mark.parametrize(

@@ -147,11 +147,11 @@ STATED = {
 POSITIONS = {
     "asyncua": Position(
         frozenset({"LGPL-3.0-or-later"}),
-        "imported, unchanged, from files of its own, in whose place another build of it may stand",
+        "imported, unchanged, from files of its own, which another build can replace",
     ),
     "gpiod": Position(
         frozenset({"LGPL-2.1-or-later"}),
-        "imported, unchanged, from files of its own, in whose place another build of it may stand",
+        "imported, unchanged, from files of its own, which another build can replace",
     ),
     "pycairo": Position(
         frozenset({"LGPL-2.1-only"}),
@@ -190,7 +190,7 @@ PARTS = (
         "LGPL-2.1-or-later",
         tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("avcodec", "avformat", "avutil"))
         + tuple(f"opencv_python_headless.libs/lib{name}-*" for name in ("swresample", "swscale")),
-        reason=f"{_OWN_FILE}; built without its GPL parts; altd reads no films",
+        reason=f"{_OWN_FILE}; built without its GPL parts; altd reads no video",
     ),
     Part("opencv-python-headless", "OpenBLAS", "BSD-3-Clause", ("opencv_python_headless.libs/libopenblas*",)),
     Part(
@@ -212,7 +212,7 @@ PARTS = (
         "OpenSSL 1.1.1",
         "OpenSSL",
         ("opencv_python_headless.libs/libcrypto-*", "opencv_python_headless.libs/libssl-*"),
-        reason="FFmpeg's alone",
+        reason="for FFmpeg only",
     ),
     Part("opencv-python-headless", "libaom", "BSD-2-Clause", ("opencv_python_headless.libs/libaom-*",)),
     Part("opencv-python-headless", "libavif", "BSD-2-Clause", ("opencv_python_headless.libs/libavif-*",)),
@@ -231,7 +231,7 @@ PARTS = (
         "Yorick colour maps",
         "LicenseRef-Yorick",
         component="Yorick Colormaps",
-        reason="BSD in its own words",
+        reason="BSD, reworded",
     ),
     Part("cryptography", "OpenSSL", "Apache-2.0", (), "openssl", reason="linked into its extension module"),
     Part("pillow", "brotli", "MIT", ("pillow.libs/libbrotli*",)),

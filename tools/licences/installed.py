@@ -17,7 +17,7 @@ from packaging.utils import canonicalize_name
 from tools.licences.accepted import STATED
 
 LOCKS = ("requirements.lock", "aravis.lock")
-_DEVELOPMENT_EXTRAS = ("test",)
+_DEVELOPMENT_EXTRAS = ("docs", "test")
 """Extras of ``pyproject.toml`` that work on altd needs, and a unit does not."""
 _LOCK_ENVIRONMENT = {
     "implementation_name": "cpython",

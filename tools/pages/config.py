@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
@@ -41,15 +42,22 @@ from altd.config import (
     Unit,
     V4l2CameraSettings,
 )
+from altd.config.cameras import LiveCameraSettings
 from altd.config.fields import expected
+from altd.config.interfaces import SerialPortSettings
 from altd.config.loading import config_of
 from altd.errors import BadInputError
 from tools.markdown import wrapped
 
 TABLES: tuple[tuple[str, type[Table], str], ...] = (
     ("[unit]", Unit, "Required."),
-    ("[[targets]]", Target, "Required, at least two, in beam order."),
-    ('[cameras.NAME], driver = "v4l2"', V4l2CameraSettings, "One table for each target's `camera`."),
+    ("[[targets]]", Target, "At least two."),
+    (
+        "[cameras.NAME]",
+        LiveCameraSettings,
+        "One table for each target's `camera`.",
+    ),
+    ('[cameras.NAME], driver = "v4l2"', V4l2CameraSettings, ""),
     (
         '[cameras.NAME], driver = "aravis"',
         AravisCameraSettings,
@@ -59,59 +67,71 @@ TABLES: tuple[tuple[str, type[Table], str], ...] = (
     (
         "[cameras.NAME.exposure]",
         ExposureSettings,
-        "For the drivers `v4l2` and `aravis`. All keys have defaults.",
+        "For the drivers `v4l2` and `aravis`.",
     ),
-    ("[measuring]", Measuring, "All keys have defaults."),
-    ("[installation]", Installation, "All keys have defaults: the beam in the unit frame."),
+    ("[measuring]", Measuring, ""),
+    ("[installation]", Installation, "Default: the beam in the unit frame."),
     (
         "[modbus_tcp]",
         ModbusTcpSettings,
-        "Leave the table out and the interface is off. Registers: `modbus.md`.",
+        "Without the table: off. Registers: `modbus.md`.",
     ),
-    ("[http]", HttpSettings, "Leave the table out and the interface is off. Routes: `http.md`."),
-    ("[mqtt]", MqttSettings, "Leave the table out and the interface is off. Topics: `mqtt.md`."),
-    ("[opcua]", OpcUaSettings, "Leave the table out and the interface is off. Nodes: `opcua.md`."),
+    ("[http]", HttpSettings, "Without the table: off. Routes: `http.md`."),
+    ("[mqtt]", MqttSettings, "Without the table: off. Topics: `mqtt.md`."),
+    ("[opcua]", OpcUaSettings, "Without the table: off. Nodes: `opcua.md`."),
     (
         "[mqtt.sparkplug]",
         SparkplugSettings,
-        "Leave the table out and the unit publishes in JSON. Metrics: `sparkplug.md`.",
+        "Metrics: `sparkplug.md`.",
     ),
     (
         "[local]",
         LocalSettings,
         "Without the table it is `altd.sock` in the folder that systemd makes for the service "
-        "(`RuntimeDirectory`), and there is none for a daemon that is started by hand: `terminal.md`.",
+        "(`RuntimeDirectory`), and there is none for a daemon that is started by hand: `console.md`.",
     ),
-    ('[[serial]], speaks = "telegram"', TelegramPortSettings, "One table a port. Sentences: `telegram.md`."),
+    (
+        "[[serial]]",
+        SerialPortSettings,
+        "One table for each port.",
+    ),
+    ('[[serial]], speaks = "telegram"', TelegramPortSettings, "Sentences: `telegram.md`."),
     ('[[serial]], speaks = "console"', ConsolePortSettings, "What can be typed: `console.md`."),
     ('[[serial]], speaks = "modbus_rtu"', ModbusRtuPortSettings, "Registers: `modbus.md`."),
     (
         "[serial.rs485]",
         Rs485Settings,
-        "Stands below the `[[serial]]` that it belongs to. All keys have defaults.",
+        "It follows the `[[serial]]` that it belongs to.",
     ),
-    ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Leave the table out and there are no frame LEDs."),
+    ('[lamps], driver = "gpiod"', GpiodLampsSettings, "Without the table: none."),
     ('[lamps], driver = "camera"', CameraLampsSettings, "Instead of the table above."),
-    ("[indicators]", IndicatorsSettings, "Leave the table out and there are none."),
+    ("[indicators]", IndicatorsSettings, "Without the table: none."),
     (
         "[self_check]",
         SelfCheckSettings,
-        "All keys have defaults; without `[lamps]`, or with a calibration that has no LED references, "
+        "Without `[lamps]`, or with a calibration that has no LED references, "
         "nothing is checked: `selfcheck.md`.",
     ),
     (
         "[inclinometer]",
         InclinometerSettings,
-        "Leave the table out and roll is *not available*. Wiring, and what is shown when it fails: "
+        "Without the table roll is *not available*. Wiring, and what is shown when it fails: "
         "`inclinometer.md`.",
     ),
-    ('[[thermometers]], driver = "hwmon"', HwmonThermometerSettings, "One table a temperature: `states.md`."),
-    ("[maintenance]", Maintenance, "All keys have defaults. What they lead to: `states.md`."),
-    ("[kept_frames]", KeptFrames, "All keys have defaults. What is done with them: `kept-frames.md`."),
-    ("[history]", HistorySettings, "All keys have defaults. What is kept, and for how long: `history.md`."),
-    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: [calibrate](calibrate.md)."),
-    ("[scan]", Scan, "All keys have defaults."),
+    (
+        '[[thermometers]], driver = "hwmon"',
+        HwmonThermometerSettings,
+        "One table a temperature: `reasons.md`.",
+    ),
+    ("[maintenance]", Maintenance, "What they lead to: `reasons.md`."),
+    ("[kept_frames]", KeptFrames, "What is done with them: `history.md`."),
+    ("[history]", HistorySettings, "What is kept, and for how long: `history.md`."),
+    ("[stage]", GrblStageSettings, "Needed by `altd scan` alone: `calibration.md`."),
+    ("[scan]", Scan, ""),
 )
+
+_COMMON = (LiveCameraSettings, SerialPortSettings)
+"""Models whose keys are not listed again below those that inherit them."""
 
 _TAGS = ("driver", "speaks")
 """The keys that say which table it is: they come first."""
@@ -166,34 +186,51 @@ def _lines() -> Iterator[str]:
     yield ""
     yield "<!-- Generated by `python -m tools.pages.config`; do not edit. -->"
     yield ""
-    yield "What `altd.toml` may hold. `config/altd.toml` is a commented example. `altd check-config FILE`"
-    yield "says all that is wrong with a file, a line each. Of"
+    yield "This page lists every key of the configuration file `altd.toml`."
     yield ""
-    yield from (f"    {line}".rstrip() for line in _SPOILT.splitlines())
+    yield "[config/altd.toml](../config/altd.toml) is a commented example. `altd check-config FILE` prints a"
+    yield "line for each fault, with its place and what is possible, and exits with 0 (no fault) or 2:"
     yield ""
-    yield "it says"
+    yield from (f"    {line}" for line in _complaints()[1:2])
     yield ""
-    yield from (f"    {line}" for line in _complaints())
+    yield "`altd run` refuses the same files. Faults that depend on the computer are found by"
+    yield "[altd doctor](doctor.md). A calibration or recording that does not exist yet is reported, and is"
+    yield "no fault."
     yield ""
-    yield "`altd run` refuses the same: keys that nobody knows, and what can come to nothing on any"
-    yield "computer, such as two interfaces on one port, a telegram that its line cannot take, one camera or"
-    yield "GPIO line twice, a camera that no target has, live cameras of different rates. What depends on"
-    yield "the computer, `altd doctor` says ([doctor](doctor.md)). Paths in `[unit]`, `[cameras.…]`,"
-    yield "`[http]`, `[mqtt]` and `[opcua]` are relative to the file; a calibration or a recording that is"
-    yield "not there yet is named and is no fault of the config, one that is there and does not fit is."
-    yield "Exit status: 0 the file is"
-    yield "good, 2 it is not."
+    yield "Values: *a*…*b* is a range with its ends, `>` and `<` exclude an end. A *name* has 1 to 32 small"
+    yield "letters, digits and _, a letter first. A *path* in `[unit]`, `[cameras.…]`, `[http]`, `[mqtt]` and"
+    yield "`[opcua]` may be relative to the file. A table without required keys may be left out: its keys"
+    yield "then have their defaults, unless noted."
     for heading, model, note in TABLES:
         yield ""
         yield f"## {heading}"
         yield ""
-        yield " ".join(f"{model.__doc__ or ''} {note}".replace("``", "`").split())
-        yield ""
-        yield "| key | value | default | what it is |"
-        yield "|---|---|---|---|"
-        for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in _TAGS):
-            meaning = " ".join((field.description or "").replace("``", "`").split())
-            yield f"| `{name}` | {_value(field)} | {_default(field)} | {meaning} |"
+        yield _linked(f"{model.__doc__ or ''} {note}")
+        if rows := list(_rows(model)):
+            yield from ("", "| key | value | default | meaning |", "|---|---|---|---|", *rows)
+
+
+def _rows(model: type[Table]) -> Iterator[str]:
+    """A row for each key that is not in a table above; keys without text join a row of the same values."""
+    inherited = {name for base in _COMMON if base in model.__mro__[1:] for name in base.model_fields}
+    own = {name for name in model.model_fields if name in model.__annotations__ or name not in inherited}
+    groups: list[tuple[list[str], str, str, str]] = []
+    for name, field in sorted(model.model_fields.items(), key=lambda item: item[0] not in _TAGS):
+        if name not in own or (name in _TAGS and not field.description) or field.annotation == Path | str:
+            continue
+        about = _value(field), _default(field), _linked(field.description or "")
+        if groups and not about[2] and about[:2] == groups[-1][1:3]:
+            groups[-1][0].append(name)
+        else:
+            groups.append(([name], *about))
+    for names, value, default, meaning in groups:
+        yield f"| {', '.join(f'`{name}`' for name in names)} | {value} | {default} | {meaning} |"
+
+
+def _linked(text: str) -> str:
+    """A docstring in Markdown, with the pages that it names as links."""
+    text = " ".join(text.replace("``", "`").split())
+    return re.sub(r"`([a-z-]+)\.md`", r"[\1](\1.md)", text)
 
 
 def _models(annotation: Any) -> Iterator[type[Table]]:
@@ -215,7 +252,16 @@ def _default(field: FieldInfo) -> str:
 
 def _value(field: FieldInfo) -> str:
     """The type in TOML's words, with its limits."""
-    return expected(field.annotation, field.metadata, lambda value: f"`{value}`")
+    text = expected(field.annotation, field.metadata, lambda value: f"`{value}`")
+    text = text.replace("text of small letters, digits and _, a letter first, 1 to 32 characters", "*name*")
+    text = re.sub(r"number from (\S+) to below (\S+)", r"number \1…<\2", text)
+    text = re.sub(
+        r"number (from|above) (\S+) to (\S+)", lambda m: f"number {'>' * (m[1] != 'from')}{m[2]}…{m[3]}", text
+    )
+    text = re.sub(r", (\d+) to (\d+) characters", r", \1…\2 characters", text)
+    return (
+        text.replace("whole number", "integer").replace("` or `", "`, `").replace("true or false", "boolean")
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How bright a frame is, and what exposure and gain its camera should have next (docs/exposure.md)."""
+"""How bright a frame is, and what exposure and gain its camera should have next (docs/cameras.md)."""
 
 from __future__ import annotations
 

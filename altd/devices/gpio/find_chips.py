@@ -112,7 +112,7 @@ def _group_of(path: Path) -> str:
     except OSError:
         return "others"
     if not status.st_mode & 0o060 or status.st_gid == 0:
-        return "root alone: see lamps.md"
+        return "root alone: see docs/selfcheck.md"
     try:
         return f"group {grp.getgrgid(status.st_gid).gr_name}"
     except KeyError:

@@ -206,7 +206,7 @@ class Answers:
         return await self._kept.mark(request)
 
     async def calibration(self, _: Request) -> Response:
-        """What the loaded calibration says of itself."""
+        """What the loaded calibration holds."""
         return await self._calibration.summary()
 
     async def calibration_file(self, request: Request) -> Response:
@@ -218,7 +218,7 @@ class Answers:
         return self._calibration.report(request)
 
     async def diagnostics(self, request: Request) -> Response:
-        """All of it for who looks for a fault."""
+        """All of it, for remote diagnostics."""
         return self._diagnostics.archive(request, self._guard, self._downloads)
 
     async def metrics(self, _: Request) -> Response:

@@ -19,7 +19,7 @@ td:first-child { white-space: nowrap; }
 
 
 def api_page_of(document: Mapping[str, Any]) -> str:
-    """The page. Whatever stands in the document is shown as text, never as HTML."""
+    """The page. All of the document is shown as text, never as HTML."""
     return "\n".join(_lines(document)) + "\n"
 
 
@@ -35,7 +35,7 @@ def _lines(document: Mapping[str, Any]) -> Iterator[str]:
     yield '<a href="/">The unit\'s page</a>.</p>'
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
-            if method != "head":  # stands for GET too
+            if method != "head":  # GET includes it
                 yield from _operation(path, method, operation)
     yield "<h1>Objects</h1>"
     for name, schema in document["components"]["schemas"].items():

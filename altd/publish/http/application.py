@@ -14,9 +14,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from altd.publish.http import errors
 from altd.publish.http.answers import Answers
-from altd.publish.http.errors import refusal
+from altd.publish.http.errors import misdirected, refusal
 from altd.publish.http.guard import too_many
-from altd.publish.http.limits import OwnNames
+from altd.publish.http.limits import OwnNames, host_of
 from altd.publish.http.operations import ServedPath
 from altd.publish.http.paths import ALIVE
 from altd.publish.http.pictures import PATH
@@ -39,8 +39,9 @@ def application_of(
     requests: Buckets,
     names: OwnNames | None = None,
 ) -> ASGIApp:
-    """What answers every request, whoever carries it. ``requests`` limits how often an address may ask.
+    """What answers every request, over TCP and the local socket.
 
+    ``requests`` limits how often an address may ask.
     ``names`` are those that the unit may be asked by; None: any.
     """
     routes: list[BaseRoute] = [
@@ -96,7 +97,10 @@ class _Gate:
         if self._names is None or scope["path"] == ALIVE or all(host in self._names for host in hosts):
             return None
         self._component.count("requests_misdirected")
-        return refusal(421, "the name in Host is none of this unit's: take its address, or see [http] names")
+        accepted = b",".join(value for name, value in scope["headers"] if name == b"accept")
+        address, port = scope.get("server") or ("", None)
+        address = f"[{address}]" if ":" in address else address
+        return misdirected(host_of(hosts[0]), f"{address}:{port}", b"text/html" in accepted)
 
     def _wait_s(self, scope: Scope) -> float:
         """How long the sender has to wait; the unit's own computer, which has no limit, does not."""
@@ -110,7 +114,7 @@ class _Gate:
 def _malformed(scope: Scope) -> Response | None:
     """Why a request is none that we answer; None: it may be.
 
-    No path of ours needs a percent sign: one that is written with it is read differently by what may stand
+    No path of ours needs a percent sign: one that is written with it is read differently by what may be
     before us. A body has no two lengths (RFC 9112, 6.1), and a header of one value comes once.
     """
     raw_path: bytes = scope["raw_path"]

@@ -1,4 +1,4 @@
-"""All that a technician mails to who knows the unit: one archive, made when somebody asks for it.
+"""All that a technician mails to an expert on the unit: one archive, made on request.
 
 Each part is bounded in size and time; one that cannot be had is named in the archive and costs no other.
 """
@@ -34,7 +34,7 @@ from altd.status.target_area import as_object
 
 ZIP = "application/zip"
 MAX_PART_BYTES = 16_000_000
-"""Of a part before it is compressed; what is longer ends there, and the archive says so."""
+"""Of a part before it is compressed; what is longer ends there, and the archive reports it."""
 
 MAX_EVENT_PAGES = 4
 """So many times ``MAX_ROWS`` events, the newest."""
@@ -61,7 +61,7 @@ class _Part:
 
 
 class Diagnostics:
-    """The diagnostics of one unit, for who may see pictures."""
+    """The diagnostics of one unit, for clients that may see pictures."""
 
     def __init__(self, board: Board, health: Health, past: Past, metrics: Metrics) -> None:
         self._board = board
@@ -114,7 +114,7 @@ class Diagnostics:
         yield _of("self-check.json", "the last self-check", self._self_check)
         targets = "the targets, and where each is measured"
         yield _of("targets.json", targets, lambda: _json(as_object(self._health.targets)))
-        calibration = "what the calibration says of itself"
+        calibration = "what the calibration holds"
         yield _of("calibration.json", calibration, lambda: _json(self._health.calibration.summary))
         yield _of("metrics.txt", "all numbers as Prometheus gets them", self._metrics.text)
         events_from = end_us - _EVENT_DAYS * _DAY_S * _US

@@ -1,13 +1,16 @@
-"""Errors as this interface says them: always one JSON object with ``error``, whoever refuses."""
+"""Errors of this interface: one JSON object with ``error``; a page where a browser asks by a wrong name."""
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Mapping
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
+
+from altd.errors import one_line
 
 
 def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None) -> Response:
@@ -16,8 +19,25 @@ def refusal(status: int, sentence: str, headers: Mapping[str, str] | None = None
 
 
 def error_body(sentence: str) -> bytes:
-    """The same object for who has no application, because what came is no HTTP."""
+    """The same object where no application is reached, because the request is no HTTP."""
     return json.dumps({"error": sentence}, separators=(",", ":")).encode()
+
+
+def misdirected(host: str, address: str, accepts_page: bool) -> Response:
+    """The answer to a client that asks by a name of none of the unit's; ``address`` is one that it has."""
+    name = one_line(host)
+    if not accepts_page:
+        sentence = f"the name {name!r} in Host is none of this unit's: ask by its address, or add the name to"
+        return refusal(421, f"{sentence} `names` in [http] of its config")
+    name, link = html.escape(name), html.escape(f"http://{address}/")
+    page = (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>altd: {name}</title>'
+        f"<h1>The unit does not answer by the name {name}</h1>"
+        f'<p>Open it by its address: <a href="{link}">{link}</a></p>'
+        "<p>To allow the name, add it to the unit's config and restart altd:</p>"
+        f"<pre>[http]\nnames = [&quot;{name}&quot;]</pre>"
+    )
+    return HTMLResponse(page, 421, {"Content-Security-Policy": "default-src 'none'"})
 
 
 async def of_defect(_: Request, __: Exception) -> Response:

@@ -1,4 +1,4 @@
-"""Who may act: by a token, by a session, or, where nobody has either, from the unit's own computer."""
+"""Who may act: by a token, by a session, or, where there is neither, from the unit's own computer."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CredentialStore(Protocol):
 
 
 class Refused(Exception):  # noqa: N818  an answer, not a fault
-    """Why somebody may not; ``answer`` is what he is told."""
+    """Why a request is refused; ``answer`` is the response."""
 
     def __init__(self, answer: Response) -> None:
         super().__init__(answer.status_code)
@@ -56,7 +56,7 @@ class Refused(Exception):  # noqa: N818  an answer, not a fault
 class Guard:
     """One interface's guard. ``credentials`` gives those of this moment; None: no credentials are set.
 
-    Who logs in and out, and who tries in vain, is noted in ``events``.
+    Logins, logouts and failed attempts are noted in ``events``.
     """
 
     def __init__(
@@ -92,15 +92,15 @@ class Guard:
         return self._identified(request, self._credentials())
 
     def check_may_look(self, connection: HTTPConnection) -> None:
-        """Raise Refused where pictures are not for whoever asks: credentials are set, and he shows none."""
+        """Raise Refused where pictures are not for this client: credentials are set, and it shows none."""
         if self._credentials is not None and not self._is_local:
             self._identified(connection, self._credentials())
 
     def _identified(self, request: HTTPConnection, credentials: CredentialStore) -> str:
         """Who asks, by what he shows; raises Refused.
 
-        What is wrong is not counted, as passwords are: nobody guesses 256 bits, and a page whose session is
-        over, or a program whose token is, would keep its own user from logging in.
+        What is wrong is not counted, as passwords are: 256 bits cannot be guessed, and a page whose session
+        is over, or a program whose token is, would keep its own user from logging in.
         """
         token, secret = _token_of(request), secret_of(request)
         if token is not None:
@@ -116,7 +116,7 @@ class Guard:
         return name
 
     def viewer(self, request: HTTPConnection) -> str | None:
-        """Who is logged in, for who only looks; None: nobody."""
+        """The user that is logged in, for a request that only reads; None: none."""
         secret = secret_of(request)
         if self._credentials is None or secret is None:
             return None
@@ -126,7 +126,7 @@ class Guard:
         """Begin a session; returns its secret. Raises Refused."""
         _check_is_no_other_page(request)
         if self._credentials is None:
-            raise Refused(refusal(409, "nobody can log in: [http] credentials is not set"))
+            raise Refused(refusal(409, "logging in is not possible: [http] credentials is not set"))
         self._check_attempts(request)
         self._count_attempt(request)
         async with self._verifying:  # one at a time: each takes 16 MB and a core
@@ -154,7 +154,7 @@ class Guard:
         return True
 
     def log_out(self, request: HTTPConnection) -> None:
-        """End the session of who asks; raises Refused where a page of elsewhere does."""
+        """End the session of a request; raises Refused where a page of elsewhere does."""
         _check_is_no_other_page(request)
         if self._credentials is None or (secret := secret_of(request)) is None:
             return
@@ -181,7 +181,7 @@ class Guard:
             self._strangers_attempts.take(_STRANGERS)
 
     def _note(self, request: HTTPConnection, what: str, code: str, name: str | None = None) -> None:
-        """Note what somebody did, whose name is known, and from where; what repeats, the log counts."""
+        """Note what a user did, and from which address; what repeats, the log counts."""
         if self._events is None:
             return
         address = "an unknown address" if request.client is None else request.client.host
@@ -199,7 +199,7 @@ class Guard:
 
 
 def too_many(sentence: str, wait_s: float) -> Response:
-    """The answer to who asks too often."""
+    """The answer to a client that asks too often."""
     seconds = max(math.ceil(wait_s), 1)
     return refusal(429, f"{sentence}; wait {seconds} s", {"Retry-After": str(seconds)})
 
@@ -227,7 +227,7 @@ def session_cookie(request: HTTPConnection, secret: str) -> str:
 
 
 def secret_of(request: HTTPConnection) -> str | None:
-    """The session that a request names; None: none, or several, of which nobody knows which is ours."""
+    """The session that a request names; None: none, or several, of which any may be ours."""
     wanted = cookie_name(request)
     found = [
         value.strip()

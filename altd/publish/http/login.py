@@ -1,4 +1,4 @@
-"""Logging in and out, and who is logged in."""
+"""Logging in and out, and the user that is logged in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Prometheus is told, in its text format. What is not known has no sample: no 0, no old number."""
+"""The metrics, in Prometheus' text format. What is not known has no sample: no 0, no old number."""
 
 from __future__ import annotations
 
@@ -98,9 +98,7 @@ class _Unit(Collector):
         events = CounterMetricFamily(
             "altd_component_events", "What a component counts", labels=["component", "event"]
         )
-        figures = _gauge(
-            "altd_component_figure", "What a component measures of itself", "component", "figure"
-        )
+        figures = _gauge("altd_component_figure", "Figures of a component", "component", "figure")
         for component in self._health:
             for state in State:
                 states.add_metric([component.name, str(state)], float(component.state is state))

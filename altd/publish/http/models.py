@@ -44,7 +44,7 @@ class Availability(Answer):
 
 
 class Component(Answer):
-    """One part of the daemon; its figures and counters stand beside these keys."""
+    """One part of the daemon; its figures and counters are further keys."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, int | float | str | None] = Field(init=False)
@@ -136,9 +136,9 @@ class Session(Answer):
     """Who is logged in."""
 
     name: str | None
-    """null: nobody."""
+    """null: no user."""
     may_act: bool
-    """Whether an action, such as a self-check, would be done for who asks this."""
+    """Whether an action, such as a self-check, would be done for this client."""
     login: bool
     """Whether one can log in at all: whether credentials are set."""
 
@@ -200,7 +200,7 @@ class Recording(Answer):
 
     name: str
     why: str
-    """The code of the cause, with the target or component that it is of; or who asked."""
+    """The code of the cause, with the target or component that it is of; or the user that asked."""
     start: str | None
     """UTC of its first frame."""
     seconds: float

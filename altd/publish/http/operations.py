@@ -24,14 +24,14 @@ class Parameter:
     meaning: str
     schema: Mapping[str, object]
     is_in_path: bool = False
-    """It stands in the path, and may not be left out."""
+    """It is part of the path, and may not be left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Operation:
     """One method of a path. ``models`` are the objects of good answers by their status; None: no object.
 
-    ``errors`` says in a sentence what each error of its own means; those that any path may have stand in
+    ``errors`` says in a sentence what each error of its own means; those that any path may have are in
     ``COMMON_ERRORS``.
     """
 

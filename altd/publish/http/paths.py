@@ -136,7 +136,7 @@ _NO_CALIBRATION = "there is no calibration"
 _CALIBRATION_FILES = (
     ServedPath(
         "/api/v1/calibration",
-        "what the loaded calibration says of itself, one JSON object",
+        "figures of the loaded calibration",
         {
             "GET": Operation(
                 Answers.calibration,
@@ -148,7 +148,7 @@ _CALIBRATION_FILES = (
     ),
     ServedPath(
         "/api/v1/calibration/file",
-        "its file as it was loaded, for `altd replay` on another computer",
+        "its file as it was loaded, for `altd replay`",
         {
             "GET": Operation(
                 Answers.calibration_file,
@@ -163,7 +163,7 @@ _CALIBRATION_FILES = (
     ),
     ServedPath(
         "/api/v1/calibration/report",
-        "the report on it, a page of HTML",
+        "the report on it, in HTML",
         {
             "GET": Operation(
                 Answers.calibration_report,
@@ -176,10 +176,10 @@ _CALIBRATION_FILES = (
 )
 _DIAGNOSTICS = ServedPath(
     "/api/v1/diagnostics",
-    "a zip archive that a technician mails to an expert",
+    "a zip archive for remote diagnostics",
     {
         "GET": Operation(
-            Answers.diagnostics, "All of it for who looks for a fault", media_type=ZIP, errors=_NO_DOWNLOAD
+            Answers.diagnostics, "All of it, for remote diagnostics", media_type=ZIP, errors=_NO_DOWNLOAD
         )
     },
 )
@@ -187,19 +187,17 @@ _DIAGNOSTICS = ServedPath(
 PATHS = (
     ServedPath(
         "/",
-        "a page for a person: the values live, their validity, links",
+        "the page in a browser",
         {"GET": Operation(Answers.index, "The unit's page", media_type=HTML)},
     ),
-    ServedPath("/api/measurement", "the latest measurement, one JSON object", _MEASUREMENT),
-    ServedPath(
-        "/api/status", "the unit, its state and causes, availability, components, one JSON object", _STATUS
-    ),
+    ServedPath("/api/measurement", "the latest measurement", _MEASUREMENT),
+    ServedPath("/api/status", "the unit, its state and causes, availability, components", _STATUS),
     ServedPath(
         "/api/self-check",
-        "what the last self-check said, one JSON object; `POST`: what one says that is made now",
+        "the last self-check; `POST`: makes one now",
         _SELF_CHECK,
     ),
-    ServedPath("/api/stream", "every measurement as it comes, server-sent events", _STREAM),
+    ServedPath("/api/stream", "every new measurement, as server-sent events", _STREAM),
     ServedPath(
         "/api/v1/",
         "a page that explains the API",
@@ -214,25 +212,25 @@ PATHS = (
     ServedPath("/api/v1/status", "as `/api/status`", _STATUS),
     ServedPath(
         "/api/v1/targets",
-        "the targets in beam order, and the outline within which a spot on each is valid",
+        "the targets, and the outline of valid spots on each",
         {"GET": Operation(Answers.targets, "The targets and their areas", models.Targets)},
     ),
     ServedPath("/api/v1/self-check", "as `/api/self-check`", _SELF_CHECK),
-    ServedPath("/api/v1/stream", "as `/api/stream`, and resumes: see below", _RESUMED_STREAM),
+    ServedPath("/api/v1/stream", "as `/api/stream`, and resumes", _RESUMED_STREAM),
     ServedPath(
         "/api/v1/trend",
-        "how each quantity went, in columns for a plot",
+        "the course of each quantity",
         {"GET": _TREND},
     ),
-    ServedPath("/api/v1/events", "what happened to the unit, the newest first", {"GET": _EVENTS}),
+    ServedPath("/api/v1/events", "events of the unit, the newest first", {"GET": _EVENTS}),
     ServedPath(
         "/api/v1/recordings",
-        "the recordings of the frames around faults; `POST`: keep the last seconds now",
+        "kept recordings of frames; `POST`: keeps the last seconds now",
         _RECORDINGS,
     ),
     ServedPath(
         "/api/v1/recordings/{name}",
-        "one of them, for `altd replay`, in a tar archive",
+        "one of them as a tar archive, for `altd replay`",
         {
             "GET": Operation(
                 Answers.recording,
@@ -248,14 +246,14 @@ PATHS = (
     ),
     ServedPath(
         "/api/v1/recordings/{name}/mark",
-        "`PUT`: it is never removed to make room; `DELETE`: it may be",
+        "`PUT`: protects it from removal; `DELETE`: ends that",
         {"PUT": _MARK, "DELETE": replace(_MARK, summary="Take the mark of a recording away")},
     ),
     *_CALIBRATION_FILES,
     _DIAGNOSTICS,
     ServedPath(
         "/api/v1/session",
-        "who is logged in, and whether he may act",
+        "the user who is logged in, and whether acting is allowed",
         {"GET": Operation(Answers.session, "Who is logged in", models.Session)},
     ),
     ServedPath(
@@ -271,7 +269,7 @@ PATHS = (
                     **_NOT_ALLOWED,
                     401: "name or password is wrong",
                     408: "the body did not come",
-                    409: "nobody can log in here: no credentials are set",
+                    409: "logging in is not possible here: no credentials are set",
                     413: "the body is too long",
                     415: "the body is not application/json",
                 },
@@ -290,7 +288,7 @@ PATHS = (
     ),
     ServedPath(
         "/metrics",
-        "all numbers for Prometheus, in its text format",
+        "all numbers for Prometheus",
         {"GET": Operation(Answers.metrics, "All numbers for Prometheus", media_type=TEXT)},
     ),
     ServedPath(

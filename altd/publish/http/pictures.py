@@ -77,13 +77,13 @@ class BoundedWebSocket(WSProtocol):
 
 
 PATH = "/api/v1/pictures"
-"""OpenAPI knows no WebSocket, so that this one stands in no table of paths."""
+"""OpenAPI knows no WebSocket, so that this one is in no table of paths."""
 
 MAX_VIEWERS = 16
 """Browsers that are shown pictures at a time."""
 
 MAX_SILENCE_S = 30.0
-"""A browser that asks for nothing for so long is closed: it asks again when somebody looks."""
+"""A browser that asks for nothing for so long is closed: it asks again when it is visible."""
 
 NOTHING_NEW_S = 1.0
 """After so long the answer is a message without pictures, which says that the unit is there."""

@@ -115,7 +115,7 @@ class HttpPublisher:
 
 
 def _openness(settings: HttpSettings) -> str:
-    """What a person should know of who can read here: advice, and no fault."""
+    """Which networks can read here, in words: advice, and no fault."""
     own = settings.host == "localhost" or settings.host == "::1" or settings.host.startswith("127.")
     parts = [
         "with TLS" if settings.certificate is not None else "",

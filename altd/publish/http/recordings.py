@@ -89,7 +89,7 @@ class Recordings:
         return JSONResponse({"unavailable": self._service.unavailable, "recordings": kept})
 
     async def keep(self, request: Request) -> Response:
-        """Keep the last seconds, for who may act."""
+        """Keep the last seconds, for clients that may act."""
         try:
             actor = self._guard.actor(request)
             host = "" if request.client is None else f" {request.client.host}"
@@ -102,7 +102,7 @@ class Recordings:
         return JSONResponse(kept.as_object(), status_code=201)
 
     async def mark(self, request: Request) -> Response:
-        """``PUT`` marks, ``DELETE`` takes the mark away, for who may act."""
+        """``PUT`` marks, ``DELETE`` takes the mark away, for clients that may act."""
         try:
             self._guard.actor(request)
             name = self._known_name(request)
@@ -114,7 +114,7 @@ class Recordings:
         return JSONResponse(kept.as_object())
 
     async def archive(self, request: Request) -> Response:
-        """A recording as a tar archive, for who may see pictures."""
+        """A recording as a tar archive, for clients that may see pictures."""
         try:
             self._guard.check_may_look(request)
             name = self._known_name(request)

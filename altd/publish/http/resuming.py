@@ -1,8 +1,8 @@
-"""A stream that goes on where it broke off: what was measured meanwhile comes out of the history.
+"""A stream that continues where it broke off: what was measured meanwhile comes out of the history.
 
 The newest measurement is never held back for that. What is past comes between, as events of the type ``past``
-which nobody takes for now, and with ``gap`` where something is missing. Until all has come, only what is past
-has an id: whoever breaks off once more goes on from there.
+that no client takes for current ones, and with ``gap`` where something is missing. Until all has come, only
+what is past has an id: a client that breaks off once more continues there.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Key = tuple[int, int]
 
 
 def key_of(measurement: Measurement | StoredMeasurement) -> Key:
-    """What a measurement is known by: its sequence, and its time on the clock that nobody sets."""
+    """What a measurement is known by: its sequence, and its time on the monotonic clock."""
     return measurement.sequence, measurement.t_ns
 
 

@@ -1,4 +1,4 @@
-"""The self-check over HTTP: read by anybody, asked for by who may act (``guard``)."""
+"""The self-check over HTTP: any client reads it, one that may act requests it (``guard``)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """uvicorn inside the daemon's loop, with bounds against clients that are slow, many or hostile.
 
 What uvicorn leaves open and this module closes: it installs signal handlers, it exits the process when the
-port is taken, it waits for ever for the end of a request header, its ``limit_concurrency`` refuses requests
-but keeps the connections, it fails where a request turns out malformed after its header, and it does not end
-by cancellation.
+port is taken, it never stops waiting for the end of a request header, its ``limit_concurrency`` refuses
+requests but keeps the connections, it fails where a request turns out malformed after its header, and it does
+not end by cancellation.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ _HEADERS = [
 
 
 def listen(settings: HttpSettings) -> socket.socket:
-    """The listening socket; raises OSError that names the address."""
+    """The listening socket; raises OSError as ``altd.tcp_port.listen`` does."""
     listener = listen_tcp(settings.host, settings.port)
     # what is set here every accepted connection inherits
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
@@ -239,7 +239,7 @@ class _Silent(asyncio.Protocol):
 
 
 class _BoundedProtocol(H11Protocol):
-    """uvicorn's HTTP protocol with an end to its patience."""
+    """uvicorn's HTTP protocol with time limits."""
 
     _deadline: asyncio.TimerHandle | None = None
     _stuck: asyncio.TimerHandle | None = None
@@ -254,7 +254,7 @@ class _BoundedProtocol(H11Protocol):
         """Write nothing ahead of the client, and wait for its request only so long."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101  of a socket it is one
         super().connection_made(transport)
-        # asyncio's TLS would stop at a mark of 0 and never go on
+        # asyncio's TLS would stop at a mark of 0 and never resume
         transport.set_write_buffer_limits(high=1 if is_ssl(transport) else 0)
         self._deadline = self.loop.call_later(REQUEST_TIMEOUT_S, self._give_up)
         if early := self._early:
@@ -288,7 +288,7 @@ class _BoundedProtocol(H11Protocol):
         self._behind_bytes += behind - excess
         if passed := data[: len(data) - excess]:
             super().data_received(passed)
-        if excess and self.transport.get_protocol() is self:  # a WebSocket goes on, with bounds of its own
+        if excess and self.transport.get_protocol() is self:  # a WebSocket continues, with bounds of its own
             self.transport.pause_reading()
 
     def pause_writing(self) -> None:
@@ -304,7 +304,7 @@ class _BoundedProtocol(H11Protocol):
         super().resume_writing()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is malformed, if no answer is under way; whatever is under way ends.
+        """Answer what is malformed, if no answer is under way; an answer under way ends.
 
         uvicorn would send a second answer, and log a traceback when h11 refuses that.
         """

@@ -1,4 +1,4 @@
-"""Sessions of those who logged in: on the unit, few, and not for ever, by the clock that nobody sets."""
+"""Sessions of users who logged in: on the unit, few, limited in time by the monotonic clock."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ async def events(
 ) -> AsyncGenerator[str, None]:
     """The latest measurement and every later one that is still the latest when the client takes it.
 
-    A measurement that goes stale is told too: as an event that is invalid. ``resuming``: how a stream that
-    can be resumed goes on, what was missed among it.
+    A measurement that goes stale is an event, too, an invalid one. ``resuming``: how a stream that
+    can be resumed continues, what was missed among it.
     """
     cursor = board.cursor()
     told: Measurement | None = None
@@ -75,13 +75,13 @@ class Resuming:
         self._asking: asyncio.Task[Sequence[str]] | None = None
 
     def event(self, measurement: Measurement, line: str) -> str:
-        """A measurement of now; without an id while something of before is missing."""
+        """A current measurement; without an id while something of before is missing."""
         if self._missed is not None:
             return f"data: {line}\n\n"
         return f"id: {id_of(key_of(measurement))}\ndata: {line}\n\n"
 
     def past(self, told: Measurement) -> Sequence[str]:
-        """What has come of what was missed before the first measurement that was told; never waits."""
+        """What has arrived of what was missed before the first measurement that was sent; never waits."""
         if self._missed is None:
             return ()
         self._until = self._until or told
@@ -95,7 +95,7 @@ class Resuming:
         return events
 
     def end(self) -> None:
-        """Nobody listens any more."""
+        """The client has left."""
         if self._asking is not None:
             self._asking.cancel()
 

@@ -50,7 +50,7 @@ HEAD = (
         "unit",
         Type.U32,
         "",
-        "which unit: CRC-32 of its serial number",
+        "CRC-32 of the serial number",
         _of_stamp(attrgetter("identity.unit")),
     ),
     Register(
@@ -58,7 +58,7 @@ HEAD = (
         "session",
         Type.U32,
         "",
-        "drawn by chance when the daemon starts, never 0",
+        "random at each start, never 0",
         _of_stamp(attrgetter("identity.session")),
     ),
     Register(
@@ -66,7 +66,7 @@ HEAD = (
         "message",
         Type.U32,
         "",
-        "counts the responses of this interface with registers of this block",
+        "counts the responses with registers of this block",
         _of_stamp(attrgetter("message")),
         is_ageing=True,
     ),
@@ -75,15 +75,13 @@ HEAD = (
         "clock",
         Type.U32,
         "ms",
-        "since the daemon started, when this was answered",
+        "since the daemon started, when answered",
         _of_stamp(attrgetter("clock_ms")),
         is_ageing=True,
     ),
-    Register(210, "published", Type.U32, "", "counts the measurements since the daemon started", _published),
+    Register(210, "published", Type.U32, "", "counts the measurements", _published),
     Register(212, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
-    Register(
-        214, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", values.utc_s
-    ),
+    Register(214, "utc", Type.U32, "s", "middle of the exposures, since 1970-01-01", values.utc_s),
     Register(216, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
     Register(217, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
     Register(
@@ -91,14 +89,14 @@ HEAD = (
         "age",
         Type.U32,
         "ms",
-        "time since the middle of the exposures, when this was answered",
+        "since the middle of the exposures, when answered",
         values.age_ms,
         is_ageing=True,
     ),
     Register(220, "status", Type.U16, "", "status word as at address 0", values.status),
-    Register(221, "reason_unit", Type.U16, "", "as at address 2", values.reason(None)),
-    Register(222, "reason_front", Type.U16, "", "as at address 3", values.reason("front")),
-    Register(223, "reason_rear", Type.U16, "", "as at address 4", values.reason("rear")),
+    Register(221, "reason_unit", Type.U16, "", "as at addresses 2 to 4", values.reason(None)),
+    Register(222, "reason_front", Type.U16, "", "as at addresses 2 to 4", values.reason("front")),
+    Register(223, "reason_rear", Type.U16, "", "as at addresses 2 to 4", values.reason("rear")),
 )
 
 _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
@@ -107,11 +105,11 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("yaw", "°", "direction of the beam, horizontal", values.number("yaw_deg")),
     ("pitch", "°", "direction of the beam, vertical", values.number("pitch_deg")),
     ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
-    ("sigma_x", "mm", "standard deviation of x", values.sigma("x_mm")),
-    ("sigma_y", "mm", "standard deviation of y", values.sigma("y_mm")),
-    ("sigma_yaw", "°", "standard deviation of yaw", values.sigma("yaw_deg")),
-    ("sigma_pitch", "°", "standard deviation of pitch", values.sigma("pitch_deg")),
-    ("sigma_roll", "°", "standard deviation of roll; not known without one", values.sigma("roll_deg")),
+    ("sigma_x", "mm", "standard deviation", values.sigma("x_mm")),
+    ("sigma_y", "mm", "standard deviation", values.sigma("y_mm")),
+    ("sigma_yaw", "°", "standard deviation", values.sigma("yaw_deg")),
+    ("sigma_pitch", "°", "standard deviation", values.sigma("pitch_deg")),
+    ("sigma_roll", "°", "standard deviation of roll", values.sigma("roll_deg")),
 )
 """Each takes two registers from ``FLOATS`` on. A new one goes behind the rates, or those below would move."""
 
@@ -121,7 +119,7 @@ _OF_NOW = tuple(
     (
         f"sigma_now_{name}",
         unit,
-        f"standard deviation of {name} as a statement about the beam when this was answered",
+        "standard deviation as a statement about the beam when answered",
         values.sigma_now(key),
     )
     for name, unit, key in _AXES
@@ -129,7 +127,7 @@ _OF_NOW = tuple(
 """They age, and follow the quantities; the rates follow them."""
 
 _RATES = tuple(
-    (f"rate_{name}", f"{unit}/s", f"how fast {name} changes", values.rate(key)) for name, unit, key in _AXES
+    (f"rate_{name}", f"{unit}/s", "change per second", values.rate(key)) for name, unit, key in _AXES
 )
 
 CRC = Register(
@@ -138,7 +136,7 @@ CRC = Register(
     Type.U32,
     "",
     f"CRC-32 of the {SIZE - 2} registers before it",
-    values.constant(None),  # it is made when all others stand
+    values.constant(None),  # it is made when all others are there
 )
 
 ROWS = (

@@ -140,27 +140,21 @@ def _scaled(value: Reading) -> Reading:
 
 HEADER = (
     Register(0, "status", Type.U16, "", "status word, see below; bit 0: valid", values.status),
-    Register(2, "reason_unit", Type.U16, "", "reason code of the whole unit, 0 none", values.reason(None)),
-    Register(
-        3, "reason_front", Type.U16, "", "reason code of the front target, 0 none", values.reason("front")
-    ),
-    Register(4, "reason_rear", Type.U16, "", "reason code of the rear target, 0 none", values.reason("rear")),
+    Register(2, "reason_unit", Type.U16, "", "reason of the whole unit, 0: none", values.reason(None)),
+    Register(3, "reason_front", Type.U16, "", "reason of the front target, 0: none", values.reason("front")),
+    Register(4, "reason_rear", Type.U16, "", "reason of the rear target, 0: none", values.reason("rear")),
     Register(
         5,
         "heartbeat",
         Type.U16,
         "",
-        "counts up with every measurement; 65534 is followed by 0",
+        "+1 with every measurement; after 65534: 0",
         lambda snapshot: snapshot.published % 0xFFFF,
     ),
-    Register(
-        6, "age", Type.U16, "ms", "time since the middle of the measurement's exposures", values.age_ms, True
-    ),
+    Register(6, "age", Type.U16, "ms", "since the middle of the exposures", values.age_ms, True),
     Register(7, "exposures", Type.U16, "", "exposures averaged", values.of_measurement("frames")),
     Register(8, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence),
-    Register(
-        10, "utc", Type.U32, "s", "middle of the exposures, seconds since 1970-01-01 in UTC", values.utc_s
-    ),
+    Register(10, "utc", Type.U32, "s", "middle of the exposures, since 1970-01-01", values.utc_s),
     Register(12, "utc_ms", Type.U16, "ms", "its milliseconds, 0 to 999", values.utc_rest_ms),
     Register(14, "map_version", Type.U16, "", "version of this table", values.constant(MAP_VERSION)),
 )
@@ -173,10 +167,10 @@ _QUANTITIES: tuple[tuple[str, str, str, Reading], ...] = (
     ("yaw_slope", "mm/m", "yaw as a slope", values.number("yaw_mm_per_m")),
     ("pitch_slope", "mm/m", "pitch as a slope", values.number("pitch_mm_per_m")),
     ("roll", "°", "from an inclinometer; not known without one", values.number("roll_deg")),
-    ("sigma_x", "mm", "standard deviation of x", values.sigma("x_mm")),
-    ("sigma_y", "mm", "standard deviation of y", values.sigma("y_mm")),
-    ("sigma_yaw", "°", "standard deviation of yaw", values.sigma("yaw_deg")),
-    ("sigma_pitch", "°", "standard deviation of pitch", values.sigma("pitch_deg")),
+    ("sigma_x", "mm", "standard deviation", values.sigma("x_mm")),
+    ("sigma_y", "mm", "standard deviation", values.sigma("y_mm")),
+    ("sigma_yaw", "°", "standard deviation", values.sigma("yaw_deg")),
+    ("sigma_pitch", "°", "standard deviation", values.sigma("pitch_deg")),
     ("front_x", "mm", "spot on the front target", values.of_target("front", "x_mm")),
     ("front_y", "mm", "spot on the front target", values.of_target("front", "y_mm")),
     ("rear_x", "mm", "spot on the rear target", values.of_target("rear", "x_mm")),

@@ -94,7 +94,7 @@ class ModbusTcpPublisher:
         self._addresses = Addresses()
         self._reserved = Networks(settings.reserved)
         self._response_turn = asyncio.Lock()
-        """One answer a turn of the loop, whoever asks: no crowd of clients holds the rest of the unit up."""
+        """One answer a turn of the loop, from any client: a crowd of clients never holds the unit up."""
         self.port = settings.port_or_default
         """The port that is served; it differs from the setting when that is 0, once it listens."""
 

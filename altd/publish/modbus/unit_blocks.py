@@ -46,7 +46,7 @@ def _calibration_age_days(health: Health) -> float | None:
 
 
 def _first_32_bits(digest: str | None) -> int | None:
-    """Of hexadecimal digits, before which the name of the algorithm may stand: ``sha256:89ab…``."""
+    """Of hexadecimal digits, the name of the algorithm may precede them: ``sha256:89ab…``."""
     digits = (digest or "").rpartition(":")[2][:8]
     return int(digits, 16) if digits else None
 
@@ -72,7 +72,7 @@ _UNIT_ROWS = (
         "calibration_date",
         Type.U32,
         "",
-        "in UTC as a number: 2026-11-02 is 20261102",
+        "UTC: 2026-11-02 is 20261102",
         _of_health(_calibration_date),
     ),
     Register(
@@ -80,7 +80,7 @@ _UNIT_ROWS = (
         "calibration_age",
         Type.U16,
         "d",
-        "age of the calibration file in whole days",
+        "age of the calibration",
         _of_health(_calibration_age_days),
     ),
     Register(
@@ -88,7 +88,7 @@ _UNIT_ROWS = (
         "calibration_checksum",
         Type.U32,
         "",
-        "first 32 bits of the calibration file's checksum",
+        "first 32 bits of its checksum",
         _of_health(_calibration_checksum),
     ),
     Register(
@@ -96,7 +96,7 @@ _UNIT_ROWS = (
         "config_checksum",
         Type.U32,
         "",
-        "first 32 bits of the config file's SHA-256",
+        "first 32 bits of the config's SHA-256",
         _of_health(lambda health: _first_32_bits(health.facts.get("config_sha256"))),
     ),
     Register(
@@ -112,7 +112,7 @@ _UNIT_ROWS = (
         "serial",
         Type.TEXT32,
         "",
-        "the unit's serial number; a longer one is cut",
+        "serial number, cut if longer",
         _of_health(lambda health: health.facts.get("serial")),
     ),
 )
@@ -204,20 +204,19 @@ def _condition_rows() -> Iterator[Register]:
     yield Register(402, "self_check", Type.U16, "", f"last verdict: {meaning}", _of_health(_verdict))
     yield Register(404, "self_check_age", Type.U32, "s", "since that check ended", _of_health(_check_age_s))
     for place, span in enumerate(SPANS):
-        text = f"share of the observed time with a valid measurement, {span.replace('_', ' ')}"
+        text = "share of time with a valid measurement"
         yield Register(406 + place, f"valid_{span}", Type.U16, "0.01 %", text, _share(span))
-    text = "frames that a camera's driver or the daemon lost since the start"
+    text = "frames lost by drivers or daemon since the start"
     yield Register(410, "lost_frames", Type.U32, "", text, _of_health(_lost_frames))
-    text = "frames that came too late to be paired"
+    text = "frames too late to be paired"
     yield Register(412, "late_frames", Type.U32, "", text, _of_health(_late_frames))
     row = 414
     for target in TARGETS:
-        spot = f"of the newest {target} spot"
         for name, unit, text, reading in (
-            ("exposure", "ms", f"of the {target} camera", _of_camera(target, "exposure_ms")),
-            ("gain", "dB", f"of the {target} camera", _of_camera(target, "gain_db")),
-            ("diameter", "px", f"1/e² diameter {spot}", _of_measuring(f"diameter_{target}_px")),
-            ("peak", "", f"counts over background {spot}", _of_measuring(f"peak_{target}")),
+            ("exposure", "ms", "of the camera", _of_camera(target, "exposure_ms")),
+            ("gain", "dB", "of the camera", _of_camera(target, "gain_db")),
+            ("diameter", "px", "1/e² diameter of the newest spot", _of_measuring(f"diameter_{target}_px")),
+            ("peak", "", "counts over background of the newest spot", _of_measuring(f"peak_{target}")),
         ):
             yield Register(row, f"{target}_{name}", Type.F32, unit, text, reading)
             row += 2
@@ -270,16 +269,15 @@ def _relative_rows() -> Iterator[Register]:
     yield Register(503, "status", Type.U16, "", "status word as at address 0", values.status)
     yield Register(504, "session", Type.U32, "", "as at address 204", values.of_identity("session"))
     yield Register(506, "sequence", Type.U32, "", "number of the last exposure averaged", values.sequence)
-    text = "time since the middle of the measurement's exposures"
+    text = "since the middle of the exposures"
     yield Register(508, "age", Type.U32, "ms", text, values.age_ms)
     yield Register(510, "zero_sequence", Type.U32, "", "`sequence` of the zero", _of_health(_zero_sequence))
-    text = "time since the middle of the zero's exposures"
+    text = "since the middle of the zero's exposures"
     yield Register(512, "zero_age", Type.U32, "s", text, _of_health(_zero_age_s))
     row = 514
-    for sigma, text in (("", "{} less that of the zero"), ("sigma_", "standard deviation of {}")):
+    for sigma, text in (("", "less that of the zero"), ("sigma_", "its standard deviation")):
         for name, unit, key in _RELATIVE_AXES:
-            meaning = text.format(name if sigma else f"`{name[1:]}`")
-            yield Register(row, sigma + name, Type.F32, unit, meaning, _difference(key, bool(sigma)))
+            yield Register(row, sigma + name, Type.F32, unit, text, _difference(key, bool(sigma)))
             row += 2
 
 

@@ -43,27 +43,27 @@ def _of(group: StatusGroup) -> frozenset[Reason]:
 
 
 STATUS_BITS = (
-    StatusBit(VALID, "valid", "the numbers are known; steer by them only while bits 12 and 13 are 0"),
+    StatusBit(VALID, "valid", "the numbers are known; steer only while bits 12 and 13 are 0"),
     StatusBit(NOTHING_YET, "nothing yet", "no measurement since the daemon started"),
-    StatusBit(2, "stale", "nothing new for too long; the numbers are gone", _of(StatusGroup.STALE)),
+    StatusBit(2, "stale", "nothing new for too long", _of(StatusGroup.STALE)),
     StatusBit(3, "warming up", "not enough exposures yet, or no self-check", _of(StatusGroup.WARMING_UP)),
-    StatusBit(4, "out of range", "a spot lies outside the calibrated area", _of(StatusGroup.OUT_OF_RANGE)),
-    StatusBit(5, "out of step", "the cameras' exposures do not fit together", _of(StatusGroup.OUT_OF_STEP)),
-    StatusBit(6, "unsteady", "the spots move too much to be averaged", _of(StatusGroup.UNSTEADY)),
+    StatusBit(4, "out of range", "a spot is outside the calibrated area", _of(StatusGroup.OUT_OF_RANGE)),
     StatusBit(
-        7, "exposures lost", "warning: some exposures were not usable", _of(StatusGroup.EXPOSURES_LOST)
+        5, "out of step", "the cameras' exposures are not of the same instants", _of(StatusGroup.OUT_OF_STEP)
     ),
-    StatusBit(8, "front spot bad", "no usable spot on the front target", _of(StatusGroup.SPOT_BAD), "front"),
-    StatusBit(9, "rear spot bad", "no usable spot on the rear target", _of(StatusGroup.SPOT_BAD), "rear"),
-    StatusBit(10, "front camera silent", "no frames come from it", _of(StatusGroup.CAMERA_SILENT), "front"),
-    StatusBit(11, "rear camera silent", "no frames come from it", _of(StatusGroup.CAMERA_SILENT), "rear"),
-    StatusBit(12, "playback", "warning: not live, a recording is played", _of(StatusGroup.PLAYBACK)),
-    StatusBit(13, "simulated", "warning: frames or calibration are simulated", _of(StatusGroup.SIMULATED)),
+    StatusBit(6, "unsteady", "the spots move too much to be averaged", _of(StatusGroup.UNSTEADY)),
+    StatusBit(7, "exposures lost", "some exposures were not usable", _of(StatusGroup.EXPOSURES_LOST)),
+    StatusBit(8, "front spot bad", "no usable spot", _of(StatusGroup.SPOT_BAD), "front"),
+    StatusBit(9, "rear spot bad", "no usable spot", _of(StatusGroup.SPOT_BAD), "rear"),
+    StatusBit(10, "front camera silent", "no frames", _of(StatusGroup.CAMERA_SILENT), "front"),
+    StatusBit(11, "rear camera silent", "no frames", _of(StatusGroup.CAMERA_SILENT), "rear"),
+    StatusBit(12, "playback", "not live: a recording is played", _of(StatusGroup.PLAYBACK)),
+    StatusBit(13, "simulated", "frames or calibration are simulated", _of(StatusGroup.SIMULATED)),
     StatusBit(14, "implausible", "two maps of a target contradict each other", _of(StatusGroup.IMPLAUSIBLE)),
     StatusBit(
         15,
         "not trusted",
-        "a camera, its frames, the numbers, or where cameras and targets are, did not pass a check",
+        "a check of cameras, frames, numbers or geometry failed",
         _of(StatusGroup.NOT_TRUSTED),
     ),
 )
@@ -265,14 +265,10 @@ def _shows(signal: Signal) -> Callable[[Snapshot], bool]:
 
 DISCRETE_INPUTS = (
     DiscreteInput("valid", "as bit 0 of `status`; steer only while `not_live` is 0", _is_valid),
-    DiscreteInput("failure", "NAMUR NE 107: failure", _shows(Signal.FAILURE)),
-    DiscreteInput("check_function", "NAMUR NE 107: check function", _shows(Signal.CHECK_FUNCTION)),
-    DiscreteInput(
-        "out_of_specification", "NAMUR NE 107: out of specification", _shows(Signal.OUT_OF_SPECIFICATION)
-    ),
-    DiscreteInput(
-        "maintenance_required", "NAMUR NE 107: maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)
-    ),
+    DiscreteInput("failure", "the state is failure", _shows(Signal.FAILURE)),
+    DiscreteInput("check_function", "check function", _shows(Signal.CHECK_FUNCTION)),
+    DiscreteInput("out_of_specification", "out of specification", _shows(Signal.OUT_OF_SPECIFICATION)),
+    DiscreteInput("maintenance_required", "maintenance required", _shows(Signal.MAINTENANCE_REQUIRED)),
     DiscreteInput("not_live", "frames or calibration are played or simulated", _says(*NOT_FROM_CAMERAS)),
     DiscreteInput("rehearsal", "the daemon was started with `--rehearsal`", _says(Reason.REHEARSAL)),
 )

@@ -27,7 +27,7 @@ KEEP_ALIVE_S = 10
 """A broker that hears nothing for half as long again sends the will."""
 
 CONNECT_TIMEOUT_S = 10.0
-"""From the name of the broker to its greeting."""
+"""From resolving the broker's name to CONNACK."""
 
 ACK_TIMEOUT_S = 5.0
 """A message that is not acknowledged within this time ends the connection."""
@@ -37,7 +37,7 @@ GOODBYE_TIMEOUT_S = 1.0
 
 MAX_RECEIVED_BYTES = 64 << 10
 MAX_RECEIVED_BYTES_PER_MESSAGE = 256
-"""What a broker may send: handshake and greeting, and an acknowledgement of each message."""
+"""What a broker may send: handshake and CONNACK, and an acknowledgement of each message."""
 
 _TCP_INFO_BYTES = 136
 _BYTES_RECEIVED = struct.Struct("=128xQ")
@@ -99,7 +99,7 @@ class Broker(aiomqtt.Client):
         self._will = will
         self._is_left = False
         self.has_sent_connect = False
-        """Whether there was a server to which CONNECT was sent, whatever became of it."""
+        """Whether there was a server to which CONNECT was sent, whatever followed."""
         self._watched: socket.socket | None = None
         self._sent = 0
 
@@ -118,7 +118,7 @@ class Broker(aiomqtt.Client):
         except BaseException:
             self._close()  # the thread that connects cannot be stopped: what it brings is closed in _watch
             raise
-        if lost.done():  # aiomqtt forgets a connection that was lost right behind the greeting
+        if lost.done():  # aiomqtt forgets a connection that was lost right behind CONNACK
             self._disconnected = lost
         return self
 

@@ -82,11 +82,11 @@ class EdgeNodeSession(Broker):
     async def _ping(self) -> None:
         """Let the broker answer: it reads in order, and so has read all that was sent before.
 
-        Without this, a broker that stops reading would get old numbers when it goes on: QoS 0 has no
+        Without this, a broker that stops reading would get old numbers when it continues: QoS 0 has no
         acknowledgement.
         """
         self._answered.clear()
-        self._client._send_pingreq()  # noqa: SLF001  paho sends it by itself alone
+        self._client._send_pingreq()  # noqa: SLF001  paho sends none on request
         await self._answered.wait()
 
     def _read(self, sock: socket.socket) -> None:

@@ -140,5 +140,5 @@ class LiveUnit:
 
 
 def _known(value: object, status: Status) -> Status:
-    """A value that is missing is Bad, whatever is said of the measurement."""
+    """A value that is missing is Bad, even of a good measurement."""
     return Status.BAD if value is None and not status.is_bad else status

@@ -257,7 +257,7 @@ def _shown(report: StateReport | None) -> object:
 
 
 def _openness(settings: OpcUaSettings) -> str:
-    """What a person should know of who can read here."""
+    """Which networks can read here, in words."""
     if settings.certificate is None:
         return ", without encryption, open to every network that reaches it"
     return "" if settings.credentials is not None else ", encrypted, open to every network that reaches it"

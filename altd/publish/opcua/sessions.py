@@ -107,7 +107,7 @@ class Session(InternalSession):
         return await super().translate_browsepaths_to_nodeids(params)
 
     async def write(self, params: ua.WriteParameters) -> list[ua.StatusCode]:
-        """Write nothing for a client, whatever the nodes of the standard say of themselves."""
+        """Write nothing for a client, whatever the standard's nodes declare."""
         self._check_number(params.NodesToWrite)
         return [ua.StatusCode(ua.StatusCodes.BadNotWritable)] * len(params.NodesToWrite)
 

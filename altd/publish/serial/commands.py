@@ -107,7 +107,7 @@ class Sources:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """The answer goes on: after ``text`` a line each ``interval_s``, until a key."""
+    """The answer continues: after ``text`` a line each ``interval_s``, until a key."""
 
     text: str
     interval_s: float
@@ -235,7 +235,7 @@ def _log(sources: Sources) -> str:
 
 def _leave(_: Sources) -> str:
     return (
-        "there is nothing to leave: nobody is logged in, and the unit measures on.\n"
+        "there is nothing to leave: no login is needed, and the unit measures on.\n"
         "Close your terminal: picocom Ctrl-A Ctrl-X, minicom Ctrl-A X, screen Ctrl-A K"
     )
 

@@ -16,7 +16,7 @@ from altd.status.health import Health
 PROMPT = b"> "
 PAGE_LINES = 23
 """A terminal shows 24 lines; the last one is the prompt, or says that there is more."""
-MORE_PROMPT = b"-- more: space goes on, q ends --"
+MORE_PROMPT = b"-- more: space, end: q --"
 QUESTION_PROMPT = b" (y: yes) "
 QUESTION_S = 10.0
 """A question that is not answered for so long is answered by no."""
@@ -29,7 +29,7 @@ _LEAVING = {"e": "exit", "q": "quit"}
 class Console:
     """One console.
 
-    ``watching_s`` is the interval at which ``tick`` is due, None while nobody watches; ``asking_s`` is how
+    ``watching_s`` is the interval at which ``tick`` is due, None without ``watch``; ``asking_s`` is how
     long after a question ``give_up`` is due, None while none is open.
     """
 
@@ -76,7 +76,7 @@ class Console:
         return b"" if find is None else self._paged(await find())
 
     def give_up(self) -> bytes:
-        """Nobody answered the question."""
+        """The question was not answered."""
         return b"" if self._question is None else self._reply(None)
 
     def welcome(self) -> bytes:
@@ -93,7 +93,7 @@ class Console:
         return b"".join(self._all(self._keys.rest()))
 
     def tick(self) -> bytes:
-        """The next line of ``watch``, nothing while nobody watches."""
+        """The next line of ``watch``, nothing outside of it."""
         return b"" if self.watching_s is None else _on_wire(watch_line(self._sources.read()))
 
     def _all(self, keys: Iterable[str | Key]) -> Iterable[bytes]:
@@ -138,7 +138,7 @@ class Console:
         return b"no\r\n" + PROMPT + typed
 
     def _turn_page(self, key: str | Key) -> bytes:
-        """Go on with space or Enter, else end; a character but q is typed into the next line."""
+        """Continue with space or Enter, else end; a character but q is typed into the next line."""
         if key in _NO_KEYS:
             return b""
         cleared = b"\r" + b" " * len(MORE_PROMPT) + b"\r"

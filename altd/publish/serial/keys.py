@@ -94,7 +94,7 @@ _MAX_OPTION = 49
 
 
 class _In(Enum):
-    """Where in the stream the next character stands."""
+    """The place of the next character in the stream."""
 
     TEXT = auto()
     ESCAPE = auto()

@@ -1,4 +1,4 @@
-"""From keys to lines: editing within the line, a few earlier lines, and patience with what is not text."""
+"""From keys to lines: editing within the line, a few earlier lines, and tolerance of what is not text."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class LineEditor:
     """Takes one key at a time and keeps at most one line and ``MAX_RECALLED_LINES`` earlier ones.
 
     What it shows is built of printable ASCII, blanks and backspaces, which every terminal knows. A character
-    that is not ASCII stands in the line as ``?`` and can be erased; as no command has one, it makes none.
+    that is not ASCII is shown in the line as ``?`` and can be erased; as no command has one, it makes none.
     """
 
     def __init__(self) -> None:
         self._line: list[str] = []
         self._at = 0
-        """Where the cursor stands."""
+        """The column of the cursor."""
         self._too_long = False
         self._junk = 0
         self._earlier: deque[str] = deque(maxlen=MAX_RECALLED_LINES)
@@ -66,7 +66,7 @@ class LineEditor:
         return b""
 
     def shown(self) -> bytes:
-        """The line as it stands, for a terminal that shows it again."""
+        """The current line, for a terminal that shows it again."""
         return _ascii(self._line) + _BACK * (len(self._line) - self._at)
 
     def _insert(self, character: str) -> bytes:

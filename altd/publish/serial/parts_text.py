@@ -41,7 +41,7 @@ def spots_text(measurement: Measurement | None, health: Health) -> str:
 
 
 def health_text(health: Health) -> str:
-    """Every component with all that it says, counts and measures of itself."""
+    """Every component with its message, counters and figures."""
     return "\n".join(component_lines(list(health), whole=True)) or "nothing has started so far"
 
 
@@ -52,7 +52,7 @@ def calibration_text(health: Health, quantities: Quantities) -> str:
     for shown in () if report is None else report.causes:
         kind = shown.cause.kind
         if kind in _ABOUT_CALIBRATION:
-            lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {kind.remedy}", 4))
+            lines.append(hanging("  -", f"{kind.brief} ({shown.cause.detail}): {shown.cause.remedy}", 4))
     if summary := health.calibration.summary:
         file = summary["file"]
         lines.append(hanging("  file", f"{file['name']}, SHA-256 {file['sha256'] or 'not known'}", 13))

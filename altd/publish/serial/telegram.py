@@ -173,7 +173,7 @@ def encode(measurement: Measurement | None) -> bytes:
 
 
 def _with_codes(telegram: Telegram, codes: tuple[str, ...]) -> Telegram:
-    """The telegram with the codes that there is room for; ``more`` stands for the others."""
+    """The telegram with the codes that there is room for; ``more`` replaces the others."""
     for kept in range(len(codes), -1, -1):
         shown = codes[:kept] + (MORE,) * (kept < len(codes))
         telegram = replace(telegram, reasons=shown or None)
@@ -230,13 +230,13 @@ PROOF = Sentence(
     "PALTC",
     "what it takes to check the telegram",
     (
-        Field("unit", _HEXADECIMAL, "", "which unit: CRC-32 of its serial number"),
-        Field("session", _HEXADECIMAL, "", "drawn by chance when the daemon starts"),
+        Field("unit", _HEXADECIMAL, "", "CRC-32 of the serial number"),
+        Field("session", _HEXADECIMAL, "", "random at each start"),
         Field("message", _COUNT, "", "counts the telegrams of this port"),
         Field("clock_ms", _COUNT, "ms", "since the daemon started, at sending"),
         Field("date", _DATE, "yyyymmdd", "UTC, goes with `time` of `$PALTM`; empty when not known"),
         Field("age_ms", whole(MAX_AGE_MS), "ms", "since the middle of the exposures, at sending"),
-        Field("crc32", _HEXADECIMAL, "", "CRC-32 of every character before it, see below"),
+        Field("crc32", _HEXADECIMAL, "", "of every character before it"),
     ),
 )
 

@@ -49,7 +49,7 @@ def state_facts(report: StateReport, *, whole: bool) -> dict[str, str]:
 def state_steps(report: StateReport) -> list[str]:
     """What is wrong beside the measurement and the components, and what to do."""
     return [
-        f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.kind.remedy}"
+        f"{_cause(shown)}{_in_brackets(shown.cause.detail)}: {shown.cause.remedy}"
         for shown in report.causes
         if isinstance(shown.cause.kind, Condition) and shown.cause.kind not in _SAID_BY_COMPONENTS
     ]
@@ -129,7 +129,7 @@ def status_text(
     """The unit, whether it measures, what to do about what is wrong, and every component.
 
     ``age_s``: of the measurement, for the uncertainty that is true now.
-    ``whole``: with all that the components say, count and measure of themselves.
+    ``whole``: with messages, counters and figures of the components.
     """
     components = list(health)
     report = health.state()
@@ -146,7 +146,7 @@ def status_text(
 
 
 def component_lines(components: Sequence[Component], *, whole: bool) -> list[str]:
-    """A table of the components; ``whole``: with what each says, counts and measures of itself."""
+    """A table of the components; ``whole``: with message, counters and figures of each."""
     if not components:
         return []
     column = min(max(len(component.name) for component in components), 40) + 2

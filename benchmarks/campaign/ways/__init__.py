@@ -1,1 +1,1 @@
-"""The ways to spoil measurements, by what they spoil."""
+"""The ways to disturb measurements, by what they disturb."""

@@ -38,7 +38,7 @@ def _lamp_only(scene: Scene, place: tuple[float, float], width_mm: float, shape:
 
 
 _LIKE_A_LASER = (
-    "two lamps without an edge, 4 to 18 mm wide, in two places that one beam could meet, are its spots"
+    "two lamps without an edge, 4 to 18 mm wide, at two places that one beam can hit, look like its spots"
 )
 
 
@@ -63,19 +63,19 @@ def _lamp_alone(draw: Draw, shape: str) -> Spoil:
 
 @WAYS.add()
 def lamp_disc_alone(draw: Draw) -> Spoil:
-    """A lamp's disc on each target, the laser off."""
+    """Laser off; a disc of lamplight on each target."""
     return _lamp_alone(draw, "disc")
 
 
 @WAYS.add()
 def lamp_hump_alone(draw: Draw) -> Spoil:
-    """A lamp without an edge on each target, the laser off."""
+    """Laser off; lamplight without an edge on each target."""
     return _lamp_alone(draw, "hump")
 
 
 @WAYS.add()
 def lamp_on_one(draw: Draw) -> Spoil:
-    """The laser is gone from one target; there a lamp shines."""
+    """A lamp instead of the laser on one target."""
     width_mm, shape, level = draw.log(3.0, 30.0), draw.of("disc", "hump"), draw.log(0.05, 1.0)
     place = draw.uniform(-40, 40), draw.uniform(-30, 30)
     return Spoil(
@@ -88,7 +88,7 @@ def lamp_on_one(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def lamp_beside(draw: Draw) -> Spoil:
-    """A lamp beside the laser's spot, or partly on it."""
+    """A lamp beside the spot or partly on it."""
     width_mm, shape, level = draw.log(3.0, 30.0), draw.of("disc", "hump"), draw.log(0.02, 1.0)
     far_mm, angle = draw.uniform(2.0, 35.0), draw.angle()
 
@@ -106,7 +106,7 @@ def lamp_beside(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def ambient_gradient(draw: Draw) -> Spoil:
-    """Daylight that falls off across the picture."""
+    """Daylight that decreases across the picture."""
     level, angle, bend = draw.log(0.02, 0.5), draw.angle(), draw.uniform(-1.0, 1.0)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -122,7 +122,7 @@ def ambient_gradient(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def sun_stripe(draw: Draw) -> Spoil:
-    """A stripe of sun across the picture, over or beside the spot."""
+    """A stripe of sunlight over or beside the spot."""
     level, angle = draw.log(0.02, 0.6), draw.angle()
     width_mm, soft_mm, at = draw.log(2.0, 40.0), draw.log(0.2, 8.0), draw.uniform(-2.0, 2.0)
 
@@ -137,7 +137,7 @@ def sun_stripe(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def sun_edge(draw: Draw) -> Spoil:
-    """The border between sun and shade runs through the spot."""
+    """A border of sun and shade through the spot."""
     level, angle = draw.log(0.02, 0.5), draw.angle()
     soft_mm, at = draw.log(0.2, 10.0), draw.uniform(-1.0, 1.0)
 
@@ -150,7 +150,7 @@ def sun_edge(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def welding_flash(draw: Draw) -> Spoil:
-    """A flash that lights some of the rows of some exposures."""
+    """A flash on some rows of some exposures."""
     level, seed = draw.log(0.05, 2.0), draw.seed()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -166,7 +166,7 @@ def welding_flash(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def ambient_step(draw: Draw) -> Spoil:
-    """The lights go on."""
+    """The lights are switched on."""
     level = draw.log(0.02, 0.9)
     return Spoil(
         f"{level:.0%} of full scale",
@@ -177,7 +177,7 @@ def ambient_step(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def other_laser(draw: Draw) -> Spoil:
-    """Another laser on one target, far from the spot: as bright or brighter or dimmer."""
+    """Another laser on one target, far from the spot, brighter or dimmer."""
     share, width = draw.log(0.1, 3.0), draw.uniform(0.5, 1.5)
     far_mm, angle = draw.uniform(15.0, 60.0), draw.angle()
 

@@ -16,7 +16,7 @@ WAYS = Registry("cameras")
 
 @WAYS.add()
 def exchanged(draw: Draw) -> Spoil:
-    """Front and rear are plugged into each other's place."""
+    """Front and rear camera exchanged."""
     other = {"front": "rear", "rear": "front"}
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
@@ -27,7 +27,7 @@ def exchanged(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def one_for_both(draw: Draw) -> Spoil:
-    """One camera's frames arrive as both cameras'."""
+    """One camera delivers the frames of both."""
     (only,) = draw.one()
 
     def stream(shots: list[Shot], onset: int) -> list[Shot]:
@@ -60,7 +60,7 @@ def flipped(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def upside_down(draw: Draw) -> Spoil:
-    """Turned by half a turn."""
+    """Rotated by 180°."""
     return _turned_over(draw, -1, "half a turn")
 
 
@@ -92,31 +92,31 @@ def _shifted(draw: Draw, by_px: int) -> Spoil:
 
 @WAYS.add()
 def shifted_1_px(draw: Draw) -> Spoil:
-    """The picture lies a pixel off."""
+    """Picture shifted by 1 px."""
     return _shifted(draw, 1)
 
 
 @WAYS.add()
 def shifted_2_px(draw: Draw) -> Spoil:
-    """The picture lies two pixels off."""
+    """Picture shifted by 2 px."""
     return _shifted(draw, 2)
 
 
 @WAYS.add()
 def shifted_4_px(draw: Draw) -> Spoil:
-    """The picture lies four pixels off."""
+    """Picture shifted by 4 px."""
     return _shifted(draw, 4)
 
 
 @WAYS.add()
 def shifted_far(draw: Draw) -> Spoil:
-    """The picture lies 8 to 64 pixels off."""
+    """Picture shifted by 8 to 64 px."""
     return _shifted(draw, round(draw.log(8, 64)))
 
 
 @WAYS.add()
 def turned(draw: Draw) -> Spoil:
-    """The camera is turned about its axis."""
+    """Camera rotated about its axis."""
     degrees = draw.sign() * draw.log(0.1, 1.0)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), degrees, 1.0)
     return _moved(draw, f"{degrees:+.2f}°", matrix)
@@ -124,7 +124,7 @@ def turned(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def scaled(draw: Draw) -> Spoil:
-    """The picture is a little larger or smaller: another lens, another distance."""
+    """Picture slightly larger or smaller."""
     scale = 1.0 + draw.sign() * draw.log(0.001, 0.01)
     matrix = cv2.getRotationMatrix2D((375.5, 239.5), 0.0, scale)
     return _moved(draw, f"{scale - 1:+.2%}", matrix)
@@ -132,7 +132,7 @@ def scaled(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def tilted(draw: Draw) -> Spoil:
-    """The camera leans: one side of the picture is drawn out."""
+    """Camera tilted: one side of the picture is stretched."""
     lean, angle = draw.log(0.002, 0.02), draw.angle()
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:

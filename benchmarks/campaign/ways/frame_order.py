@@ -27,14 +27,14 @@ def _pixels_from(
 
 @WAYS.add(moving=True)
 def frozen(draw: Draw) -> Spoil:
-    """The same picture again and again, with new numbers and times."""
+    """The same picture with new numbers and times."""
     cameras = draw.targets()
     return Spoil(" and ".join(sorted(cameras)), stream=_pixels_from(cameras, lambda k, onset: onset - 1))
 
 
 @WAYS.add(moving=True)
 def loop(draw: Draw) -> Spoil:
-    """The last pictures before the onset, over and over."""
+    """The last pictures before the onset, repeated."""
     length, cameras = draw.whole(2, 4), draw.targets()
     source = lambda k, onset: onset - length + (k - onset) % length  # noqa: E731
     return Spoil(f"of {length} frames", stream=_pixels_from(cameras, source))
@@ -42,7 +42,7 @@ def loop(draw: Draw) -> Spoil:
 
 @WAYS.add(moving=True)
 def every_second_repeated(draw: Draw) -> Spoil:
-    """Every second frame is the one before once more."""
+    """Every second frame repeats the one before."""
     cameras = draw.targets()
     return Spoil(
         " and ".join(sorted(cameras)),
@@ -52,29 +52,29 @@ def every_second_repeated(draw: Draw) -> Spoil:
 
 @WAYS.add(
     moving=True,
-    invisible="one camera late differs from a yaw of its own only in how the machine shakes, which takes "
-    "some 5 s to tell; until then speed × delay: up to 0.75 mm at 5 mm/s and three frames",
+    invisible="one late camera differs from a yaw only by the machine's vibration, which takes some 5 s to "
+    "detect; until then speed × delay: up to 0.75 mm at 5 mm/s and three frames",
 )
 def one_camera_late(draw: Draw) -> Spoil:
-    """One camera shows what was some frames ago, with the number and the time of now."""
+    """One camera shows frames of the past with current number and time."""
     late, cameras = draw.whole(1, 3), draw.one()
     return Spoil(f"{', '.join(cameras)} {late} late", stream=_pixels_from(cameras, lambda k, onset: k - late))
 
 
 @WAYS.add(
     moving=True,
-    invisible="what comes late from both cameras and is stamped now is a steady delay: 50 to 150 ms, "
-    "up to 1 mm of a machine's way at 5 mm/s",
+    invisible="frames that are late from both cameras with current stamps are a steady delay: 50 to 150 ms, "
+    "up to 1 mm at 5 mm/s",
 )
 def both_cameras_late(draw: Draw) -> Spoil:
-    """Both cameras show what was some frames ago, with the number and the time of now."""
+    """Both cameras show frames of the past with current number and time."""
     late = draw.whole(1, 3)
     return Spoil(f"{late} late", stream=_pixels_from(frozenset(CAMERAS), lambda k, onset: k - late))
 
 
 @WAYS.add(moving=True)
 def played_backwards(draw: Draw) -> Spoil:
-    """Buffers come in the wrong order: pairs of pictures exchanged."""
+    """Pairs of pictures in exchanged order."""
     cameras = draw.targets()
     source = lambda k, onset: k + 1 - 2 * ((k - onset) % 2)  # noqa: E731
     return Spoil(" and ".join(sorted(cameras)), stream=_pixels_from(cameras, source))

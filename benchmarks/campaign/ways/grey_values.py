@@ -29,7 +29,7 @@ def _often(draw: Draw) -> tuple[float, str]:
 
 @WAYS.add(moving=True)
 def torn(draw: Draw) -> Spoil:
-    """The upper part is of the frame before; the tear goes through the spot.
+    """The upper part is from the frame before; the tear crosses the spot.
 
     A tear below the spot leaves it whole and late by a frame: that is ``one_camera_late``.
     """
@@ -53,7 +53,7 @@ def torn(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def zeroed_rows(draw: Draw) -> Spoil:
-    """Some rows read 0: lost on the way."""
+    """Some rows are lost and read 0."""
     first, rows, (share, words) = draw.uniform(0.0, 1.0), draw.log(1, 200), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -68,7 +68,7 @@ def zeroed_rows(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def repeated_rows(draw: Draw) -> Spoil:
-    """One row stands for many below it."""
+    """One row is repeated in many rows below."""
     first, rows, (share, words) = draw.uniform(0.1, 0.9), draw.whole(2, 120), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -81,7 +81,7 @@ def repeated_rows(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def row_shift(draw: Draw) -> Spoil:
-    """From some row on, the picture is shifted by some pixels: bytes lost on the way."""
+    """From one row on, the picture is shifted by some pixels."""
     first, by, (share, words) = draw.uniform(0.0, 0.9), draw.sign() * round(draw.log(1, 300)), _often(draw)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -112,19 +112,19 @@ def _packets_lost(draw: Draw, most: int, shows_the_frame_before: bool) -> Spoil:
 
 @WAYS.add()
 def packets_zero(draw: Draw) -> Spoil:
-    """Packets of 1 to 9 kB are lost: their pixels read 0."""
+    """Lost packets of 1 to 9 kB read 0."""
     return _packets_lost(draw, 20, False)
 
 
 @WAYS.add(moving=True)
 def packets_old(draw: Draw) -> Spoil:
-    """Packets are lost: their pixels are those of the frame before."""
+    """Lost packets show the frame before."""
     return _packets_lost(draw, 60, True)
 
 
 @WAYS.add()
 def stuck_bit(draw: Draw) -> Spoil:
-    """One bit of every pixel is always 0, or always 1."""
+    """One bit of every pixel is always 0 or always 1."""
     place, one = draw.uniform(0, 1), draw.of("0", "1")
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -136,7 +136,7 @@ def stuck_bit(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def swapped_bytes(draw: Draw) -> Spoil:
-    """Neighbouring bytes exchanged: of a pixel of 16 bits, or two pixels of 8."""
+    """Neighbouring bytes exchanged."""
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
         if pixels.dtype == np.uint16:
@@ -150,7 +150,7 @@ def swapped_bytes(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def bit_errors(draw: Draw) -> Spoil:
-    """Single bits fall over, anywhere."""
+    """Single inverted bits anywhere."""
     share, seed = draw.log(1e-5, 3e-2), draw.seed()
     rng = np.random.default_rng(seed)
 
@@ -170,7 +170,7 @@ def _recounted(pixels: PixelArray, counts: np.ndarray, bits: int) -> PixelArray:
 
 @WAYS.add()
 def gain_step(draw: Draw) -> Spoil:
-    """Left and right half of the chip are amplified differently."""
+    """Different gain in the left and right half of the chip."""
     gain, at = draw.log(0.7, 1.4), draw.uniform(0.2, 0.8)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -183,7 +183,7 @@ def gain_step(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def black_step(draw: Draw) -> Spoil:
-    """Another black level, everywhere or from some column on."""
+    """Another black level, everywhere or from one column on."""
     level, at = draw.uniform(-0.05, 0.3), draw.of("everywhere", "from a column on")
     column = 0.0 if at == "everywhere" else draw.uniform(0.2, 0.8)
 
@@ -197,7 +197,7 @@ def black_step(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def gamma(draw: Draw) -> Spoil:
-    """A camera whose grey values are not in proportion to the light."""
+    """Grey values not proportional to the light."""
     power = draw.log(0.4, 2.2)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -219,7 +219,7 @@ def inverted(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def hot_columns(draw: Draw) -> Spoil:
-    """Columns that are bright from top to bottom."""
+    """Columns bright from top to bottom."""
     level, count, seed = draw.log(0.02, 1.0), draw.whole(1, 20), draw.seed()
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -233,7 +233,7 @@ def hot_columns(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def jpeg(draw: Draw) -> Spoil:
-    """Compressed with loss."""
+    """Lossy compression."""
     quality = draw.whole(3, 80)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -249,7 +249,7 @@ def jpeg(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def binned(draw: Draw) -> Spoil:
-    """Blocks of pixels carry one value, or a binned picture stands in a corner of the frame."""
+    """Blocks of pixels with one value, or a binned picture in a corner of the frame."""
     by, corner = draw.whole(2, 4), draw.of("blocks", "corner")
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -267,7 +267,7 @@ def binned(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def clipped_grey(draw: Draw) -> Spoil:
-    """Grey values end below full scale: a converter that saturates early."""
+    """Grey values end below full scale."""
     level = draw.uniform(0.1, 0.9)
 
     def change(pixels: PixelArray, before: PixelArray | None, bits: int) -> PixelArray:
@@ -278,7 +278,7 @@ def clipped_grey(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def salt_noise(draw: Draw) -> Spoil:
-    """White and black pixels, strewn differently over each frame."""
+    """White and black pixels, at random in each frame."""
     share, seed = draw.log(1e-4, 0.1), draw.seed()
     rng = np.random.default_rng(seed)
 
@@ -293,7 +293,7 @@ def salt_noise(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def row_noise(draw: Draw) -> Spoil:
-    """Rows or columns jump up and down together: a disturbed supply."""
+    """Rows or columns vary together, as from a disturbed supply."""
     level, axis, seed = draw.log(0.003, 0.05), draw.whole(0, 1), draw.seed()
     rng = np.random.default_rng(seed)
 

@@ -47,13 +47,13 @@ class Misnumbered:
 
 
 def _number_in_config(draw: Draw) -> Misnumbered:
-    """A number of the config is none, or absurd."""
+    """NaN, infinity or an absurd number in the config."""
     key, value = _CONFIG_KEYS[draw.whole(0, len(_CONFIG_KEYS) - 1)], draw.of(*_ABSURD)
     return Misnumbered(f"{'.'.join(key)} = {value}", "config", key, value, 0.0)
 
 
 def _number_in_calibration(draw: Draw) -> Misnumbered:
-    """A number of the calibration file is none, or absurd; its checksum fits."""
+    """The same in the calibration file, with a right checksum."""
     value, seed = draw.of(*_ABSURD), draw.uniform(0, 1)
     return Misnumbered(f"{value} at {seed:.4f}", "calibration", ("", ""), value, seed)
 

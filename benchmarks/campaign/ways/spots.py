@@ -31,7 +31,7 @@ def _second_spot(scene: Scene, right_mm: float, down_mm: float, scale: float, sh
 
 @WAYS.add()
 def reflection(draw: Draw) -> Spoil:
-    """A second spot of the same shape that moves with the first."""
+    """A second spot of the same shape; it moves with the first."""
     share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
     return Spoil(
         f"{share:.0%} {words}",
@@ -43,7 +43,7 @@ def reflection(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def reflection_on_both(draw: Draw) -> Spoil:
-    """The same second spot on both targets, as of a ghost that runs beside the beam."""
+    """The same second spot on both targets, such as a ghost beside the beam."""
     share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
     return Spoil(
         f"{share:.0%} {words}",
@@ -76,7 +76,7 @@ def reflection_sharper(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def reflection_ring(draw: Draw) -> Spoil:
-    """A ring of light, as a curved rim throws it."""
+    """A ring of light, as from a curved rim."""
     share, (right, down, words) = draw.log(0.03, 0.6), _aside(draw, 0.5)
     radius_mm, width_mm = draw.uniform(1.0, 8.0), draw.uniform(0.3, 1.5)
 
@@ -94,7 +94,7 @@ def reflection_ring(draw: Draw) -> Spoil:
 
 @WAYS.add(moving=True)
 def reflection_fixed(draw: Draw) -> Spoil:
-    """A second spot that stays where it is while the first one moves."""
+    """A second spot that stays while the first moves."""
     share, (right, down, words) = draw.log(0.03, 1.0), _aside(draw)
     ghosts: dict[str, SpotShape] = {}
 
@@ -112,7 +112,7 @@ def reflection_fixed(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def twin_spots(draw: Draw) -> Spoil:
-    """A second spot as bright as the first, 2 to 6 mm aside."""
+    """A second spot of the same brightness, 2 to 6 mm aside."""
     right, down, words = _aside(draw, 2.0, 6.0)
     share = draw.uniform(0.9, 1.1)
     return Spoil(
@@ -122,7 +122,7 @@ def twin_spots(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def comet_tail(draw: Draw) -> Spoil:
-    """Light smeared to one side, fading over some millimetres."""
+    """Light smeared to one side over some millimetres."""
     share, length_mm, angle = draw.log(0.02, 0.2), draw.uniform(1.5, 10.0), draw.angle()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -137,7 +137,7 @@ def comet_tail(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def fringes(draw: Draw) -> Spoil:
-    """Interference of the window's faces: stripes over the beam."""
+    """Interference stripes of the window over the beam."""
     contrast, period_mm = draw.uniform(0.05, 0.3), draw.log(0.5, 5.0)
     angle, phase = draw.angle(), draw.angle()
 
@@ -151,7 +151,7 @@ def fringes(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def clipped_beam(draw: Draw) -> Spoil:
-    """An aperture cuts one side of the beam before the window: the same side on both targets."""
+    """An aperture cuts the beam before the window, on the same side of both targets."""
     depth, angle, soft_mm = draw.uniform(-0.6, 0.95), draw.angle(), draw.uniform(0.1, 1.0)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -165,7 +165,7 @@ def clipped_beam(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def speckle_changed(draw: Draw) -> Spoil:
-    """Other speckle than at the calibration, coarse or fine."""
+    """Coarser or finer speckle than at the calibration."""
     contrast, grain_px, seed = draw.uniform(0.05, 0.3), draw.uniform(0.6, 6.0), draw.seed()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -189,19 +189,19 @@ def _spot_of(draw: Draw, scales: tuple[float, float], decimals: int) -> Spoil:
 
 @WAYS.add()
 def spot_larger(draw: Draw) -> Spoil:
-    """A spot wider than at the calibration, at its right place."""
+    """A wider spot than at the calibration."""
     return _spot_of(draw, (1.3, 3.0), 1)
 
 
 @WAYS.add()
 def spot_smaller(draw: Draw) -> Spoil:
-    """A spot narrower than at the calibration, at its right place."""
+    """A narrower spot than at the calibration."""
     return _spot_of(draw, (0.25, 0.75), 2)
 
 
 @WAYS.add()
 def two_lobes(draw: Draw) -> Spoil:
-    """The laser in mode TEM01 or TEM10, its lobes as bright or up to twice as bright as each other."""
+    """Laser mode TEM01 or TEM10, lobes of equal or up to double brightness."""
     angle, uneven = draw.angle(), draw.of("even", "uneven")
     slope = 0.0 if uneven == "even" else draw.uniform(0.1, 0.33)
 
@@ -226,7 +226,7 @@ def _photographs() -> tuple[Image, ...]:
 
 
 def photographed_beam(draw: Draw) -> Spoil:
-    """The photograph of a real beam in place of the spot, its centroid (ISO 11146) where the beam is."""
+    """A photograph of a real beam instead of the spot, placed by its centroid (ISO 11146)."""
     pictures = _photographs()
     number, width_mm, turn = draw.whole(0, len(pictures) - 1), draw.uniform(6.0, 15.0), draw.uniform(0, 360)
     picture = pictures[number]
@@ -254,7 +254,7 @@ def _times_the_light(draw: Draw, times: float, words: str) -> Spoil:
 
 @WAYS.add()
 def dim_laser(draw: Draw) -> Spoil:
-    """A hundredth to a half of the light."""
+    """1 to 50 % of the light."""
     share = draw.log(0.01, 0.5)
     return _times_the_light(draw, share, f"{share:.1%} of the light")
 
@@ -268,7 +268,7 @@ def dazzling_laser(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def flickering_laser(draw: Draw) -> Spoil:
-    """The laser's power jumps from exposure to exposure."""
+    """The power differs between exposures."""
     depth, seed = draw.uniform(0.3, 1.0), draw.seed()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -277,11 +277,9 @@ def flickering_laser(draw: Draw) -> Spoil:
     return Spoil(f"by up to {depth:.0%}", light=light, varies=True)
 
 
-@WAYS.add(
-    invisible="the laser itself is turned away before the window: 0.1 to 20 mm, as if the machine had moved"
-)
+@WAYS.add(invisible="the laser is deflected before the window, as if the machine had moved: 0.1 to 20 mm")
 def deflected_laser(draw: Draw) -> Spoil:
-    """The whole beam is elsewhere."""
+    """The whole beam is deflected."""
     right, down, words = _aside(draw, 0.1, 20.0)
 
     def light(scene: Scene, since: int) -> Scene:

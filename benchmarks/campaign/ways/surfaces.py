@@ -27,7 +27,7 @@ def _disc(scene: Scene, at: float, angle: float, width_mm: float, soft_px: float
 
 @WAYS.add()
 def half_black(draw: Draw) -> Spoil:
-    """A hand, a sheet or a tape with a sharp edge over about half the spot."""
+    """A hand, sheet or tape with a sharp edge covers about half the spot."""
     at, angle, left = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.0, 0.3)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -39,7 +39,7 @@ def half_black(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def half_black_soft(draw: Draw) -> Spoil:
-    """The shadow of something that stands before the target: a soft edge."""
+    """A shadow with a soft edge."""
     at, angle, soft_mm = draw.uniform(-0.5, 0.9), draw.angle(), draw.uniform(0.5, 6.0)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -50,7 +50,7 @@ def half_black_soft(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def quarter_black(draw: Draw) -> Spoil:
-    """A corner of something over a quarter of the spot."""
+    """A corner covers a quarter of the spot."""
     angle, at_1, at_2 = draw.angle(), draw.uniform(-0.4, 0.6), draw.uniform(-0.4, 0.6)
     soft_mm = draw.log(0.1, 3.0)
 
@@ -77,7 +77,7 @@ def cable(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def grease(draw: Draw) -> Spoil:
-    """A smear that takes some of the light of about half the spot."""
+    """A smear absorbs part of the light of about half the spot."""
     loss, at = draw.uniform(0.03, 0.3), draw.uniform(-0.6, 0.6)
     angle, soft_mm = draw.angle(), draw.log(0.2, 6.0)
 
@@ -89,11 +89,11 @@ def grease(draw: Draw) -> Spoil:
 
 
 @WAYS.add(
-    invisible="a Gaussian times a ramp is, to first order, a Gaussian elsewhere: "
-    "2 to 30 % over a diameter, up to 0.3 mm on the target"
+    invisible="a Gaussian times a ramp is, to first order, a shifted Gaussian: 2 to 30 % over a diameter, "
+    "up to 0.3 mm on the target"
 )
 def smear_gradient(draw: Draw) -> Spoil:
-    """A film whose thickness grows steadily over the spot: a ramp without any edge."""
+    """A film that becomes steadily thicker across the spot, without an edge."""
     slope, angle = draw.uniform(0.02, 0.3), draw.angle()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -105,7 +105,7 @@ def smear_gradient(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def particle(draw: Draw) -> Spoil:
-    """A grain of dirt, dark, on the spot."""
+    """A dark grain of dirt on the spot."""
     at, angle = draw.uniform(0.0, 1.1), draw.angle()
     width_mm, left = draw.log(0.4, 6.0), draw.uniform(0.0, 0.6)
 
@@ -117,7 +117,7 @@ def particle(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def water_drop(draw: Draw) -> Spoil:
-    """A drop: dark inside, with what it took in a bright ring or in a focus."""
+    """A drop: dark inside, with a bright ring or focus."""
     at, angle, width_mm = draw.uniform(0.0, 1.1), draw.angle(), draw.log(1.0, 6.0)
     dark, shape = draw.uniform(0.2, 0.9), draw.of("ring", "focus")
 
@@ -136,7 +136,7 @@ def water_drop(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def condensation(draw: Draw) -> Spoil:
-    """Many fine drops: what passes differs from place to place."""
+    """Many fine drops of varying transmission."""
     depth, grain_mm, seed = draw.uniform(0.1, 0.8), draw.log(0.3, 4.0), draw.seed()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -155,7 +155,7 @@ def condensation(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def fog(draw: Draw) -> Spoil:
-    """Fog or dust in the air: light goes from the beam into a broad halo, even or to one side."""
+    """Fog or dust in the air: a broad halo, even or one-sided."""
     share, scale, side = draw.uniform(0.05, 0.7), draw.uniform(2.0, 8.0), draw.uniform(0.0, 1.5)
     angle = draw.angle()
 
@@ -169,7 +169,7 @@ def fog(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def scratch(draw: Draw) -> Spoil:
-    """A fine line across the spot, dark or glinting."""
+    """A fine line across the spot, dark or bright."""
     at, angle, width_mm = draw.uniform(-1.0, 1.0), draw.angle(), draw.log(0.1, 0.8)
     gain = draw.uniform(0.0, 0.5) if draw.sign() < 0 else draw.uniform(1.5, 6.0)
 
@@ -181,7 +181,7 @@ def scratch(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def print_lost(draw: Draw) -> Spoil:
-    """Ink scratched off the window in a patch; on the plate, paint that has gone."""
+    """Ink missing in a patch of the window, or paint of the plate."""
     at, angle = draw.uniform(0.2, 1.2), draw.angle()
     width_mm, left = draw.log(1.0, 10.0), draw.uniform(0.05, 0.5)
 
@@ -193,7 +193,7 @@ def print_lost(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def bleached_patch(draw: Draw) -> Spoil:
-    """A patch of the plate that has become brighter."""
+    """A brighter patch on the plate."""
     at, angle = draw.uniform(0.3, 1.2), draw.angle()
     width_mm, gain, soft_mm = draw.log(2.0, 15.0), draw.uniform(1.05, 1.6), draw.log(0.2, 5.0)
 
@@ -206,7 +206,7 @@ def bleached_patch(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def wet_window(draw: Draw) -> Spoil:
-    """The whole picture doubled: seen through water or a second pane."""
+    """The whole picture doubled, as through water or a second pane."""
     share, far_px, angle = draw.log(0.03, 0.5), draw.log(1.0, 40.0), draw.angle()
 
     def light(scene: Scene, since: int) -> Scene:
@@ -226,7 +226,7 @@ def wet_window(draw: Draw) -> Spoil:
 
 @WAYS.add()
 def defocused(draw: Draw) -> Spoil:
-    """The camera's focus lost: blurred by 2 to 8 px."""
+    """Blurred by 2 to 8 px."""
     blur_px = draw.uniform(2.0, 8.0)
 
     def light(scene: Scene, since: int) -> Scene:
@@ -256,11 +256,11 @@ def _bent(draw: Draw, camera: str) -> Spoil:
 
 @WAYS.add()
 def bent_view_of_window(draw: Draw) -> Spoil:
-    """The view of the front target is bent; its print goes with the spot."""
+    """The picture of the front target is distorted, print and spot alike."""
     return _bent(draw, "front")
 
 
 @WAYS.add()
 def bent_view_of_plate(draw: Draw) -> Spoil:
-    """The view of the rear target is bent."""
+    """The picture of the rear target is distorted."""
     return _bent(draw, "rear")

@@ -50,8 +50,8 @@ _One = Callable[[Delivery], Delivery]
 
 
 _STEADY_DELAY = (
-    "one camera that lags steadily by up to a second and stamps on arrival differs from a yaw of its own "
-    "only in how the machine shakes: speed × delay, up to 4 mm at 4 mm/s"
+    "one camera that lags steadily by up to a second and stamps on arrival differs from a yaw only by the "
+    "machine's vibration: speed × delay, up to 4 mm at 4 mm/s"
 )
 
 
@@ -104,7 +104,7 @@ def _far_ns(draw: Draw) -> int:
 
 @_enter
 def clean_times(draw: Draw) -> Mistimed:
-    """Nothing is wrong."""
+    """No disturbance."""
     return Mistimed("nothing spoilt", lambda deliveries, onset_ns: deliveries, _pairing(draw), 0)
 
 
@@ -116,19 +116,19 @@ def _one_stamp(draw: Draw, sign: int) -> Mistimed:
 
 @_enter
 def stamp_ahead(draw: Draw) -> Mistimed:
-    """One frame, of one camera or of both, is stamped too late."""
+    """One frame, of one camera or both, has a later time stamp."""
     return _one_stamp(draw, 1)
 
 
 @_enter
 def stamp_back(draw: Draw) -> Mistimed:
-    """One frame is stamped too early."""
+    """One frame has an earlier time stamp."""
     return _one_stamp(draw, -1)
 
 
 @_of_a_clock
 def clock_steps(draw: Draw) -> Mistimed:
-    """A camera's clock, or both, jumps and stays there."""
+    """The clock of one camera or both jumps."""
     far_ns, cameras = draw.sign() * _far_ns(draw), draw.targets()
     change = _each(lambda one: replace(one, t_ns=one.t_ns + far_ns), cameras, None)
     return Mistimed(f"by {far_ns / S:+.2f} s, {_names(cameras)}", change, _pairing(draw))
@@ -147,13 +147,13 @@ def _stuck(draw: Draw, as_first: Callable[[Delivery, Delivery], Delivery]) -> Mi
 
 @_enter
 def stamps_stuck(draw: Draw) -> Mistimed:
-    """The stamps of a camera repeat for a while."""
+    """The time stamps of a camera repeat for a while."""
     return _stuck(draw, lambda one, first: replace(one, t_ns=first.t_ns))
 
 
 @_enter
 def stamps_zero(draw: Draw) -> Mistimed:
-    """The stamps of a camera are 0."""
+    """The time stamps of a camera are 0."""
     length_ns, cameras = draw.whole(1, 20) * PERIOD_NS, draw.targets()
     return Mistimed(
         f"for {length_ns / S:.2f} s",
@@ -165,7 +165,7 @@ def stamps_zero(draw: Draw) -> Mistimed:
 
 @_enter
 def stamps_jitter(draw: Draw) -> Mistimed:
-    """The stamps of a camera tremble."""
+    """The time stamps of a camera jitter."""
     sigma_ns, cameras, rng = draw.log(1, 60) * MS, draw.targets(), draw.rng
     change = _each(lambda one: replace(one, t_ns=one.t_ns + round(rng.normal(0, sigma_ns))), cameras, None)
     return Mistimed(f"by {sigma_ns / MS:.0f} ms", change, _pairing(draw))
@@ -185,14 +185,14 @@ def _rated(draw: Draw, rate: float, words: str) -> Mistimed:
 
 @_of_a_clock
 def stamps_doubled(draw: Draw) -> Mistimed:
-    """Stamps in a wrong unit: they go twice or half as fast."""
+    """Time stamps in a wrong unit: twice or half the rate."""
     rate = 1.0 if draw.sign() > 0 else -0.5
     return _rated(draw, rate, f"{1 + rate:g} times as fast")
 
 
 @_of_a_clock
 def clock_drifts(draw: Draw) -> Mistimed:
-    """A camera's clock goes wrong by 0.01 to 20 %."""
+    """A camera's clock drifts by 0.01 to 20 %."""
     rate = draw.sign() * draw.log(1e-4, 0.2)
     return _rated(draw, rate, f"{rate:+.2%}")
 
@@ -205,13 +205,13 @@ def _renumbered(draw: Draw, by: int, length_ns: int | None) -> Mistimed:
 
 @_enter
 def numbers_jump(draw: Draw) -> Mistimed:
-    """The numbers jump and go on from there."""
+    """The frame numbers jump and continue from there."""
     return _renumbered(draw, draw.sign() * round(draw.log(1, 5000)), None)
 
 
 @_enter
 def number_once(draw: Draw) -> Mistimed:
-    """One frame has a number that is not its own."""
+    """One frame has a wrong number."""
     return _renumbered(draw, draw.sign() * round(draw.log(1, 1e9)), PERIOD_NS)
 
 
@@ -223,7 +223,7 @@ def numbers_stuck(draw: Draw) -> Mistimed:
 
 @_enter
 def process_held(draw: Draw) -> Mistimed:
-    """The process is stopped and goes on: first comes what the drivers had kept."""
+    """The process is stopped and continued; frames buffered by the drivers arrive first."""
     held_ns, kept = round(draw.log(0.2, 12.0) * S), draw.whole(0, 8)
 
     def change(deliveries: list[Delivery], onset_ns: int) -> list[Delivery]:
@@ -239,7 +239,7 @@ def process_held(draw: Draw) -> Mistimed:
 
 @_enter
 def frames_delayed(draw: Draw) -> Mistimed:
-    """The frames of a camera, or of both, arrive late with true stamps."""
+    """Frames of one camera or both arrive late with true time stamps."""
     late_ns, cameras = round(draw.log(0.05, 4.0) * S), draw.targets()
     length_ns = draw.whole(1, 40) * PERIOD_NS
     change = _each(lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns), cameras, length_ns)
@@ -250,7 +250,7 @@ def frames_delayed(draw: Draw) -> Mistimed:
 
 @_entered(lambda draw: False, _STEADY_DELAY)
 def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
-    """Frames arrive late by up to a second, and the driver stamps them when they do."""
+    """Frames arrive up to a second late and are stamped on arrival."""
     late_ns, cameras = round(draw.log(0.05, 1.0) * S), draw.one()
     change = _each(
         lambda one: replace(one, arrives_ns=one.arrives_ns + late_ns, t_ns=one.t_ns + late_ns), cameras, None
@@ -260,7 +260,7 @@ def delayed_and_stamped_on_arrival(draw: Draw) -> Mistimed:
 
 @_enter
 def bursts(draw: Draw) -> Mistimed:
-    """Frames come some at a time."""
+    """Frames arrive in groups."""
     size, cameras = draw.whole(2, 12), draw.targets()
 
     def together(one: Delivery) -> Delivery:
@@ -272,7 +272,7 @@ def bursts(draw: Draw) -> Mistimed:
 
 @_enter
 def out_of_order(draw: Draw) -> Mistimed:
-    """Neighbouring frames of a camera arrive in the wrong order."""
+    """Neighbouring frames of a camera arrive in exchanged order."""
     cameras = draw.targets()
 
     def later(one: Delivery) -> Delivery:
@@ -301,7 +301,7 @@ def frames_lost(draw: Draw) -> Mistimed:
 
 @_enter
 def camera_silent(draw: Draw) -> Mistimed:
-    """A camera, or both, delivers nothing for a while."""
+    """One camera or both deliver nothing for a while."""
     length_ns, cameras = round(draw.log(0.1, 4.0) * S), draw.targets()
 
     change = _without(lambda one, since_ns: one.camera in cameras and 0 <= since_ns < length_ns)

@@ -250,7 +250,9 @@ class TestBadInput:
         """What is beside the config depends on the computer; `altd doctor` calls it wrong."""
         path = tmp_path / "altd.toml"
         path.write_text((folder / "altd.toml").read_text().replace(str(folder / "beams"), "nowhere"))
-        assert "nowhere/recording.json: No such file" in refusal(altd_here("run", "--config", path))
+        assert "/nowhere is not there yet; altd record makes it" in refusal(
+            altd_here("run", "--config", path)
+        )
         outcome = altd_here("check-config", path)
         assert (outcome.status, outcome.err) == (0, "")
         assert outcome.out.splitlines() == [

@@ -95,12 +95,15 @@ def test_the_inventory_names_chips_lines_and_who_holds_them(seen: dict[str, Any]
             "GPIO chip 'unit' (/dev/gpiochip0): two of the lines 'LED_A', '0' are the same",
         ),
         ("not open", "GPIO chip 'unit': its lines are not open"),
-        ("root alone", "no permission to open /dev/gpiochip0, which is for root alone: see lamps.md"),
+        (
+            "root alone",
+            "no permission to open /dev/gpiochip0, which is for root alone: see docs/selfcheck.md",
+        ),
         (
             "for a group",
             "no GPIO chip 'unit', those that can be looked at: none; "
             "no permission to open /dev/gpiochip0, which is for group video; "
-            "no permission to open /dev/gpiochip1, which is for root alone: see lamps.md",
+            "no permission to open /dev/gpiochip1, which is for root alone: see docs/selfcheck.md",
         ),
         ("gone", "GPIO chip 'unit' (/dev/gpiochip0) is gone"),
         ("while gone", "no GPIO chip 'unit', those that can be looked at: 'plain' (gpiochip1)"),

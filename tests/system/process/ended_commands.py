@@ -79,7 +79,7 @@ COMMANDS = {
         "scan --stage -o kept",
         "altd.recording.writer:RecordingWriter.write 5",
         frozenset({"kept.unfinished"}),
-        says="hw_sim: no self-check: .*\nhw_sim: interrupted; the same command goes on from there\n",
+        says="hw_sim: no self-check: .*\nhw_sim: interrupted; the same command continues there\n",
         module=HW_SIM,
     ),
     "lamps": Command("lamps off --config {lamps}", "altd.app.lamps_by_hand:LampsByHand.leave_lit 1"),

@@ -130,7 +130,7 @@ def says_what_is_wrong(code: str, remedy: str) -> Callable[[dict[str, Any]], boo
 
 def now_wrong(running: LedUnit) -> dict[str, str]:
     """What the unit itself shows, with its remedies."""
-    return {str(shown.cause.kind): shown.cause.kind.remedy for shown in running.daemon.state.read().causes}
+    return {str(shown.cause.kind): shown.cause.remedy for shown in running.daemon.state.read().causes}
 
 
 async def said(running: LedUnit, code: str, is_said: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 import struct
 import subprocess
 from dataclasses import replace
@@ -55,9 +56,10 @@ def test_the_page_in_docs_is_the_generated_one() -> None:
 
 def test_the_page_names_every_register_field_and_key() -> None:
     text = page.page()
-    assert all(f"| {row.address} | `{row.name}` |" in text for row in ROWS)
+    for row in ROWS:
+        assert re.search(rf"^\|.*\b{row.address}\b.*\|.*`{row.name}`", text, re.MULTILINE)
     assert all(f"`{field.name}`" in text for field in PROOF.fields)
-    assert all(f"| `{key}` |" in text for key in PROOF_KEYS)
+    assert all(f"`{key}`" in text for key in PROOF_KEYS)
 
 
 def test_good_messages_pass() -> None:

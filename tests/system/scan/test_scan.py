@@ -210,7 +210,7 @@ async def test_a_scan_is_not_resumed_after_the_stage_has_slipped(unit: Unit, tmp
         assert "node x 37.5 y -12.5 mm" in str(caught.value)
         assert len(nodes(open_recording(tmp_path / "scan.unfinished"))) == 5
 
-        table.zero_by_hand(-0.3, 0.0)
+        table.zero_by_hand(-0.6, 0.0)
         with pytest.raises(
             ScanStoppedError, match=r"spot lies \d\.\d px from where it was before the interr"
         ):

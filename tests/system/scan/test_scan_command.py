@@ -78,7 +78,7 @@ exposures = 1
             scan.send_signal(signal.SIGINT)
             errors = scan.communicate(timeout=30)[1].splitlines()
         assert scan.returncode == 130
-        assert errors == [no_lamps, "altd scan: interrupted; the same command goes on from there"]
+        assert errors == [no_lamps, "altd scan: interrupted; the same command continues there"]
 
         with self.started(config, output) as scan:
             self.until_done(output, 3)

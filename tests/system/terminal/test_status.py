@@ -93,7 +93,7 @@ def test_a_second_daemon_is_refused_and_the_first_goes_on(
     config = other / "altd.toml"
     config.write_text(unit.config.read_text().split("[http]")[0] + f'[local]\nsocket = "{unit.socket}"\n')
     line = refusal(altd("run", "--config", config))
-    assert line == f"altd run: local {unit.socket}: Address already in use"
+    assert line == f"altd run: local {unit.socket}: another process listens there"
     assert altd_here("status", "--config", unit.config).out.startswith("unit ")
 
 

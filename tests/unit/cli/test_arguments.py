@@ -158,7 +158,9 @@ def test_the_shipped_config_passes_its_own_check() -> None:
         "unit.calibration",
         "cameras.front.path, cameras.rear.path",
     ]
-    refusal(altd_here("run", "--config", shipped))
+    refused = altd_here("run", "--config", shipped)
+    assert refused.status == 2
+    assert refused.err.splitlines() == [f"altd run: {line}" for line in missing]
 
 
 def test_a_service_does_not_rehearse(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -196,7 +196,12 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('allow = ["10.0.0.0/8"', 'allow = [«"plant"', "http.allow.0", "is no network"),
     ('allow = ["10.0.0.0/8"', 'allow = [«"::ffff:10.0.0.0/104"', "http.allow.0", "write it as IPv4"),
     ('names = ["alt-0007', 'names = [«"http://alt-0007', "http.names.0", "is no name of a computer"),
-    ('allow = ["10.0.0.0/8", "fd00::/8"]', 'allow = «"10.0.0.0/8"', "http.allow", "is not a list"),
+    (
+        'allow = ["10.0.0.0/8", "fd00::/8"]',
+        'allow = «"10.0.0.0/8"',
+        "http.allow",
+        '; did you mean `["10.0.0.0/8"]`?',
+    ),
     (
         'certificate = "unit.pem"\nkey = "unit.key"',
         'key = «"unit.key"',
@@ -212,6 +217,13 @@ CASES: tuple[tuple[str, str, str, str], ...] = (
     ('credentials = "credentials"', "credentials = «7", "http.credentials", "is not a path"),
     # [mqtt]
     ('host = "broker.plant', 'host = «"mqtt://broker.plant', "mqtt.host", "is no name of a computer"),
+    (
+        '"broker.plant.example"',
+        '«"broker.plant:1883"',
+        "mqtt.host",
+        "alt-0007.plant, without scheme and port",
+    ),
+    ('topic = "plant/line-4"', 'topic = "a"\n«password = "b"', "mqtt.password", "`credentials` is its path"),
     ('host = "broker.plant', '«hsot = "broker.plant', "mqtt.hsot", "no such key; "),
     ("port = 8884", "port = «0", "mqtt.port", "0 is too small; possible: whole number from 1 to 65535"),
     (

@@ -194,8 +194,19 @@ def test_a_mistake_about_the_stage_is_named(tmp_path: Path, more: str, message: 
 
 def test_a_missing_file_and_a_binary_one_are_named(tmp_path: Path) -> None:
     assert "No such file or directory" in complaint(tmp_path / "none.toml")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    assert "is not UTF-8 text" in complaint(tmp_path / "binary.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\x00")
+    assert "line 1, column 1: is not UTF-8 text" in complaint(tmp_path / "binary.toml")
+
+
+def test_a_text_of_another_encoding_is_answered_by_what_to_save_it_as(tmp_path: Path) -> None:
+    path = tmp_path / "altd.toml"
+    for encoding, answer in (
+        ("utf-8-sig", "line 1, column 1: is text that begins with a byte order mark: save the file as UTF-8"),
+        ("utf-16", "line 1, column 1: is UTF-16: save the file as UTF-8"),
+        ("latin-1", "line 1, column 5: is not UTF-8 text: save the file as UTF-8"),
+    ):
+        path.write_bytes("# Prüfstand\n[unit]\n".encode(encoding))
+        assert complaint(path) == f"{path}: {answer}"
 
 
 LIVE = """

@@ -81,7 +81,7 @@ def test_a_fault_is_answered_by_its_line_and_its_key(
     assert found[0].startswith(f"{place}{key}: ") or (not place and f": {key}: " in found[0])
     assert words in found[0]
     follow_ups = [line for line in complaints(path) if line != found[0]]
-    assert all("missing" in line for line in follow_ups), follow_ups  # of a key whose name is wrong
+    assert all("is missing" in line for line in follow_ups), follow_ups  # of a tag that chooses the table
     for command in (["check-config", str(path)], ["run", "--config", str(path)]):
         assert main(command) == 2
         said = capsys.readouterr()
@@ -97,6 +97,27 @@ def test_what_is_no_toml_is_one_line_with_its_place(tmp_path: Path, old: str, ne
     (line,) = complaints(path)
     assert line.startswith(f"{place}not TOML: ")
     assert words in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first", "count"),
+    [
+        ("[cameras.front]", "[camera.front]", "camera: there is no such table", 1),
+        ("[[targets]]", "[[target]]", "target: there is no such table", 1),
+        ('serial = "TEST-1"', 'serail = "TEST-1"', "unit.serail: there is no such key", 1),
+        ("[measuring]\n", "", "cameras.rear.exposure.window: there is no such key", 6),
+        ("[cameras.front]\n", "", "targets.1.driver: there is no such key", 6),
+        ("[[targets]]\n", "", "unit.name: there is no such key", 3),
+    ],
+)
+def test_what_follows_from_a_name_that_is_wrong_is_not_said_before_it(
+    tmp_path: Path, old: str, new: str, first: str, count: int
+) -> None:
+    path = tmp_path / "altd.toml"
+    path.write_text(BASE.replace(old, new, 1))
+    lines = complaints(path)
+    assert first in lines[0], lines
+    assert len(lines) == count, lines
 
 
 def test_all_faults_are_said_at_once_in_the_order_of_the_file(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from altd.files.documents import parse_json, parse_toml
         (b'a.b = [{c = "x\\u0000y"}]', "has a NUL"),
         (b"a = 1\na = 2", "not TOML: this key is defined twice"),
         (b"x = 1\r\ny = \r\n", "not TOML: no value"),
-        (b"\xef\xbb\xbfx = 1", "not TOML: neither a key nor"),
+        (b"\xef\xbb\xbfx = 1", "begins with a byte order mark: save the file as UTF-8"),
         (b"x = \xff", "is not UTF-8 text"),
         (b"x = \0", "not TOML: no value"),
         (b"# " + b"." * 99 + b"\n" + b"a." * 65 + b"a = 1", "more than 64 dots in a line"),

@@ -16,7 +16,7 @@ from altd.history import opening
 from altd.history import store as store_module
 from altd.history.opening import MAX_FILES_ASIDE, open_to_read
 from altd.history.reader import Reader
-from altd.history.schema import SECONDS, VERSION, ForeignFileError, NewerFileError, UnusableFileError
+from altd.history.schema import SECONDS, VERSION, MovedFileError, NewerFileError, UnusableFileError
 from altd.status.event_log import EventKind
 
 
@@ -29,9 +29,10 @@ def test_a_damaged_file_is_moved_aside_and_a_new_one_begun(tmp_path: Path) -> No
     path = tmp_path / "history.db"
     path.write_bytes(b"no database at all" * 100)
     writing = store(tmp_path)
-    with pytest.raises(sqlite3.DatabaseError, match="file is not a database"):
+    with pytest.raises(MovedFileError) as moved:
         writing.write(batch(START_S))
     (aside,) = tmp_path.glob("history.db.damaged-*")
+    assert str(moved.value) == f"file is not a database: moved to {aside}, a new history is begun"
     assert aside.read_bytes() == b"no database at all" * 100
     written = writing.write(batch(START_S + 1, [sample(START_S, sequence=5)]))
     writing.end(None)
@@ -59,7 +60,7 @@ def test_a_disk_that_damages_every_file_is_not_filled(tmp_path: Path) -> None:
     path = tmp_path / "history.db"
     for _ in range(MAX_FILES_ASIDE):
         path.write_bytes(b"x" * 5000)
-        with pytest.raises(sqlite3.DatabaseError):
+        with pytest.raises(MovedFileError):
             store(tmp_path).write(batch(START_S))
     path.write_bytes(b"y" * 5000)
     with pytest.raises(UnusableFileError, match=r"as 3 before it: move .*history\.db\.damaged-\* away"):
@@ -73,7 +74,7 @@ def test_a_history_of_another_unit_is_kept_and_none_of_this_ones(tmp_path: Path)
     write_seconds(writing, START_S, [10.0])
     writing.end(batch(START_S + 2))
     writing = store(tmp_path, renamed(ABOUT, serial="TEST-2"))
-    with pytest.raises(ForeignFileError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
+    with pytest.raises(MovedFileError, match="is of unit 'TEST-1', and this one is 'TEST-2'"):
         writing.write(batch(START_S + 8))
     (aside,) = tmp_path.glob("history.db.of-another-unit-*")
     assert len(sequences(aside)) == 20

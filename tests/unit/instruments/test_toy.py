@@ -117,7 +117,7 @@ def test_tables_have_its_columns() -> None:
     assert own == [
         ("along_px", "px", "how far the spot lies to the right"),
         ("heat_deg", "°", "known at times"),
-        ("sigma_along_px", "px", "standard deviation of along_px"),
+        ("sigma_along_px", "px", "standard deviation"),
         ("front_v_px", "px", "the height in the picture of front"),
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -85,6 +86,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
                 fingerprint=NOTHING_KNOWN,
             ),
             (CameraIdentity("F-1", driver="aravis"),),
+            lambda camera, target: f": {camera.serial} is not of {target}",
         )
     )
 
@@ -196,6 +198,12 @@ def test_another_serial_is_refused_whatever_the_picture_shows(bench: Bench) -> N
     assert bench.push(2, camera=other) == [False, False]
     assert bench.push(2, camera=right) == [True, True]
     assert bench.examined == [1, 5]  # the camera that is back is looked at again
+    refused = bench.check.objection(Mock(), NO_SPOT, other)
+    assert refused is not None
+    assert (
+        refused.detail
+        == "its serial is 'F-2', expected 'F-1' as calibrated or configured: F-2 is not of front"
+    )
 
 
 def test_another_place_of_the_picture_is_looked_for_in_the_next_frame(bench: Bench) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -39,6 +40,17 @@ def test_bad_input_is_a_line_and_status_2(capsys: pytest.CaptureFixture[str]) ->
 
     assert ended(refuse) == 2
     assert capsys.readouterr() == ("", "altd test: a.toml: line 3: no\n")
+
+
+def test_a_package_that_is_missing_is_a_line_that_names_the_interpreter(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def work() -> int:
+        raise ModuleNotFoundError(name="cv2")
+
+    assert run_to_end(work, lambda: "altd doctor") == 1
+    line = f"altd doctor: the Python package 'cv2' is missing in {sys.executable}: start the `altd` that was "
+    assert capsys.readouterr().err.startswith(line)
 
 
 @pytest.mark.parametrize("number", SIGNALS)

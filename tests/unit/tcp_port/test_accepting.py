@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import itertools
 import logging
 import os
 import resource
 import socket
 from collections.abc import AsyncIterator, Iterator
+from unittest.mock import Mock
 
 import pytest
 from support.clock import FakeClock
@@ -147,9 +149,23 @@ def test_the_last_descriptors_are_told_by_their_number() -> None:
         assert not is_among_last(connection, limit - connection.fileno() - 1)
 
 
-@pytest.mark.parametrize("host", ["192.0.2.1", "127.0.0.1"])
-def test_an_address_that_cannot_be_had_is_named(host: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(OSError, match=f"{host}:{port}: (cannot assign|address already in use)"):
-            listen(host, port)
+def test_an_address_that_cannot_be_had_is_answered_by_the_process_that_has_it() -> None:
+    taken_by_us = rf"Address already in use by \S+ \(process {os.getpid()}\); end it, or choose another port"
+    answers = {"192.0.2.1": "Cannot assign requested", "127.0.0.1": taken_by_us, "0.0.0.0": taken_by_us}
+    for host, answer in answers.items():
+        with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(OSError, match=answer):
+            listen(host, taken.getsockname()[1])
+
+
+def test_where_the_process_or_the_right_is_not_known_the_answer_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for number, answer in (
+        (errno.EADDRINUSE, r"in use: `sudo ss -ltnp 'sport = :502'` shows by which program; end it"),
+        (errno.EACCES, r"need CAP_NET_BIND_SERVICE, which the service has .*; by hand, choose a port from"),
+    ):
+        refusing = Mock(side_effect=OSError(number, "no"))
+        monkeypatch.setattr(socket, "create_server", refusing)
+        monkeypatch.setattr(tcp_port, "owner_of_socket", lambda _: None)
+        with pytest.raises(OSError, match=answer):
+            listen("127.0.0.1", 502)

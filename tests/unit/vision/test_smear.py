@@ -20,7 +20,7 @@ CLEAN_PLATE = SpotReference(grain=0.005, misfit_ratio=1.0, pattern_px=0.005, noi
 
 @pytest.mark.parametrize("slope_per_px", [0.0005, -0.0015, 0.003])
 def test_a_spot_behind_an_even_slope_of_transmission_is_the_same_spot_elsewhere(slope_per_px: float) -> None:
-    """So no sigma can hold what grease does: nothing but the place differs. docs/states.md says how much."""
+    """So no sigma can hold what grease does: nothing but the place differs. docs/reasons.md says how much."""
     middle_u = 371.3
     clean = light(Blob(middle_u, 240.7, DIAMETER_PX))
     passes = np.exp(-slope_per_px * (np.arange(WIDTH) - middle_u))

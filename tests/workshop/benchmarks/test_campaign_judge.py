@@ -133,8 +133,8 @@ def test_the_table_says_what_was_counted() -> None:
         "/",
         "3",
     ]
-    assert "good ones refused: distorted 1" in lines
-    assert "wrong ones called valid: 1" in lines
+    assert "good ones rejected: distorted 1" in lines
+    assert "wrong ones marked valid: 1" in lines
 
 
 def test_truth_follows_the_time_of_a_measurement_whose_window_lost_exposures() -> None:

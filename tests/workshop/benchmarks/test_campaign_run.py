@@ -54,8 +54,8 @@ def test_a_run_on_the_recorded_unit_is_the_same_twice_and_writes_its_page(tmp_pa
         assert measured == right
         assert int(right) > 0
     page = (tmp_path / "page.md").read_text()
-    assert "0 wrong ones were called valid" in page
-    assert "- deflected_laser: the laser itself is turned away" in page
+    assert "0 wrong ones were marked valid" in page
+    assert "- deflected_laser: the laser is deflected before the window" in page
 
 
 def test_what_is_not_known_ends_it_with_one_line(tmp_path: Path) -> None:

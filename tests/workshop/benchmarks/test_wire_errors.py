@@ -127,4 +127,4 @@ def _spoilt(content: bytes, _: Random) -> bytes:
 def test_the_page_of_the_study_says_that_nothing_passed() -> None:
     page = (ROOT / "docs" / "studies" / "wire-errors.md").read_text()
     assert "; 0 passed." in page.splitlines()[2]
-    assert page.count("| 1,000 of 1,000: ") == 32
+    assert page.count("|1,000/1,000: ") == 32

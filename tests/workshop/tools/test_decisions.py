@@ -1,4 +1,4 @@
-"""The index of the decisions holds their form."""
+"""The index of the decisions checks their form."""
 
 from __future__ import annotations
 
@@ -26,21 +26,26 @@ We write with pencils.
 """
 
 
-def test_a_decision_is_a_row_with_a_link(tmp_path: Path) -> None:
+def test_a_decision_is_an_item_with_a_link(tmp_path: Path) -> None:
     (tmp_path / "0001-pencils.md").write_text(DECISION)
     (tmp_path / "README.md").write_text("the index itself")
+    assert page(tmp_path).splitlines()[-1] == "- [0001](0001-pencils.md) Pencils, not pens"
+
+
+def test_a_superseded_decision_names_its_successor(tmp_path: Path) -> None:
+    (tmp_path / "0001-pencils.md").write_text(DECISION.replace("accepted", "superseded by 0002"))
     last = page(tmp_path).splitlines()[-1]
-    assert last == "| [0001](0001-pencils.md) | Pencils, not pens | accepted | 2026-11-21 |"
+    assert last == "- [0001](0001-pencils.md) Pencils, not pens (superseded by 0002)"
 
 
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("0001-pencils.md", "Status: accepted. ", "", "has not the form"),
-        ("0001-pencils.md", "Status: accepted", "Status: perhaps", "has not the form"),
-        ("0001-pencils.md", "2026-11-21", "2026-11", "has not the form"),
-        ("0001-pencils.md", "## Consequences", "## Outcome", "has not the form"),
-        ("0001-pencils.md", "## Context\n\nInk freezes.\n\n", "", "has not the form"),
+        ("0001-pencils.md", "Status: accepted. ", "", "lacks the form"),
+        ("0001-pencils.md", "Status: accepted", "Status: perhaps", "lacks the form"),
+        ("0001-pencils.md", "2026-11-21", "2026-11", "lacks the form"),
+        ("0001-pencils.md", "## Consequences", "## Outcome", "lacks the form"),
+        ("0001-pencils.md", "## Context\n\nInk freezes.\n\n", "", "lacks the form"),
         ("0001-pencils.md", "# 1.", "# 2.", "must have the number 0001"),
         ("0002-pencils.md", "# 1.", "# 2.", "must have the number 0001"),
     ],

@@ -23,6 +23,21 @@ async def test_no_path_is_answered_by_another_name(served: Served, health: Healt
     assert health.component("http").counters["requests_misdirected"] == 1
 
 
+async def test_a_browser_gets_a_page_that_names_the_setting(served: Served) -> None:
+    browser = {"Host": "alt-7<b>.example:8080", "Accept": "text/html,*/*;q=0.8"}
+    async with served() as unit:
+        answer = await unit.ask("/", headers=browser)
+        page = answer.body.decode()
+        assert f'<a href="http://127.0.0.1:{unit.port}/">' in page
+        json_answer = await unit.ask("/", headers=BENT)
+    assert (answer.status, answer.headers["content-type"]) == (421, "text/html; charset=utf-8")
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    assert "[http]\nnames = [&quot;alt-7&lt;b&gt;.example&quot;]" in page
+    assert "<b>" not in page
+    assert "the name 'evil.example' in Host" in json_answer.json["error"]
+    assert "`names` in [http]" in json_answer.json["error"]
+
+
 async def test_nor_are_pictures(served: Served) -> None:
     async with served() as unit:
         headers = {"Origin": f"http://evil.example:{unit.port}"}

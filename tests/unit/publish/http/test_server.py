@@ -38,7 +38,7 @@ async def test_a_taken_port_is_an_error(board: Board, health: Health, component:
 
 async def test_a_foreign_address_is_an_error(board: Board, health: Health, component: Component) -> None:
     publisher = HttpPublisher(HttpSettings(host="192.0.2.1", port=0), board, health, component)
-    with pytest.raises(OSError, match=r"192\.0\.2\.1"):
+    with pytest.raises(OSError, match="Cannot assign requested address"):
         await publisher.run(lambda: pytest.fail("not ready"))
 
 

@@ -276,6 +276,7 @@ async def test_a_renewed_certificate_is_shown_without_a_restart(
         (lambda cert, key: key.write_text("nonsense"), "key", "holds no private key"),
         (lambda cert, key: key.unlink(), "key", "No such file"),
         (lambda cert, key: key.chmod(0o644), "key", "chmod 640"),
+        (lambda cert, key: _swap(cert, key), "key", "unit.pem does: the two are swapped"),
         (lambda cert, key: (key.unlink(), os.mkfifo(key, 0o600)), "key", "is no file"),
         (lambda cert, key: (cert.unlink(), cert.mkdir()), "cert", "is no file"),
     ],
@@ -294,6 +295,12 @@ def test_files_that_cannot_be_used_are_one_clear_line(
     assert said in str(caught.value)
 
 
+def _swap(one: Path, other: Path) -> None:
+    content, content_of_other = one.read_bytes(), other.read_bytes()
+    one.write_bytes(content_of_other)
+    other.write_bytes(content)
+
+
 def test_a_key_of_another_certificate_and_one_with_a_passphrase_are_told_apart(
     tmp_path: Path, files: Files, others: Files
 ) -> None:
@@ -303,5 +310,5 @@ def test_a_key_of_another_certificate_and_one_with_a_passphrase_are_told_apart(
     line = ["openssl", "ec", "-in", files[1], "-aes256", "-passout", "pass:secret", "-out", locked]
     subprocess.run(line, check=True, capture_output=True)
     locked.chmod(0o600)
-    with pytest.raises(BadInputError, match="passphrase, and nobody is there"):
+    with pytest.raises(BadInputError, match="passphrase, which a daemon cannot type"):
         server_context(files[0], locked)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 from support.places import ROOT
 
 from altd.publish.modbus.registers import REGISTERS
@@ -17,11 +19,12 @@ def test_the_page_names_every_register_bit_and_code() -> None:
     text = page()
     for row in REGISTERS:
         assert f"`{row.name}`" in text
-        assert f"| {row.address} |" in text
+        assert re.search(rf"^\|.*\b{row.address}\b.*\|.*`{row.name}`", text, re.MULTILINE)
     for bit in STATUS_BITS:
         assert f"| {bit.bit} | {bit.name} |" in text
+    reasons = (ROOT / "docs" / "reasons.md").read_text()
     for reason in REASON_CODES:
-        assert f"| {reason.modbus_code} | `{reason}` |" in text
+        assert f"| `{reason}` | {reason.scope} | {reason.modbus_code} |" in reasons
 
 
 def test_the_page_says_which_bits_a_valid_measurement_may_have_and_which_warnings_have_none() -> None:

@@ -249,7 +249,7 @@ async def test_an_address_in_use_is_an_os_error(
     second = ModbusTcpPublisher(
         ModbusTcpSettings(host="127.0.0.1", port=tcp.port), board, component, Health(component.clock)
     )
-    with pytest.raises(OSError, match="address already in use"):
+    with pytest.raises(OSError, match="Address already in use by"):
         async with serving(second):
             pass
 

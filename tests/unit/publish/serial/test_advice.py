@@ -14,9 +14,11 @@ import altd
 from altd.instruments.beam.instrument import range_fault
 from altd.instruments.beam.solver import Beam
 from altd.measuring.spot_shape import unlike_a_laser
-from altd.publish.serial.advice import _SEEN, advice, component_steps
+from altd.publish.serial.advice import advice, component_steps
 from altd.reasons import LEDS_LIT, Reason
 from altd.records import CameraIdentity, Fault, NoSpot
+from altd.status.advice import _SEEN
+from altd.status.cause import Cause
 from altd.status.health import MEASURING, Health, State
 from altd.vision.frame_leds import count_lit_leds, with_leds_as_cause
 from altd.vision.localise import locate
@@ -86,6 +88,12 @@ def test_a_beam_that_is_too_oblique_is_not_brought_to_the_middle() -> None:
 def test_another_camera_is_told_from_one_that_has_moved() -> None:
     difference = CameraIdentity("F-2").difference_from(CameraIdentity("F-1"))
     other = Fault(Reason.WRONG_CAMERA, "front", f"{difference} as calibrated or configured")
+    swapped = Fault(
+        Reason.WRONG_CAMERA, "front", f"{other.detail}: it is the camera of target 'rear', swapped"
+    )
+    assert advice(swapped, [swapped]) == ("the cameras are swapped", "swap the cameras' cables")
+    assert Cause(Reason.WRONG_CAMERA, "front", swapped.detail).remedy == "swap the cameras' cables"
+    assert Cause(Reason.WRONG_CAMERA, "front").remedy == Reason.WRONG_CAMERA.remedy
     assert "put the old camera back" in advice(other, [other]).remedy
     moved = Fault(
         Reason.WRONG_CAMERA, "front", "the picture lies u +2.00 v +0.00 px from where it was calibrated"

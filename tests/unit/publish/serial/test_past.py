@@ -67,8 +67,9 @@ async def test_spans_without_a_daemon_have_no_row(past: Past) -> None:
 
 
 async def test_what_cannot_be_read_is_said(past: Past, tmp_path: Path) -> None:
-    none = Past(past.events, History(None, "the history is off: [history] says so"), past.now)
-    assert await history_text(none, QUANTITIES, "day") == "no history: the history is off: [history] says so"
+    none = Past(past.events, History(None, "the history is off: disabled in [history]"), past.now)
+    said = await history_text(none, QUANTITIES, "day")
+    assert said == "no history: the history is off: disabled in [history]"
     (tmp_path / "other.db").write_bytes(b"\x1b[2J" * 1000)
     broken = Past(past.events, History(tmp_path / "other.db"), past.now)
     assert (await history_text(broken, QUANTITIES, "day")).startswith("no history: ")
