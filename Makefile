@@ -93,7 +93,7 @@ fuzz: programs venv ## new inputs on every interface and file format; FUZZ_S=60 
 	@$(if $(TARGET),,$(pytest) -m hypothesis --hypothesis-profile explore $(side_by_side) tests/unit)
 	PYTHONPATH=tests OPENCV_LOG_LEVEL=OFF exec $(python) -m fuzz --seconds $(FUZZ_S) $(if $(TARGET),--target $(TARGET))
 
-check: venv ## style, types, layers, licences, generated pages, width of pages
+check: venv ## style, types, layers, licences, generated pages, width and wording of pages
 	@$(python) -m ruff check
 	$(python) -m ruff format --check
 	$(python) -m mypy
@@ -105,6 +105,7 @@ check: venv ## style, types, layers, licences, generated pages, width of pages
 	done
 	echo "generated pages are up to date"
 	$(python) -m tools.markdown README.md CHANGELOG.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
+	$(python) -m tools.plain README.md CONTRIBUTING.md docs/*.md docs/decisions/*.md docs/studies/*.md
 
 bench: venv ## time per stage, highest rate, latency
 	@exec $(python) -m benchmarks.measure
