@@ -39,7 +39,7 @@ async def test_a_real_serial_client_at_the_far_end(tmp_path: Path) -> None:
                 assert await asyncio.to_thread(client.readline) == b"$PALT\r\n"
                 client.write(b"help\r")
                 assert await line.read() == b"help\r"
-                socat.terminate()
+                socat.kill()
                 with pytest.raises(OSError, match=GONE):
                     await asyncio.wait_for(line.read(), 60)
 
