@@ -59,7 +59,7 @@ class CameraReport:
         self._refusal = ""
 
     def exposure_set(self, outcome: Applied | Refused) -> None:
-        """The camera took an exposure, or goes on with what it had."""
+        """The camera took an exposure setting, or keeps the previous one."""
         self._refusal = outcome.complaint if isinstance(outcome, Refused) else ""
         if self._refusal:
             self._component.count("refused_exposures")
@@ -95,7 +95,7 @@ class CameraReport:
             self._report_delivery(deliveries, now_ns)
 
     def show(self, figures: ExposureFigures | None) -> None:
-        """New figures of the exposure; those that were shown before go on ageing."""
+        """New figures of the exposure; those that were shown before continue to age."""
         if figures is None or figures is self._figures:
             return
         self._figures = figures

@@ -54,12 +54,13 @@ class Written:
 class RecordingStore:
     """The recordings in ``folder``, which may take ``max_bytes`` together. Its calls block.
 
-    A recording is written beside the others and gets its name when it is whole; until then who writes it
-    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, by which the
-    oldest is told: a clock that nobody set names the newest by a day of long ago.
+    A recording is written beside the others and gets its name when it is complete; until then its writer
+    holds the lock of its folder (flock(2)), which ends with the process. Each has a number, which identifies
+    the oldest: with a clock that is not set, the name of the newest holds a day of long ago.
 
-    What lies there is not trusted. A recording is a folder with a ``kept.json``; one that cannot be believed
-    costs what it says, not the recording. What a recording takes is counted, and no link is followed.
+    The contents of the folder are not trusted. A recording is a folder with a ``kept.json``; if that file is
+    not plausible, its contents are ignored and the recording is kept. The bytes of a recording are counted,
+    and no link is followed.
     """
 
     def __init__(self, folder: Path, max_bytes: int) -> None:
@@ -153,7 +154,7 @@ class RecordingStore:
         return kept
 
     def _remove_unfinished(self) -> None:
-        """Remove what nobody writes any more; another daemon may be writing here."""
+        """Remove unfinished recordings without a writer; another daemon may be writing here."""
         for left in self._folder.glob(f"{_UNDER_WAY}*"):
             with suppress(OSError), _locked(left):
                 shutil.rmtree(left, ignore_errors=True)

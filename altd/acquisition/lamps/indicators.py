@@ -64,7 +64,7 @@ def validity_of(measurement: Measurement | None, running_s: float) -> Validity:
 
 
 def error_light(validity: Validity, needs_attention: bool) -> Light:
-    """What Error does, when something beside the measurement wants somebody and when nothing does."""
+    """What Error shows; ``needs_attention``: something other than the measurement needs a person."""
     if validity is Validity.INVALID:
         return Light.STEADY
     return Light.BLINKS if needs_attention else Light.DARK

@@ -15,8 +15,8 @@ from altd.records import Frame
 MARGIN_NS = 10_000_000
 """The times of frames and of switching lie on one clock, but a camera's own is known to milliseconds only."""
 DARK_AFTER_FAILURE_NS = 1_000_000_000
-"""LEDs that do not do as they are told are let go, which darkens them, within this time. From then on
-exposures are measured again: should the LEDs still shine, the locator sees them."""
+"""Lines of unresponsive LEDs are released, which darkens them, within this time. From then on exposures are
+measured again: should the LEDs still shine, the locator sees them."""
 _REMEMBERED = 8
 
 
@@ -143,7 +143,7 @@ class MarkedFrames:
         return frame
 
     async def take(self, light: Light, count: int, after_ns: int) -> Taken:
-        """The next ``count`` frames of each camera that began after ``after_ns``; waits for ever.
+        """The next ``count`` frames of each camera that began after ``after_ns``; waits without limit.
 
         Frames that were exposed while the camera was being set are passed over.
         """

@@ -141,9 +141,9 @@ class CheckMemory:
         )
 
     async def save(self) -> None:
-        """Write the history when that is due; a disk that refuses is told, and tried at the next check.
+        """Write the history when that is due; a failed write is reported, and repeated at the next check.
 
-        A verdict that became bad, or is so no more, is written at once.
+        A verdict that became bad, or is no longer bad, is written at once.
         """
         kept, now_ns, was_bad = self._kept, self._clock.monotonic_ns(), self._history.was_bad
         if kept is None or not self._is_loaded:

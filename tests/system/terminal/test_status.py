@@ -105,7 +105,7 @@ def test_after_kill_9_the_next_daemon_takes_its_place(
     unit.daemon.process.wait()
     assert unit.socket.exists(), "nobody removed it"
     said = altd_here("status", "--config", unit.config)
-    assert said.err == f"altd status: the daemon does not run: nobody listens at {unit.socket}\n"
+    assert said.err == f"altd status: the daemon does not run: nothing listens at {unit.socket}\n"
     with local_daemon(played_unit, tmp_path) as again:
         assert altd_here("status", "--config", again.config).out.startswith("unit ")
 
@@ -192,7 +192,7 @@ class TestSomebodyElse:
         )
 
     def test_the_group_is_let_in(self, path: Path) -> None:
-        assert self.told(path, gid=20) == f"the daemon does not run: nobody listens at {path}"
+        assert self.told(path, gid=20) == f"the daemon does not run: nothing listens at {path}"
 
     def test_a_closed_folder_is_said_so(self, path: Path) -> None:
         path.parent.chmod(0o700)
