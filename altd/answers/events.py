@@ -101,7 +101,7 @@ def answer(question: Question) -> None:
 
 
 def _wait_until_begun(file: Path) -> None:
-    """Until the daemon has made a history of its new file, but not for ever."""
+    """Until the daemon has made a history of its new file, but for a limited time."""
     for _ in range(_MAX_LOOKS):
         time.sleep(_LOOK_INTERVAL_S)
         with suppress(BadInputError), opened(file):

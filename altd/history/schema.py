@@ -93,7 +93,7 @@ class DamagedFileError(UnusableFileError):
 
 
 class TouchedFileError(UnusableFileError):
-    """A history that somebody else replaced, deleted or wrote into while it was open."""
+    """A history that another program replaced, deleted or wrote into while it was open."""
 
 
 class MovedFileError(UnusableFileError):

@@ -13,10 +13,10 @@ from altd.mapping.polynomials import gram_basis, gram_powers
 from altd.records import FloatArray
 
 Model = Literal["tensor", "lens", "fisheye", "lens+tensor", "fisheye+tensor"]
-"""What was fitted: the tensor polynomial itself, or a lens that it stands for."""
+"""What was fitted: the tensor polynomial itself, or a lens that it represents."""
 
 _POINTS_ACROSS = 21
-"""Points along each axis for what is said of the whole hull."""
+"""Points along each axis for figures of the whole hull."""
 
 _MAX_DEGREE = 6
 _MIN_DEGREES_OF_FREEDOM = 2

@@ -37,8 +37,7 @@ _MOTION_UNKNOWN = Fault(Reason.WARMING_UP, detail="how the beam moves is not kno
 class View:
     """A target and the camera that looks at it.
 
-    ``expected`` is the camera that should stand behind the name, beside the one that was calibrated; None:
-    whichever.
+    ``expected`` is the camera that the name should refer to, beside the one that was calibrated; None: any.
     """
 
     target: str
@@ -59,11 +58,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Of the frames, what no pixel tells: where they come from, when and where they were exposed.
+    """Of the frames, what their pixels do not contain: their source, and when and where they were exposed.
 
-    ``origins`` gives what every measurement has to say of where they come from now, ``identity`` which camera
-    stands behind a name now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not known),
-    ``place`` where the exposure of a sequence was made (None: not known).
+    ``origins`` gives the faults that every measurement must carry because of the current source, ``identity``
+    the camera that a name refers to now (None: not known), ``utc`` the time of day of a ``t_ns`` (None: not
+    known), ``place`` where the exposure of a sequence was made (None: not known).
     """
 
     origins: Callable[[], Iterable[Fault]] = tuple
@@ -232,8 +231,8 @@ class MeasuringChain:
     def _is_passed_over(self, pair: Pair[Located]) -> bool:
         """Whether the frame LEDs were lit, or switched, in any frame of an exposure.
 
-        Time goes on with it, so it is no gap in which anything may have happened; it is no exposure of the
-        window, whose reach counts by the exposures' numbers.
+        Time continues with it, so it is no gap in which anything may have happened; it is no exposure of the
+        window, whose length counts by the exposures' numbers.
         """
         if not any(located.leds_on for located in pair.items.values()):
             return False

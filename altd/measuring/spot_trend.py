@@ -73,8 +73,8 @@ class TrendFigures:
 class Trend:
     """Medians of minutes, by the time of the frames: bounded memory, and no outlier counts.
 
-    ``reference`` is kept for ever once it is known. A minute in which too little was seen counts for nothing,
-    so that a beam which is switched off for the night changes nothing.
+    ``reference`` is kept indefinitely once it is known. A minute with too few values does not count, so a
+    beam that is switched off for the night changes nothing.
     """
 
     def __init__(self, reference: float | None = None) -> None:

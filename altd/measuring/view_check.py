@@ -1,4 +1,4 @@
-"""Whether a target's camera is the one that was calibrated, and stands as it did: by name and view."""
+"""Whether a target's camera is the one that was calibrated, in the same place: by name and view."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class ViewCheck:
         self._restart_examination()
 
     def _restart_examination(self) -> None:
-        """Examine the next frames; what was found wrong or displaced stands until they show the contrary."""
+        """Examine the next frames; an earlier finding, wrong or displaced, holds until they refute it."""
         self._doubt = "nothing was seen yet"
         self._shift_px: float | None = None
         self._verified_ns: int | None = None

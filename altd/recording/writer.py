@@ -44,9 +44,9 @@ def _comparable(header: RecordingHeader) -> dict[str, CameraHeader]:
 class RecordingWriter:
     """Writes a recording frame by frame; what is on disk is readable after each frame.
 
-    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it goes on in a folder
-    that another writer left, behind the first so many bytes of its table; the header there stays, and must
-    have the same cameras and unit.
+    Raises BadInputError when the folder exists and is not empty. With ``resume_at`` it continues in a folder
+    that another writer left, after that many bytes of its table; the header there stays, and must have the
+    same cameras and unit.
     """
 
     def __init__(self, path: Path, header: RecordingHeader, resume_at: int | None = None) -> None:

@@ -234,7 +234,7 @@ TABLE_HEAD = b"sequence,t_s,camera,file,leds,x_mm,y_mm"
         (b"front0000.png", b'"front0000.png', "is no CSV text"),
         (b"front0000.png", b'"' + b"x" * 200_000, "is no CSV text: field larger than field limit"),
         (TABLE_HEAD, TABLE_HEAD + b",a" * 1_000_000, "row 2: "),
-        (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' stands twice"),
+        (TABLE_HEAD, TABLE_HEAD + b",t_s", "row 1: column 't_s' is repeated"),
         (b"front0000.png", b"\xff.png", "is no CSV text: 'utf-8' codec"),
     ],
 )

@@ -121,7 +121,7 @@ def report_on(source: Source) -> Document:
 
 
 def _origin(calibration: Calibration) -> list[Block]:
-    """Nobody may take the report of a simulated unit for that of a real one."""
+    """Marks the report of a simulated unit, so that it is not mistaken for that of a real one."""
     if not calibration.simulated:
         return []
     names = " and ".join(target.name for target in calibration.targets if target.simulated)

@@ -105,7 +105,7 @@ class Sensor:
 
 
 def _blocks(rows: Sequence[Register]) -> list[tuple[Register, ...]]:
-    """Rows that follow each other without a gap go into one block: nobody knows what lies in a gap."""
+    """Consecutive rows without a gap form one block: the contents of a gap are unknown."""
     blocks = [[rows[0]]]
     for before, row in pairwise(rows):
         if (row.function, row.address) == (before.function, before.address + 1):

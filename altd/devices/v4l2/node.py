@@ -55,7 +55,7 @@ class Node:
                 raise
 
     def close(self) -> None:
-        """Let go; the kernel ends the stream and frees its buffers."""
+        """Close it; the kernel ends the stream and frees its buffers."""
         os.close(self.descriptor)
 
 

@@ -223,7 +223,7 @@ def test_a_light_that_blinks_by_itself_is_named() -> None:
     quiet, blink = Scene().view(rng, 3), Scene(reflections=((500.0, 300.0),)).view(rng, 3)
     found = check(LedView((*quiet.lit[:2], blink.lit[2]), quiet.dark))
     assert found.verdict is Verdict.GOOD, found.reasons
-    assert "shines by itself at u 500 v 300 px" in found.targets["front"].detail
+    assert "shines without the LEDs at u 500 v 300 px" in found.targets["front"].detail
 
 
 def test_an_led_that_shines_in_some_pairs_only_is_unsteady() -> None:
