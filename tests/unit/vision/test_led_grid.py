@@ -80,7 +80,7 @@ def test_a_whole_dark_line_at_the_edge_is_refused() -> None:
 def test_a_plate_that_does_not_stand_upright_is_refused() -> None:
     with pytest.raises(ValueError, match=r"turned by -?4\d° in the picture; it must be upright"):
         matched(View(950.0, 400.0, tilted(5.0, 1.0, 43.0)))
-    with pytest.raises(ValueError, match="stand 5 × 7 in the picture, the plate has 7 × 5"):
+    with pytest.raises(ValueError, match="form 5 × 7 in the picture, the plate has 7 × 5"):
         matched(View(750.0, 400.0, tilted(5.0, 1.0, 90.0)))
 
 
