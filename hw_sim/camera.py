@@ -69,7 +69,7 @@ class SimulatedCamera:
 
     @property
     def origin(self) -> Origin:
-        """Always simulated, and every output says so."""
+        """Always simulated, and every output reports it."""
         return Origin.SIMULATED
 
     @property
@@ -93,7 +93,7 @@ class SimulatedCamera:
         return EXPOSURE_RANGE
 
     def open(self) -> None:
-        """Get ready; the schedule goes on where it is."""
+        """Get ready; the schedule continues where it is."""
         self._schedule.begin()
         self._closed.clear()
 
@@ -120,14 +120,14 @@ class SimulatedCamera:
         self._unit.set_camera(self._name, exposure_ms=exposure_ms, gain=10.0 ** (gain_db / 20.0))
 
     def close(self) -> None:
-        """Let go; a call that waits for a frame ends."""
+        """Release it; a call that waits for a frame ends."""
         self._closed.set()
 
 
 def make_cameras(unit: Unit, *, real_time: bool = True) -> tuple[SimulatedCamera, ...]:
     """The cameras of a unit, front and rear, on one schedule.
 
-    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and who is late gets the
+    In real time frame sets come at the unit's rate on ``time.monotonic_ns``, and a late caller gets the
     newest; otherwise they come as fast as they are taken, none is left out, and time starts at 0.
     """
     schedule = Schedule(unit.config.period_ns, real_time=real_time)

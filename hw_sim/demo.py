@@ -86,19 +86,19 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stdout.reconfigure(errors="replace")  # for a terminal without ±
     try:
         asyncio.run(_until_stopped(arguments))
-    except KeyboardInterrupt:  # before or after the loop, which knows what to do about it
+    except KeyboardInterrupt:  # before or after the loop, which handles it
         return 0
-    except BrokenPipeError:  # the reader of our output went away; there is nobody to tell
+    except BrokenPipeError:  # the reader of our output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     finally:
-        for number in _ENDING:  # it is ending: who asks for it a second time need not be told
+        for number in _ENDING:  # it is ending: a second request needs no answer
             signal.signal(number, signal.SIG_IGN)
     return 0
 
 
 async def _until_stopped(arguments: argparse.Namespace) -> None:
-    """The demo, cancelled once, however often somebody asks for its end; raises what it fails with."""
+    """The demo, cancelled once, however often its end is requested; raises what it fails with."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     for number in _ENDING:
@@ -200,7 +200,7 @@ async def _line_by_line(view: View, _unit: Unit, _stop: Callable[[], None]) -> N
     logging.basicConfig(level=logging.WARNING, format="altd: %(message)s", stream=sys.stderr)
     text = "\n".join([view.title, *view.commands(), view.heading])
     while True:
-        # in a thread: a pipe that nobody empties must not hold up the unit
+        # in a thread: a pipe without a reader must not block the unit
         await asyncio.to_thread(print, text, flush=True)
         await asyncio.sleep(LINE_INTERVAL_S)
         text = view.line()
@@ -240,7 +240,7 @@ async def _command(module: str, *arguments: str) -> None:
 
 
 def _config(unit: Unit, calibration: Path, faces: Faces) -> Config:
-    """The settings of an ordinary unit with all of its faces, on this machine only."""
+    """The settings of an ordinary unit with all of its interfaces, on this machine only."""
     return Config(
         unit=UnitTable(serial=unit.config.serial, calibration=calibration),
         targets=(

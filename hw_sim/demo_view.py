@@ -70,7 +70,7 @@ class Faces:
         return [("MQTT", f"mosquitto_sub -V 5 {where} -v -t '{self.mqtt.topic}/#'")]
 
     def components(self) -> dict[str, str]:
-        """For people's names of the faces, the names of their components in the unit's health."""
+        """The names of the interfaces' components in the unit's health, by the interface's usual name."""
         return {
             "HTTP": f"http 127.0.0.1:{self.http_port}",
             "Modbus TCP": f"modbus_tcp 127.0.0.1:{self.modbus_port}",

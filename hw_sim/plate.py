@@ -29,7 +29,7 @@ COLUMNS, ROWS = 7, 5
 LED_DIAMETER_MM = 5.0
 PITCH_MM = 23.0
 """The plate of App. A.3 has 25 mm; its outer columns do not fit the picture of an ordinary unit's cameras,
-which stand as near as the 140 × 110 mm target allows."""
+which are as near as the 140 × 110 mm target allows."""
 WIDE_PITCH_MM = 25.0
 """For cameras that are made for the plate, tilted or with a fisheye lens."""
 FISHEYE_FOCAL_MM = (3.5, 3.7)
