@@ -1,4 +1,4 @@
-"""A thermometer that hangs, lies or breaks is said in health, and its last value is not shown for ever."""
+"""A thermometer that hangs, errs or breaks is reported in health, and its last value is not kept."""
 
 from __future__ import annotations
 

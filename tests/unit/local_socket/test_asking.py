@@ -1,4 +1,4 @@
-"""A command's end of the local socket: whoever answers there, it ends in time and in one line."""
+"""A command's end of the local socket: whatever program answers, it ends in time and in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from altd.local_socket import NoAnswerError, ask
 
 @contextlib.contextmanager
 def answered(path: Path, serve: Callable[[socket.socket], None]) -> Iterator[Path]:
-    """Somebody at ``path`` who deals with one client so."""
+    """A server at ``path`` that treats one client so."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as server:
         server.bind(str(path))
         server.listen()
