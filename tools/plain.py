@@ -102,7 +102,7 @@ def _passages(name: str, text: str) -> Iterator[tuple[int, str]]:
         else:
             is_text = token.type == tokenize.COMMENT
         if is_text:
-            yield token.start[0], _FIELD.sub(_blank, _HIDDEN.sub(_blank, token.string))
+            yield token.start[0], _FIELD.sub(_blank, _HIDDEN.sub(_blank, token.string.replace("\\n", "  ")))
         if token.type not in (tokenize.COMMENT, tokenize.NL):
             before = token.type
 

@@ -31,7 +31,7 @@ VALUE = re.compile(rf"(x|y|yaw|pitch) +{NUMBER} ±{NUMBER} \({NUMBER}\) (mm|deg)
 
 
 class Output:
-    """What comes out of a descriptor, read with patience but not for ever."""
+    """What comes out of a descriptor, read with a long timeout."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor

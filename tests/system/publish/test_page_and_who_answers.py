@@ -1,4 +1,4 @@
-"""The page in Chromium where another unit answers at its address, slowly, or only to whoever is logged in."""
+"""The page in Chromium where another unit answers at its address, slowly, or only after a login."""
 
 from __future__ import annotations
 

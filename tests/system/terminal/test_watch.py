@@ -52,7 +52,7 @@ def watching(path: Path, columns: int = 80, rows: int = 24, locale: str = "C.UTF
 
 
 def await_lines(screen: Terminal, hold: Callable[[list[str]], object]) -> None:
-    """Wait until what stands on the screen is so; while it is drawn, one part stands there before another."""
+    """Wait until the text on the screen is so; while it is drawn, one part is there before another."""
     deadline = time.monotonic() + PATIENCE_S
     while not hold(lines := screen.text().split("\n")):
         assert time.monotonic() < deadline, "\n".join(lines)

@@ -38,7 +38,7 @@ def peaks_mb(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, fl
 
 @pytest.mark.parametrize("command", ["altd calibrate", "altd calibrate --flat", "hw_sim scan"])
 def test_a_node_more_takes_next_to_nothing(command: str, peaks_mb: dict[str, dict[int, float]]) -> None:
-    """Without a flat a node took 6 MB when all of a print's pixels stood in one matrix."""
+    """Without a flat a node took 6 MB when all of a print's pixels were in one matrix."""
     few, many = (peaks_mb[command][nodes] for nodes in NODES)
     assert (many - few) / (NODES[1] - NODES[0]) < 0.3
     assert many < 250
